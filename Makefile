@@ -1,0 +1,66 @@
+# `make demo` and `make test` each work alone on a machine that has make and Python 3.11 or newer.
+# PYTHON names another one: make test PYTHON=python3.12
+
+.PHONY: help demo test test-slow bench clean
+.DELETE_ON_ERROR:
+
+# The first of these that is new enough; python3 where none is, so that the complaint names it.
+PYTHON ?= $(shell for python in python3 python3.14 python3.13 python3.12 python3.11; do \
+	$$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$python && exit; done; echo python3)
+
+# What keeps $(PYTHON) from making the environment, in one line; nothing where nothing does.
+PROBLEM = $(shell python='$(PYTHON)'; \
+	if ! command -v "$$python" >/dev/null; then \
+		echo "$$python is not there: install Python 3.11 or newer, or name one with make PYTHON=/path/to/python3.11"; \
+	elif ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+		echo "rotorfit needs Python 3.11 or newer and $$python is $$("$$python" -V 2>&1): name a newer one with make PYTHON=python3.11"; \
+	elif ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then \
+		echo "$$python has no venv: install it (Debian, Ubuntu: apt install python3-venv), or name another with make PYTHON=/path/to/python3"; \
+	fi)
+
+BIN := .venv/bin
+# Byte-code is compiled once here, even where the shell forbids it: otherwise every first import takes seconds.
+INSTALL := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pip install --quiet --disable-pip-version-check --compile
+
+help:
+	@echo "make demo       simulate, fit, validate; results in ./demo"
+	@echo "make test       lint, types, tests"
+	@echo "make test-slow  the tests that simulate hundreds of flights"
+	@echo "make bench      timings"
+	@echo "make clean      remove what make has made"
+
+demo: .venv/installed
+	$(BIN)/rotorfit demo demo
+
+test: .venv/installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/pytest
+
+test-slow: .venv/installed-dev
+	$(BIN)/pytest -m slow
+
+bench: .venv/installed-bench
+	set -e; for script in bench/bench_*.py; do $(BIN)/python "$$script"; done
+
+clean:
+	rm -rf .venv demo build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find src tests bench -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+# The project is installed in place (editable): again only when pyproject.toml has changed.
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(INSTALL) --editable .
+	@touch $@
+
+.venv/installed-dev: pyproject.toml | .venv/bin/python
+	$(INSTALL) --editable '.[dev]'
+	@touch $@ .venv/installed
+
+.venv/installed-bench: pyproject.toml | .venv/bin/python
+	$(INSTALL) --editable '.[bench]'
+	@touch $@ .venv/installed
+
+.venv/bin/python:
+	$(if $(PROBLEM),$(error $(PROBLEM)))
+	"$(PYTHON)" -m venv --clear .venv || { rm -rf .venv; exit 1; }

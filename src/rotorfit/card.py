@@ -1,0 +1,413 @@
+"""Card: what each command channel means, its limits, and which column is what (TOML)."""
+
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from rotorfit.errors import CardError
+from rotorfit.frames import AXES, UNIT_SCALE, Array
+from rotorfit.log import Column, Log, Table
+
+Choice = TypeVar("Choice", bound=str)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where one quantity comes from: (raw * scale + offset), then the unit.
+
+    Attributes:
+        source: `TABLE:COLUMN`, `COLUMN`, `COLUMN[i]`, or a constant number.
+        scale: Factor on the raw value.
+        offset: Added after the factor.
+        unit: One of the names in `frames.UNIT_SCALE`, or None where the value is SI or a fraction.
+        meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
+        full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
+    """
+
+    source: str | float
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+    meaning: str | None = None
+    full_scale: str | None = None
+
+
+@dataclass(frozen=True)
+class Card:
+    """A vehicle and its set-up.
+
+    Attributes:
+        name: For people.
+        frame: Of the pose: `ENU` (z up) or `NED`.
+        command_frame: `heading` or `world`.
+        hold: Longest time that a command acts without a successor [s]; None for three median periods.
+        command_time: Stamp of the commands.
+        command: Axis name to channel, for the commanded axes only.
+        pose_time: Stamp of the poses.
+        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`.
+        velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
+        reference: Optional: what a position controller was told.
+        window: Optional column that says when the vehicle is armed or under velocity control.
+        limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
+        raw: The whole card as parsed from TOML: what the model file stores.
+    """
+
+    name: str
+    frame: Literal["ENU", "NED"]
+    command_frame: Literal["heading", "world"]
+    hold: float | None
+    command_time: Channel
+    command: Mapping[str, Channel]
+    pose_time: Channel
+    pose: Mapping[str, Channel]
+    velocity: Mapping[str, Channel] = field(default_factory=dict)
+    velocity_frame: Literal["heading", "world"] = "world"
+    reference: Mapping[str, Channel] = field(default_factory=dict)
+    window: Channel | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
+    raw: Mapping[str, Any] = field(default_factory=dict)
+
+
+_MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
+_LENGTH, _SPEED, _ANGLE, _RATE = ("m", "cm", "mm"), ("m/s", "cm/s"), ("rad", "deg"), ("rad/s", "deg/s")
+_STAMP, _ANY = ("s", "ms", "us", "ns"), tuple(UNIT_SCALE)
+_LIMIT_UNITS = {"tilt": _ANGLE, "vertical_speed": _SPEED, "yaw_rate": _RATE, "speed": _SPEED}
+_LIMITS = tuple(_LIMIT_UNITS)
+_SECTIONS: Mapping[str, tuple[str, ...]] = {
+    "command": ("frame", "hold", "time", *AXES),
+    "pose": ("time", *AXES, "quaternion"),
+    "velocity": ("frame", *AXES),
+    "reference": AXES,
+    "window": ("when",),
+    "limits": _LIMITS,
+}
+_POSE_UNITS = {"x": _LENGTH, "y": _LENGTH, "z": _LENGTH, "yaw": _ANGLE}
+_VELOCITY_UNITS = {"x": _SPEED, "y": _SPEED, "z": _SPEED, "yaw": _RATE}
+
+
+def load_card(name_or_path: str) -> Card:
+    """Loads a built-in card by its name, or a card from a TOML file.
+
+    Args:
+        name_or_path: Name as `builtin_cards` lists them, or path of a TOML file.
+
+    Returns:
+        The card, checked.
+
+    Raises:
+        CardError: Neither a name nor a file; not TOML; or what `card_from_mapping` refuses.
+    """
+    built_in = builtin_cards()
+    if name_or_path in built_in:
+        return built_in[name_or_path]
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise CardError(
+            f"no card {name_or_path!r}: neither a file nor a built-in name{_nearest(name_or_path, built_in)} "
+            "(`rotorfit cards` lists them)"
+        )
+    try:
+        return card_from_mapping(tomllib.loads(path.read_text(encoding="utf-8")), name_or_path)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise CardError(f"card {name_or_path}: not readable as TOML: {' '.join(str(err).split())}") from err
+
+
+def builtin_cards() -> dict[str, Card]:
+    """All cards that ship with rotorfit, by name, sorted."""
+    files = (entry for entry in resources.files("rotorfit").joinpath("cards").iterdir() if entry.name.endswith(".toml"))
+    texts = {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in files}
+    return {name: card_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
+
+
+def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
+    """Checks a card as parsed from TOML or as stored in a model file.
+
+    Args:
+        raw: The sections and keys of a card.
+        where: File or name, for the error's text.
+
+    Returns:
+        The card; its `raw` is the argument.
+
+    Raises:
+        CardError: A key that nobody knows (the nearest is named), a wrong type, an unknown unit or meaning, or one of
+            `[command]`, `[pose]` and their essential keys is missing.
+    """
+    place = f"card {where}"
+    _check_keys(raw, ("name", "frame", *_SECTIONS), place)
+    sections = {key: _section(raw, key, place) for key in _SECTIONS}
+    missing = [key for key in ("command", "pose") if key not in raw]
+    if missing:
+        raise CardError(f"{place}: section [{missing[0]}] is missing")
+    command, pose, velocity = sections["command"], sections["pose"], sections["velocity"]
+    in_command, in_pose = f"{place}, [command]", f"{place}, [pose]"
+    commands = {axis: _channel(command[axis], f"{in_command} {axis}", _ANY, True) for axis in AXES if axis in command}
+    if not commands:
+        raise CardError(f"{in_command}: no axis is commanded; name a column for at least one of x, y, z, yaw")
+    return Card(
+        name=_text(raw.get("name", where), f"{place}, name"),
+        frame=_choice(raw.get("frame", "ENU"), ("ENU", "NED"), f"{place}, frame"),
+        command_frame=_choice(command.get("frame", "heading"), ("heading", "world"), f"{in_command} frame"),
+        hold=_positive(command["hold"], f"{in_command} hold") if "hold" in command else None,
+        command_time=_recorded(command, "time", _STAMP, in_command),
+        command=commands,
+        pose_time=_recorded(pose, "time", _STAMP, in_pose),
+        pose=_pose(pose, in_pose),
+        velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
+        velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
+        reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
+        window=_recorded(sections["window"], "when", _ANY, f"{place}, [window]") if "window" in raw else None,
+        limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
+        raw=raw,
+    )
+
+
+def card_that_fits(log: Log) -> Card:
+    """The one built-in card whose columns are all in the log.
+
+    Raises:
+        CardError: No card fits, or several do; the text says how to go on.
+    """
+    fitting = fitting_cards(log)
+    if len(fitting) == 1:
+        return next(iter(fitting.values()))
+    if fitting:
+        raise CardError(f"{log.path}: several built-in cards fit ({', '.join(fitting)}); name one with `--card`")
+    raise CardError(
+        f"{log.path}: no built-in card fits; draft one with `rotorfit info {log.path} --draft-card FILE`, "
+        "or name one with `--card`"
+    )
+
+
+def fitting_cards(log: Log) -> dict[str, Card]:
+    """The built-in cards, by name, whose columns are all in the log."""
+    return {name: card for name, card in builtin_cards().items() if _fits(log, card)}
+
+
+def _fits(log: Log, card: Card) -> bool:
+    others = [*card.velocity.values(), *card.reference.values(), *([card.window] if card.window else [])]
+    try:
+        for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose)):
+            count = len(raw_column(log, time.source)[1])
+            for channel in channels.values():
+                column(log, channel, count)
+        for channel in others:
+            column(log, channel)
+    except CardError:
+        return False
+    return True
+
+
+def column(log: Log, channel: Channel, count: int | None = None) -> Array:
+    """Values of a channel: (raw * scale + offset), then the unit to SI.
+
+    Args:
+        log: Where the columns are.
+        channel: Which one, and how to read it.
+        count: Number of stamps that go with it; tells the time axis of a matrix (for `NAME[i]`) and the length of a
+            constant. None takes the longer axis, and one sample.
+
+    Returns:
+        Shape (N,), float64, SI or the fraction that the card says. N may differ from `count`.
+
+    Raises:
+        CardError: Table, column or row is not there (the nearest is named), or it holds no numbers.
+    """
+    if isinstance(channel.source, str):
+        raw = raw_column(log, channel.source, count)[1].astype(np.float64)
+    else:
+        raw = np.full(1 if count is None else count, float(channel.source))
+    factor = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
+    if (channel.scale, channel.offset, factor) == (1.0, 0.0, 1.0):
+        return raw
+    return (raw * channel.scale + channel.offset) * factor
+
+
+def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple[str, Column]:
+    """A column as it was recorded.
+
+    Args:
+        log: Where the columns are.
+        source: `TABLE:COLUMN`, `COLUMN` where the log has one table, or a row `NAME[i]`.
+        count: As in `column`.
+
+    Returns:
+        The column's name without its table, and its values, shape (N,), of any real type.
+
+    Raises:
+        CardError: As `column`.
+    """
+    if not isinstance(source, str):
+        raise CardError(f"{log.path}: a constant ({source:g}) stands where a column is needed")
+    table, name = _table_of(log, source)
+    row = re.fullmatch(r"(.+)\[(\d+)\]", name)
+    if name in table.columns:
+        values = _vector(table.columns[name], f"{log.path}: {source}")
+    elif row and row[1] in table.columns:
+        values = _row(table.columns[row[1]], int(row[2]), count, f"{log.path}: {source}")
+    else:
+        raise CardError(f"{log.path}: no column {name!r} in {table.name!r}{_nearest(name, table.columns)}")
+    if values.dtype.kind not in "biuf":
+        raise CardError(f"{log.path}: {source} holds no numbers (type {values.dtype})")
+    return name, values
+
+
+def _table_of(log: Log, source: str) -> tuple[Table, str]:
+    """The table that a source names, and the column's name in it."""
+    only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
+    head, colon, tail = source.partition(":")
+    if only is not None and (not colon or source in only.columns):
+        return only, source
+    if colon and head in log.tables:
+        return log.tables[head], tail
+    if colon and head in log.skipped:
+        raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
+    if colon:
+        raise CardError(f"{log.path}: no table {head!r}{_nearest(head, log.tables)} (`rotorfit info` lists them)")
+    holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
+    raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
+
+
+def _vector(values: Column, what: str) -> Column:
+    """A column that is one series, shape (N,)."""
+    if values.ndim == 1 or (values.ndim == 2 and 1 in values.shape):
+        return values.ravel()
+    raise CardError(f"{what} has the shape {values.shape}, not one series; name a row, as in NAME[0]")
+
+
+def _row(values: Column, row: int, count: int | None, what: str) -> Column:
+    """Row `row` of a matrix whose time axis is the one as long as its clock, give or take one sample."""
+    matrix = values[np.newaxis] if values.ndim == 1 else values
+    if matrix.ndim != 2:
+        raise CardError(f"{what}: shape {values.shape} is not a matrix")
+    surplus = [abs(n - (max(matrix.shape) if count is None else count)) for n in matrix.shape]
+    if min(surplus) > 1:
+        raise CardError(f"{what}: no axis of {matrix.shape} is as long as its time ({count})")
+    by_row: Column = matrix if surplus[1] <= surplus[0] else matrix.T
+    if row >= len(by_row):
+        raise CardError(f"{what}: row {row} of {len(by_row)} (rows count from 0)")
+    series: Column = by_row[row]
+    return series
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """` (nearest: 'this')`, or nothing where nothing is known."""
+    by_lower = {option.lower(): option for option in known}
+    match = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.0)
+    return f"; nearest: {by_lower[match[0]]!r}" if match else ""
+
+
+def _check_keys(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
+    for key in raw:
+        if key not in known:
+            raise CardError(f"{place}: unknown key {key!r}{_nearest(key, known)}")
+
+
+def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
+    section = raw.get(key, {})
+    if not isinstance(section, Mapping):
+        raise CardError(f"{place}, {key}: must be a section [{key}], not {section!r}")
+    _check_keys(section, _SECTIONS[key], f"{place}, [{key}]")
+    return section
+
+
+def _text(value: Any, place: str) -> str:
+    if not isinstance(value, str) or not value:
+        raise CardError(f"{place}: must be a text, not {value!r}")
+    return value
+
+
+def _number(value: Any, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CardError(f"{place}: must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _positive(value: Any, place: str) -> float:
+    if _number(value, place) <= 0:
+        raise CardError(f"{place}: must be positive, not {value!r}")
+    return float(value)
+
+
+def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
+    for option in known:
+        if value == option:
+            return option
+    nearest = _nearest(value, [str(option) for option in known]) if isinstance(value, str) else ""
+    raise CardError(f"{place}: {value!r} is not one of {', '.join(str(option) for option in known)}{nearest}")
+
+
+def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
+    """A channel from a string, a number, or `{ from, scale, offset, unit }`; commands also have a meaning."""
+    if not isinstance(value, Mapping):
+        return Channel(_source(value, place))
+    _check_keys(value, ("from", "scale", "offset", "unit", *(("meaning", "full_scale") if command else ())), place)
+    if "from" not in value:
+        raise CardError(f"{place}: from is missing: which column?")
+    return Channel(
+        source=_source(value["from"], f"{place}.from"),
+        scale=_number(value.get("scale", 1.0), f"{place}.scale"),
+        offset=_number(value.get("offset", 0.0), f"{place}.offset"),
+        unit=_choice(value["unit"], units, f"{place}.unit") if "unit" in value else None,
+        meaning=_choice(value["meaning"], _MEANINGS, f"{place}.meaning") if "meaning" in value else None,
+        full_scale=_choice(value["full_scale"], _LIMITS, f"{place}.full_scale") if "full_scale" in value else None,
+    )
+
+
+def _source(value: Any, place: str) -> str | float:
+    if isinstance(value, str) and value:
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CardError(f"{place}: must be a column's name or a number, not {value!r}")
+    return _number(value, place)
+
+
+def _channels(raw: Mapping[str, Any], units: Mapping[str, tuple[str, ...]], place: str) -> dict[str, Channel]:
+    return {axis: _channel(raw[axis], f"{place} {axis}", units[axis]) for axis in AXES if axis in raw}
+
+
+def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], place: str) -> Channel:
+    """A channel that must be there and cannot be a constant: a clock, the window."""
+    if key not in section:
+        raise CardError(f"{place}: {key} is missing: which column?")
+    channel = _channel(section[key], f"{place} {key}", units)
+    if not isinstance(channel.source, str):
+        raise CardError(f"{place} {key}: must be a column, not the constant {channel.source:g}")
+    return channel
+
+
+def _pose(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """x, y, z, and yaw or qw, qx, qy, qz."""
+    if ("yaw" in section) == ("quaternion" in section):
+        raise CardError(f"{place}: name either yaw or quaternion, and not both")
+    missing = [axis for axis in ("x", "y", "z") if axis not in section]
+    if missing:
+        raise CardError(f"{place}: {missing[0]} is missing; name its column, or a constant where it was not measured")
+    channels = _channels(section, _POSE_UNITS, place)
+    if "quaternion" not in section:
+        return channels
+    value = section["quaternion"]
+    names = [f"{value}.{part}" for part in "wxyz"] if isinstance(value, str) else value
+    if not isinstance(names, list) or len(names) != 4:
+        raise CardError(f"{place} quaternion: must be a prefix or four names in the order w, x, y, z, not {value!r}")
+    parts = zip("wxyz", names, strict=True)
+    return channels | {f"q{part}": Channel(_text(name, f"{place} quaternion")) for part, name in parts}
+
+
+def _limit(key: str, value: Any, place: str) -> float:
+    """A limit in SI, from a number or `{ value, unit }`."""
+    if not isinstance(value, Mapping):
+        return _positive(value, place)
+    _check_keys(value, ("value", "unit"), place)
+    if "value" not in value:
+        raise CardError(f"{place}: key 'value' is missing")
+    unit = _choice(value.get("unit", _LIMIT_UNITS[key][0]), _LIMIT_UNITS[key], f"{place}.unit")
+    return _positive(value["value"], f"{place}.value") * UNIT_SCALE[unit]

@@ -1,0 +1,274 @@
+"""The slow disturbance and the pose noise: a Kalman filter that whitens.
+
+What the commands do not explain is, on each axis of the heading frame,
+
+    n' = s,   s' = -mu s + w,   w' = -lambda w + sqrt(q) xi,   y = n + e,   e ~ N(0, r)
+
+with a damping mu of its own (the Box-Jenkins form): its four levels then share no parameter with the response, and the
+information matrix falls into two blocks. Position and velocity start unknown, w starts in its stationary state.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.frames import Array
+
+LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_rate")
+"""q [unit^2/s^5], r [unit^2], mu [1/s], lambda [1/s]: the order of every array of disturbance levels."""
+
+START_POSITION_VARIANCE = 1.0
+START_VELOCITY_VARIANCE = 10.0
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+_NODE = 0.5 * (_NODES + 1)
+_NODE_WEIGHT = 0.5 * _WEIGHTS
+_TERMS = 14
+_INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 3)])
+
+
+@numba.njit(cache=True)
+def _impulse_response(symmetric: Array, rate: float, t: float) -> Any:
+    """n, s and w at time t after a unit impulse into w; `symmetric` are the complete homogeneous sums of -mu, -lambda."""
+    n = s = 0.0
+    for i in range(_TERMS - 1, -1, -1):
+        n = n * t + symmetric[i] * _INVERSE_FACTORIAL[i + 2]
+        s = s * t + symmetric[i] * _INVERSE_FACTORIAL[i + 1]
+    return n * t * t, s * t, np.exp(-rate * t)
+
+
+@numba.njit(cache=True)
+def discretize(damping: float, rate: float, dt: float, F: Array, Q: Array) -> None:
+    """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, w) over dt for a unit q.
+
+    A power series in dt, which knows no singular case (mu = lambda, mu = 0), on a step short enough, then doubled.
+    """
+    doublings = 0
+    step = dt
+    while step * max(damping, rate) > 1.0:
+        step *= 0.5
+        doublings += 1
+    symmetric = np.empty(_TERMS)
+    symmetric[0] = 1.0
+    power = 1.0
+    for i in range(1, _TERMS):
+        power *= -rate
+        symmetric[i] = -damping * symmetric[i - 1] + power
+    n, s, w = _impulse_response(symmetric, rate, step)
+    F[:] = 0.0
+    f = np.exp(-damping * step)
+    F[0, 0] = 1.0
+    F[0, 1] = step if damping * step < 1e-8 else -np.expm1(-damping * step) / damping
+    F[0, 2] = n
+    F[1, 1] = f
+    F[1, 2] = s
+    F[2, 2] = w
+    Q[:] = 0.0
+    for i in range(4):
+        n, s, w = _impulse_response(symmetric, rate, _NODE[i] * step)
+        scale = _NODE_WEIGHT[i] * step
+        Q[0, 0] += scale * n * n
+        Q[0, 1] += scale * n * s
+        Q[0, 2] += scale * n * w
+        Q[1, 1] += scale * s * s
+        Q[1, 2] += scale * s * w
+        Q[2, 2] += scale * w * w
+    for _ in range(doublings):
+        f01, f02, f11, f12, f22 = F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2]
+        a00, a01, a02 = Q[0, 0] + f01 * Q[0, 1] + f02 * Q[0, 2], Q[0, 1] + f01 * Q[1, 1] + f02 * Q[1, 2], 0.0
+        a02 = Q[0, 2] + f01 * Q[1, 2] + f02 * Q[2, 2]
+        a11, a12 = f11 * Q[1, 1] + f12 * Q[1, 2], f11 * Q[1, 2] + f12 * Q[2, 2]
+        Q[0, 0] += a00 + a01 * f01 + a02 * f02
+        Q[0, 1] += a01 * f11 + a02 * f12
+        Q[0, 2] += a02 * f22
+        Q[1, 1] += a11 * f11 + a12 * f12
+        Q[1, 2] += a12 * f22
+        Q[2, 2] += f22 * Q[2, 2] * f22
+        F[0, 2] = f02 + f01 * f12 + f02 * f22
+        F[0, 1] = f01 + f01 * f11
+        F[1, 2] = f11 * f12 + f12 * f22
+        F[1, 1] = f11 * f11
+        F[2, 2] = f22 * f22
+
+
+@numba.njit(cache=True)
+def whiten_axis(time: Array, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
+    """Passes columns of one axis through the filter's gains.
+
+    Args:
+        time: Block times, shape (B,) [s].
+        count: Poses in each block, shape (B,): the noise of a block is r / count.
+        fresh: True where a segment starts and the filter starts anew, shape (B,).
+        columns: Data and sensitivities, shape (B, C).
+        levels: q, r, mu, lambda, shape (4,).
+
+    Returns:
+        Innovations over their standard deviation, shape (B, C), and the logarithm of the innovation variance, shape (B,).
+    """
+    B, C = columns.shape
+    out = np.empty((B, C))
+    log_variance = np.empty(B)
+    q, r, mu, rate = levels
+    F = np.zeros((3, 3))
+    Q = np.zeros((3, 3))
+    state = np.zeros((C, 3))
+    p00 = p01 = p02 = p11 = p12 = p22 = 0.0
+    last_dt = -1.0
+    for i in range(B):
+        if fresh[i]:
+            state[:] = 0.0
+            p01 = p02 = p12 = 0.0
+            p00, p11, p22 = START_POSITION_VARIANCE, START_VELOCITY_VARIANCE, q / (2 * rate)
+        else:
+            dt = time[i] - time[i - 1]
+            if abs(dt - last_dt) > 1e-9:
+                discretize(mu, rate, dt, F, Q)
+                last_dt = dt
+            f01, f02, f11, f12, f22 = F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2]
+            a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
+            a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            p00 = a00 + a01 * f01 + a02 * f02 + q * Q[0, 0]
+            p01 = a01 * f11 + a02 * f12 + q * Q[0, 1]
+            p02 = a02 * f22 + q * Q[0, 2]
+            p11 = a11 * f11 + a12 * f12 + q * Q[1, 1]
+            p12 = a12 * f22 + q * Q[1, 2]
+            p22 = f22 * p22 * f22 + q * Q[2, 2]
+            for j in range(C):
+                n, s, w = state[j, 0], state[j, 1], state[j, 2]
+                state[j, 0] = n + f01 * s + f02 * w
+                state[j, 1] = f11 * s + f12 * w
+                state[j, 2] = f22 * w
+        S = p00 + r / count[i]
+        g0, g1, g2 = p00 / S, p01 / S, p02 / S
+        root = 1.0 / np.sqrt(S)
+        log_variance[i] = np.log(S)
+        for j in range(C):
+            e = columns[i, j] - state[j, 0]
+            out[i, j] = e * root
+            state[j, 0] += g0 * e
+            state[j, 1] += g1 * e
+            state[j, 2] += g2 * e
+        p22 -= g2 * p02
+        p12 -= g1 * p02
+        p11 -= g1 * p01
+        p02 -= g0 * p02
+        p01 -= g0 * p01
+        p00 -= g0 * p00
+    return out, log_variance
+
+
+@numba.njit(cache=True)
+def rotate(vector: Array, c: float, s: float) -> None:
+    """Turns the frame of a (6,) state (n, s, w of x, then of y) by the angle of cosine c and sine s, in place."""
+    for k in range(3):
+        x, y = vector[k], vector[3 + k]
+        vector[k] = c * x + s * y
+        vector[3 + k] = c * y - s * x
+
+
+@numba.njit(cache=True)
+def propagate(vector: Array, F: Array) -> None:
+    """Moves a (6,) state one step by the transitions F (2, 3, 3) of x and y, in place."""
+    for a in range(2):
+        n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
+        vector[3 * a] = n + F[a, 0, 1] * s + F[a, 0, 2] * w
+        vector[3 * a + 1] = F[a, 1, 1] * s + F[a, 1, 2] * w
+        vector[3 * a + 2] = F[a, 2, 2] * w
+
+
+@numba.njit(cache=True)
+def predict_covariance(P: Array, F: Array, c: float, s: float) -> None:
+    """P <- M P M^T for M = turn by half the angle, step, turn by the other half; P (6, 6) symmetric, in place."""
+    for _ in range(2):
+        for i in range(6):
+            rotate(P[i], c, s)
+            propagate(P[i], F)
+            rotate(P[i], c, s)
+        for i in range(6):
+            for j in range(i):
+                P[i, j], P[j, i] = P[j, i], P[i, j]
+
+
+@numba.njit(cache=True)
+def add_turned_noise(P: Array, Q: Array, levels: Array, c: float, s: float) -> None:
+    """Adds the driving noise of a step: it belongs to the heading of the step's middle, so it takes half the turn.
+
+    Q (2, 3, 3) holds upper triangles for a unit power; c and s are cosine and sine of half the turn.
+    """
+    for a in range(2):
+        b, cross = 1 - a, (-s * c if a == 0 else s * c)
+        for j in range(3):
+            for k in range(3):
+                power = levels[a, 0] * (Q[a, j, k] if j <= k else Q[a, k, j])
+                P[3 * a + j, 3 * a + k] += c * c * power
+                P[3 * b + j, 3 * b + k] += s * s * power
+                P[j, 3 + k] += cross * power
+                P[3 + j, k] += cross * power
+
+
+@numba.njit(cache=True)
+def whiten_plane(time: Array, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
+    """Passes horizontal columns through one six-state filter that turns with the heading.
+
+    Args:
+        time: Block times, shape (B,) [s].
+        count: Poses in each block, shape (B,).
+        fresh: True where a segment starts, shape (B,).
+        yaw: Heading at the blocks, shape (B,) [rad].
+        columns: Data and sensitivities in the world frame, shape (B, C, 2).
+        levels: q, r, mu, lambda of x and y of the heading frame, shape (2, 4).
+
+    Returns:
+        Innovations over their standard deviation, forward then left, shape (B, C, 2), and the logarithms of the
+        innovation variances, shape (B, 2).
+    """
+    B, C, _ = columns.shape
+    out = np.empty((B, C, 2))
+    log_variance = np.empty((B, 2))
+    F = np.zeros((2, 3, 3))
+    Q = np.zeros((2, 3, 3))
+    P = np.zeros((6, 6))
+    state = np.zeros((C, 6))
+    gain = np.empty(6)
+    last_dt = -1.0
+    for i in range(B):
+        if fresh[i]:
+            state[:] = 0.0
+            P[:] = 0.0
+            for a in range(2):
+                P[3 * a, 3 * a] = START_POSITION_VARIANCE
+                P[3 * a + 1, 3 * a + 1] = START_VELOCITY_VARIANCE
+                P[3 * a + 2, 3 * a + 2] = levels[a, 0] / (2 * levels[a, 3])
+        else:
+            dt = time[i] - time[i - 1]
+            if abs(dt - last_dt) > 1e-9:
+                for a in range(2):
+                    discretize(levels[a, 2], levels[a, 3], dt, F[a], Q[a])
+                last_dt = dt
+            half = 0.5 * (yaw[i] - yaw[i - 1])
+            c, s = np.cos(half), np.sin(half)
+            predict_covariance(P, F, c, s)
+            add_turned_noise(P, Q, levels, c, s)
+            for j in range(C):
+                rotate(state[j], c, s)
+                propagate(state[j], F)
+                rotate(state[j], c, s)
+        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        for a in range(2):
+            S = P[3 * a, 3 * a] + levels[a, 1] / count[i]
+            root = 1.0 / np.sqrt(S)
+            log_variance[i, a] = np.log(S)
+            for j in range(6):
+                gain[j] = P[j, 3 * a] / S
+            for j in range(C):
+                x, y = columns[i, j, 0], columns[i, j, 1]
+                e = (c * x + s * y if a == 0 else c * y - s * x) - state[j, 3 * a]
+                out[i, j, a] = e * root
+                for k in range(6):
+                    state[j, k] += gain[k] * e
+            for j in range(6):
+                for k in range(j, 6):
+                    P[j, k] -= gain[j] * gain[k] * S
+                    P[k, j] = P[j, k]
+    return out, log_variance

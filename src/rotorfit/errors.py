@@ -1,0 +1,30 @@
+"""What can go wrong, as a short tree of exceptions.
+
+    RotorfitError          the user can act: the command line prints one line and ends with 1
+    |-- LogError           a file that is missing, empty, damaged or of no known format
+    |-- CardError          a card that is wrong, or that names what the log does not hold
+    |-- FlightError        a log that holds no usable flight: no pose, no commands, time that runs backwards
+    `-- ModelError         a model file that is missing, damaged, or too new; a model asked for what it does not hold
+
+What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with its trace.
+"""
+
+
+class RotorfitError(Exception):
+    """One line for the user: what, where, what to try."""
+
+
+class LogError(RotorfitError):
+    """The log cannot be read: missing file, unknown format, no table, damage before the first message."""
+
+
+class CardError(RotorfitError):
+    """The card is wrong or does not fit the log: unknown key, column that is not there, unit that nobody knows."""
+
+
+class FlightError(RotorfitError):
+    """The log holds no usable flight: all poses equal, no commands, no common window, degrees taken for radians."""
+
+
+class ModelError(RotorfitError):
+    """The model file cannot be used: missing, damaged, of a newer version, or without the axis that was asked for."""

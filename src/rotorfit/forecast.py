@@ -1,0 +1,288 @@
+"""The prediction protocol: one implementation for validation, comparison, report, benchmark and the choice of a mode.
+
+Each segment of a flight first gives 2 s to the causal filter; starts follow every 0.5 s. At a start the state comes from
+the filter on data up to that instant; from there only the commands are known.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.derivative import Indices, local_polynomial
+from rotorfit.flight import Flight, Segment
+from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.prediction import coast, predict
+
+SETTLING = 2.0
+"""Time that a segment gives to the filter before the first start [s]."""
+
+START_EVERY = 0.5
+"""Time between starts [s]."""
+
+HORIZONS = (0.5, 1.0, 2.0, 5.0)
+"""Default horizons [s]."""
+
+FIT_HORIZON = 1.0
+"""Horizon of `fit_percent` [s]."""
+
+LONGEST_GAP = 1.0
+"""No score across a hole in the pose of this length [s]."""
+
+LEAST_SCORES = 5
+"""Fewer predictions than this give no score."""
+
+EDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """One axis as prediction needs it.
+
+    Attributes:
+        input: g; 0 where the axis has no model, then only the disturbance filter tracks it.
+        damping: b [1/s].
+        delay: tau [s].
+        levels: q, r, mu, lambda of the disturbance, in the order of `LEVELS`.
+        trim_variance: Prior variance of the trim of a new flight [unit^2/s^4].
+    """
+
+    input: float
+    damping: float
+    delay: float
+    levels: tuple[float, float, float, float]
+    trim_variance: float
+
+
+UNMODELLED = Dynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 0.5, 2.0), 1e-6)
+"""An axis of which nothing is known: its velocity is tracked and fades."""
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """All predictions in one segment. N poses, S starts, E predicted poses at the most.
+
+    Attributes:
+        time: Stamps of the poses, shape (N,) [s].
+        pose: Measured x, y, z, yaw, shape (N, 4).
+        reference: Their velocity from a centred local cubic, shape (N, 4); NaN where there is none.
+        start: Shape (S,) [s].
+        first: Index of the first predicted pose of each start, shape (S,).
+        last: One past the last, shape (S,).
+        predicted: World position and velocity, (S, E, 2, 4); NaN beyond `last`.
+        begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
+        heading: Heading that the horizontal prediction used, shape (S, E).
+    """
+
+    time: Array
+    pose: Array
+    reference: Array
+    start: Array
+    first: Indices
+    last: Indices
+    predicted: Array
+    begin: Array
+    heading: Array
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """Errors at one horizon.
+
+    Attributes:
+        velocity_rmse: Over all steps up to the horizon [m/s or rad/s]; None for fewer than five predictions.
+        position_rmse: At the end point, against the measured pose [m or rad]; None likewise.
+        n: Number of predictions.
+    """
+
+    velocity_rmse: float | None
+    position_rmse: float | None
+    n: int
+
+
+@dataclass(frozen=True)
+class AxisScore:
+    """Errors of one axis of one flight.
+
+    Attributes:
+        horizons: Horizon [s] as `%g` to errors.
+        fit_percent: 100 (1 - ||v - v^|| / ||v - mean v||) of the 1 s velocity predictions.
+    """
+
+    horizons: Mapping[str, Horizon]
+    fit_percent: float | None
+
+
+def predict_flight(
+    flight: Flight, dynamics: Mapping[str, Dynamics], longest: float, axes: Sequence[str] = AXES
+) -> tuple[Predictions, ...]:
+    """Predicts from every start of every segment that is long enough.
+
+    Args:
+        flight: Commands and poses.
+        dynamics: Axis name to its dynamics; a missing axis is `UNMODELLED`, a missing yaw is taken as measured.
+        longest: Horizon up to which to predict [s].
+        axes: Those that are wanted; the others' predictions are left NaN.
+    """
+    parts = (_predict_segment(flight, segment, dynamics, longest, axes) for segment in flight.segments)
+    return tuple(part for part in parts if part is not None)
+
+
+def _predict_segment(
+    flight: Flight, segment: Segment, dynamics: Mapping[str, Dynamics], longest: float, wanted: Sequence[str]
+) -> Predictions | None:
+    axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
+    begin = segment.start + max(0.0, *(axis.delay for axis in axes))
+    inside = (flight.pose_time >= begin) & (flight.pose_time <= segment.end)
+    t = flight.pose_time[inside]
+    start = np.arange(segment.start + SETTLING, segment.end - EDGE, START_EVERY)
+    first = np.searchsorted(t, start, side="right")
+    last = np.searchsorted(t, np.minimum(start + longest, segment.end) + EDGE, side="right")
+    useful = (first > 0) & (last > first)
+    start, first, last = start[useful], first[useful], last[useful]
+    if not start.size:
+        return None
+    pose = np.column_stack([flight.position, flight.yaw])[inside]
+    used = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
+    reach = np.arange(int((last - first).max()))
+    index = np.minimum(first[:, None] + reach, t.size - 1)
+
+    def run(pair: Sequence[int], yaw: Array, future: Array) -> tuple[Array, Array]:
+        chosen = [axes[i] for i in pair]
+        if not any(AXES[i] in wanted for i in pair):
+            return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan)
+        return predict(  # type: ignore[no-any-return]
+            flight.command_time[used],
+            np.ascontiguousarray(flight.command[used][:, pair]),
+            t,
+            np.ascontiguousarray(pose[:, pair]),
+            yaw,
+            *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay", "levels")),
+            np.array([axis.trim_variance for axis in chosen]),
+            first,
+            last,
+            future,
+        )
+
+    side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
+    heading = np.nan_to_num(side[:, :, 1]) if "yaw" in dynamics and "yaw" in wanted else pose[:, 3][index]
+    plane, plane_begin = run([0, 1], np.ascontiguousarray(pose[:, 3]), np.ascontiguousarray(heading))
+    return Predictions(
+        time=t,
+        pose=pose,
+        reference=local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity,
+        start=start,
+        first=first,
+        last=last,
+        predicted=np.stack(
+            [np.concatenate([plane[..., k : k + 2], side[..., k : k + 2]], axis=-1) for k in (0, 2)], axis=2
+        ),
+        begin=np.stack(
+            [np.concatenate([plane_begin[:, k : k + 2], side_begin[:, k : k + 2]], axis=-1) for k in (0, 2)], axis=1
+        ),
+        heading=heading,
+    )
+
+
+def hold_velocity(part: Predictions) -> Array:
+    """The naive prediction: the world velocity of the start is kept; shape (S, E, 2, 4)."""
+    index = np.minimum(part.first[:, None] + np.arange(part.predicted.shape[1]), part.time.size - 1)
+    elapsed = part.time[index] - part.time[part.first - 1][:, None]
+    velocity = np.broadcast_to(part.begin[:, None, 1], (*index.shape, 4))
+    return np.stack([part.begin[:, None, 0] + velocity * elapsed[..., None], velocity], axis=2)
+
+
+def coast_prediction(flight: Flight, part: Predictions, input_: Array, damping: Array) -> Array:
+    """What coefficients without delay and disturbance predict from the same states; shape (S, E, 2, 4).
+
+    Args:
+        flight: Whose commands are used.
+        part: Predictions whose starts, states and headings are taken.
+        input_: g of the four axes, shape (4,).
+        damping: b of the four axes, shape (4,) [1/s].
+    """
+    out = np.full_like(part.predicted, np.nan)
+    none = np.zeros(2)
+    for s, (first, last) in enumerate(zip(part.first, part.last, strict=True)):
+        t = part.time[first - 1 : last]
+        heading = np.concatenate([part.pose[first - 1 : first, 3], part.heading[s, : last - first]])
+        for pair, yaw in (([0, 1], heading), ([2, 3], np.zeros(t.size))):
+            motion = coast(
+                flight.command_time,
+                np.ascontiguousarray(flight.command[:, pair]),
+                input_[pair],
+                damping[pair],
+                none,
+                part.begin[s, 0, pair],
+                part.begin[s, 1, pair],
+                t,
+                yaw,
+            )
+            out[s, : last - first, 0, pair] = motion[1:, :2].T
+            out[s, : last - first, 1, pair] = motion[1:, 2:].T
+    return out
+
+
+def score_predictions(
+    parts: Sequence[Predictions], predicted: Sequence[Array], horizons: Sequence[float]
+) -> dict[str, AxisScore]:
+    """Errors of predictions over all segments of a flight, x and y resolved in the measured heading.
+
+    Args:
+        parts: What was measured, segment by segment.
+        predicted: What was predicted there, each (S, E, 2, 4).
+        horizons: [s].
+
+    Returns:
+        Axis name to errors.
+    """
+    errors = {h: [_errors(part, values, h) for part, values in zip(parts, predicted, strict=True)] for h in horizons}
+    fit = errors.get(FIT_HORIZON) or [
+        _errors(part, values, FIT_HORIZON) for part, values in zip(parts, predicted, strict=True)
+    ]
+    return {
+        axis: AxisScore({f"{h:g}": _horizon(errors[h], k) for h in horizons}, _fit_percent(fit, k))
+        for k, axis in enumerate(AXES)
+    }
+
+
+def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
+    """In the measured heading: velocity errors and velocities of all steps (n, 4), position errors of end points (m, 4)."""
+    time, period = part.time, float(np.median(np.diff(part.time)))
+    target = part.start + horizon
+    end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon
+    gaps = np.concatenate([[0], np.cumsum(np.diff(time) > LONGEST_GAP)])
+    good = (
+        (end > part.first)
+        & (end <= part.last)
+        & (time[end - 1] > target - 3 * period)
+        & (gaps[end - 1] == gaps[part.first - 1])
+    )
+    first, end, runs = part.first[good], end[good], predicted[good]
+    if not first.size:
+        return np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))
+    start, step = np.nonzero(np.arange(runs.shape[1]) < (end - first)[:, None])
+    at = first[start] + step
+    velocity = runs[start, step, 1] - part.reference[at]
+    measured = part.reference[at].copy()
+    position = runs[np.arange(first.size), end - first - 1, 0] - part.pose[end - 1]
+    for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
+        vector[:, :2] = heading_from_world(vector[:, :2], yaw)
+    return velocity, measured, position
+
+
+def _horizon(errors: Sequence[tuple[Array, Array, Array]], k: int) -> Horizon:
+    velocity = np.concatenate([v[:, k] for v, _, _ in errors] or [np.empty(0)])
+    position = np.concatenate([p[:, k] for _, _, p in errors] or [np.empty(0)])
+    velocity = velocity[np.isfinite(velocity)]
+    if position.size < LEAST_SCORES or not velocity.size or not np.isfinite(position).all():
+        return Horizon(None, None, int(position.size))
+    return Horizon(float(np.sqrt(np.mean(velocity**2))), float(np.sqrt(np.mean(position**2))), int(position.size))
+
+
+def _fit_percent(errors: Sequence[tuple[Array, Array, Array]], k: int) -> float | None:
+    error = np.concatenate([v[:, k] for v, _, _ in errors] or [np.empty(0)])
+    measured = np.concatenate([m[:, k] for _, m, _ in errors] or [np.empty(0)])
+    good = np.isfinite(error)
+    spread = float(np.linalg.norm(measured[good] - measured[good].mean())) if good.any() else 0.0
+    return float(100 * (1 - np.linalg.norm(error[good]) / spread)) if spread > 0 else None

@@ -1,0 +1,47 @@
+"""Log: what a file holds, as recorded: named tables of columns."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Column = npt.NDArray[Any]
+"""A column: shape (N,), or (N, M) / (M, N) for a matrix as MAT files hold them. Any numeric type, as recorded."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns that were recorded together.
+
+    Attributes:
+        name: Topic, message name, or the file's stem where a file holds one table.
+        columns: Name to values, as recorded: no unit, sign or type is changed. Nested message fields are dotted
+            (`pose.position.x`); stamps of messages (`header.stamp`, `log_time`) are int64 nanoseconds.
+    """
+
+    name: str
+    columns: Mapping[str, Column]
+
+
+@dataclass(frozen=True)
+class Log:
+    """A file as recorded.
+
+    Attributes:
+        path: Where it was read from.
+        format: Name of the format, such as `csv`, `mat`, `rosbag1`, `rosbag2`.
+        sha256: Hex digest of the file (of a folder: of its files in the order of their names).
+        tables: Name to table.
+        skipped: Tables that exist but were not decoded: name to the reason.
+        notes: What was lost or recovered on reading, one sentence each.
+    """
+
+    path: Path
+    format: str
+    sha256: str
+    tables: Mapping[str, Table]
+    skipped: Mapping[str, str]
+    notes: tuple[str, ...] = ()

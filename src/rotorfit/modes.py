@@ -1,0 +1,169 @@
+"""Starts and optima: where the likelihood is climbed from, what the climbs found, and which optimum is believed.
+
+In closed loop the likelihood of a wrong model can stand far above that of the right one: a controller's command tells
+how the vehicle moves, so a model that reads the command as a measurement (no delay, huge damping) explains every
+small motion and predicts nothing. The optimum that is believed is therefore the one that predicts the training flights best over 1 s;
+the likelihood decides between optima that predict alike.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.flight import Flight
+from rotorfit.forecast import Dynamics, predict_flight, score_predictions
+from rotorfit.frames import Array
+from rotorfit.likelihood import BLOCK_RATE, START_LEVELS, Optimum, Point, Record, inverted, maximise
+
+STARTS = ((0.15, 1.0), (0.0, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
+"""Delay [s] and damping [1/s] of the starts."""
+
+SAME_DELAY = 0.01
+SAME_LOG_DAMPING = 0.3
+"""Optima closer than this in delay [s] and log damping are one."""
+
+ALIKE = 0.02
+"""Optima whose prediction errors differ by less than this share predict alike."""
+
+JUDGE_HORIZON = 1.0
+"""Horizon of the predictions that judge [s]."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An optimum and what speaks for it.
+
+    Attributes:
+        optimum: Of the likelihood.
+        starts: How many starts ended there.
+        prediction: RMSE of 1 s velocity predictions on the training flights, per axis, shape (K,).
+    """
+
+    optimum: Optimum
+    starts: int
+    prediction: Array
+
+
+def start_point(records: Sequence[Record], delay: float, damping: float, levels: Array) -> Point:
+    """A point of the given delay and damping on every axis, with a gain of the right order."""
+    K = levels.shape[0]
+    return Point(
+        gain=np.full(K, 2.0 * max(damping, 1.0)),
+        log_damping=np.full(K, np.log(damping)),
+        delay=np.full(K, delay),
+        trim=np.zeros((len(records), K)),
+        levels=levels,
+    )
+
+
+def search(records: Sequence[Record], flights: Sequence[Flight], free: Array) -> tuple[Found, ...]:
+    """Climbs from every start and gathers the distinct optima, best first.
+
+    The first start settles the disturbance levels too; the others climb at those levels and every new optimum is then
+    finished with levels of its own.
+
+    Args:
+        records: The flights as the likelihood needs them.
+        flights: The same flights, for the prediction that judges.
+        free: True for the parameters that may move.
+    """
+    K = len(records[0].axes)
+    levels = np.tile(START_LEVELS, (K, 1))
+    held_levels = free.copy()
+    held_levels[-4 * K :] = False
+    optima: list[Optimum] = []
+    starts: list[int] = []
+    for number, (delay, damping) in enumerate(STARTS):
+        point = start_point(records, delay, damping, levels)
+        climbed = maximise(records, point, held_levels, tolerance=0.1, most=30)
+        same = _same(climbed.point, [optimum.point for optimum in optima])
+        if same is None:
+            climbed = maximise(records, climbed.point, free, tolerance=0.01)
+            same = _same(climbed.point, [optimum.point for optimum in optima])
+        if same is None:
+            optima.append(climbed)
+            starts.append(1)
+        else:
+            starts[same] += 1
+        if number == 0:
+            levels = climbed.point.levels
+    predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
+    found = [Found(o, n, p) for o, n, p in zip(optima, starts, predictions, strict=True)]
+    return _ranked(found)
+
+
+def _same(point: Point, others: Sequence[Point]) -> int | None:
+    for i, other in enumerate(others):
+        if (np.abs(point.delay - other.delay) < SAME_DELAY).all() and (
+            np.abs(point.log_damping - other.log_damping) < SAME_LOG_DAMPING
+        ).all():
+            return i
+    return None
+
+
+def _ranked(found: Sequence[Found]) -> tuple[Found, ...]:
+    """The believed optimum first: among those that predict alike, the likeliest; the others by prediction."""
+    error = np.array([np.sqrt(np.mean((f.prediction / np.maximum(found[0].prediction, 1e-12)) ** 2)) for f in found])
+    error[~np.isfinite(error)] = np.inf
+    alike = error <= np.min(error) * (1 + ALIKE) if np.isfinite(error).any() else np.ones(len(found), bool)
+    likelihood = np.array([f.optimum.score.log_likelihood for f in found])
+    best = int(np.argmax(np.where(alike, likelihood, -np.inf)))
+    rest = sorted((i for i in range(len(found)) if i != best), key=lambda i: error[i])
+    return tuple(found[i] for i in (best, *rest))
+
+
+def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Optimum) -> Array:
+    """RMSE of 1 s velocity predictions of an optimum on its own flights, per axis; NaN where a flight is too short."""
+    dynamics = dynamics_of(axes, optimum)
+    squares = np.zeros((2, len(axes)))
+    for flight in flights:
+        parts = predict_flight(_thinned(flight), dynamics, JUDGE_HORIZON, axes)
+        scores = score_predictions(parts, [part.predicted for part in parts], (JUDGE_HORIZON,))
+        for k, axis in enumerate(axes):
+            horizon = scores[axis].horizons[f"{JUDGE_HORIZON:g}"]
+            if horizon.velocity_rmse is not None:
+                squares[:, k] += horizon.n * horizon.velocity_rmse**2, horizon.n
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(squares[0] / squares[1])  # type: ignore[no-any-return]
+
+
+def _thinned(flight: Flight) -> Flight:
+    """The flight with its poses thinned to about the rate of the blocks: enough to judge."""
+    every = max(1, int(flight.pose_time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
+    return replace(
+        flight, pose_time=flight.pose_time[::every], position=flight.position[::every], yaw=flight.yaw[::every]
+    )
+
+
+def trim_variance(optimum: Optimum) -> Array:
+    """Mean square of the flights' trims with their uncertainty: the prior of a new flight's trim, shape (K,)."""
+    K, F = optimum.point.gain.size, len(optimum.point.trim)
+    variance = np.diag(inverted(optimum.score.information, optimum.free))[3 * K : 3 * K + F * K].reshape(F, K)
+    return np.mean(optimum.point.trim**2 + variance, axis=0) + 1e-12  # type: ignore[no-any-return]
+
+
+def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, Dynamics]:
+    """What prediction needs of an optimum, axis by axis."""
+    point, variance = optimum.point, trim_variance(optimum)
+    return {
+        axis: Dynamics(
+            input=float(point.gain[k]),
+            damping=float(np.exp(point.log_damping[k])),
+            delay=float(point.delay[k]),
+            levels=tuple(float(level) for level in np.exp(point.levels[k])),  # type: ignore[arg-type]
+            trim_variance=float(variance[k]),
+        )
+        for k, axis in enumerate(axes)
+    }
+
+
+def without_input(records: Sequence[Record], optimum: Optimum, axes: Sequence[int]) -> Optimum:
+    """The best that the likelihood does when the commands of some axes act on nothing."""
+    K = optimum.point.gain.size
+    gain, log_damping, delay = optimum.point.gain.copy(), optimum.point.log_damping.copy(), optimum.point.delay.copy()
+    free = optimum.free.copy()
+    for k in axes:
+        gain[k], log_damping[k], delay[k] = 0.0, 0.0, 0.0
+        free[[k, K + k, 2 * K + k]] = False
+    return maximise(records, replace(optimum.point, gain=gain, log_damping=log_damping, delay=delay), free, tolerance=0.05)

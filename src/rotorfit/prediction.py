@@ -1,0 +1,249 @@
+"""Prediction: the model's own causal filter up to an instant, from there only the commands.
+
+Two axes go together: x and y through the heading, or z and yaw side by side under a heading of zero.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.disturbance import (
+    START_POSITION_VARIANCE,
+    START_VELOCITY_VARIANCE,
+    add_turned_noise,
+    discretize,
+    predict_covariance,
+    propagate,
+    rotate,
+)
+from rotorfit.frames import Array
+from rotorfit.response import transition
+
+
+@numba.njit(cache=True)
+def _move(p: Array, v: Array, drive: Array, damping: Array, c: float, s: float, dt: float) -> None:
+    """Moves C world states p, v (C, 2) by dt under heading-frame drives (C, 2); the heading has cosine c and sine s."""
+    f0, k0, h0, _, _, _ = transition(damping[0], dt)
+    f1, k1, h1, _, _, _ = transition(damping[1], dt)
+    for j in range(p.shape[0]):
+        vx = c * v[j, 0] + s * v[j, 1]
+        vy = c * v[j, 1] - s * v[j, 0]
+        px = k0 * vx + h0 * drive[j, 0]
+        py = k1 * vy + h1 * drive[j, 1]
+        vx = f0 * vx + k0 * drive[j, 0]
+        vy = f1 * vy + k1 * drive[j, 1]
+        p[j, 0] += c * px - s * py
+        p[j, 1] += s * px + c * py
+        v[j, 0] = c * vx - s * vy
+        v[j, 1] = s * vx + c * vy
+
+
+@numba.njit(cache=True)
+def _drive_until(
+    t: float,
+    t_end: float,
+    yaw: float,
+    yaw_end: float,
+    k: Any,
+    command_time: Array,
+    command: Array,
+    gain: Array,
+    damping: Array,
+    delay: Array,
+    p: Array,
+    v: Array,
+    drive: Array,
+) -> None:
+    """Moves states from t to t_end through every switch on the way; the first state is driven by g u plus its drive."""
+    t_start, span = t, max(t_end - t, 1e-12)
+    while t < t_end:
+        t_next, switch = t_end, -1
+        for j in range(2):
+            if k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= t_next:
+                t_next, switch = command_time[k[j] + 1] + delay[j], j
+        psi = yaw + (yaw_end - yaw) * (0.5 * (t + t_next) - t_start) / span
+        if t_next > t:
+            _move(p, v, drive, damping, np.cos(psi), np.sin(psi), t_next - t)
+            t = t_next
+        if switch >= 0:
+            drive[0, switch] += gain[switch] * (command[k[switch] + 1, switch] - command[k[switch], switch])
+            k[switch] += 1
+
+
+@numba.njit(cache=True)
+def predict(
+    command_time: Array,
+    command: Array,
+    pose_time: Array,
+    pose: Array,
+    yaw: Array,
+    gain: Array,
+    damping: Array,
+    delay: Array,
+    levels: Array,
+    trim_variance: Array,
+    first: Any,
+    last: Any,
+    future_yaw: Array,
+) -> Any:
+    """Predicts one segment from many starts.
+
+    Args:
+        command_time: Shape (M,) [s].
+        command: Shape (M, 2).
+        pose_time: Shape (N,) [s]; all at or after the first command plus the delay.
+        pose: World, shape (N, 2).
+        yaw: Measured heading, shape (N,) [rad].
+        gain: g, shape (2,).
+        damping: b, shape (2,) [1/s].
+        delay: tau, shape (2,) [s].
+        levels: q, r, mu, lambda, shape (2, 4).
+        trim_variance: Prior variance of the trim, shape (2,).
+        first: Index of the first pose after each start, shape (S,).
+        last: One past the last pose to predict from each start, shape (S,).
+        future_yaw: Heading at the predicted poses, shape (S, E) [rad].
+
+    Returns:
+        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's position
+        and velocity at the last pose before each start, shape (S, 4).
+    """
+    S, E = future_yaw.shape
+    out = np.full((S, E, 4), np.nan)
+    begin = np.empty((S, 4))
+    p, v, drive = np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2))
+    drive[1, 0] = drive[2, 1] = 1.0
+    k = np.zeros(2, np.int64)
+    for j in range(2):
+        while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= pose_time[0]:
+            k[j] += 1
+        drive[0, j] = gain[j] * command[k[j], j]
+    P, F, Q = np.zeros((6, 6)), np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+    for a in range(2):
+        P[3 * a, 3 * a] = START_POSITION_VARIANCE
+        P[3 * a + 1, 3 * a + 1] = START_VELOCITY_VARIANCE
+        P[3 * a + 2, 3 * a + 2] = levels[a, 0] / (2 * levels[a, 3])
+    state = np.zeros((3, 6))  # of the data less the driven response, and of the two unit trims
+    information = np.diag(1 / trim_variance)
+    weighted = np.zeros(2)
+    e = np.empty(3)
+    step_gain = np.empty(6)
+    last_dt = -1.0
+    s = 0
+    for i in range(pose_time.size):
+        if i:
+            dt = pose_time[i] - pose_time[i - 1]
+            _drive_until(
+                pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
+            )
+            if abs(dt - last_dt) > 1e-9:
+                for a in range(2):
+                    discretize(levels[a, 2], levels[a, 3], dt, F[a], Q[a])
+                last_dt = dt
+            half = 0.5 * (yaw[i] - yaw[i - 1])
+            c, sn = np.cos(half), np.sin(half)
+            predict_covariance(P, F, c, sn)
+            add_turned_noise(P, Q, levels, c, sn)
+            for j in range(3):
+                rotate(state[j], c, sn)
+                propagate(state[j], F)
+                rotate(state[j], c, sn)
+        c, sn = np.cos(yaw[i]), np.sin(yaw[i])
+        for a in range(2):
+            variance = P[3 * a, 3 * a] + levels[a, 1]
+            for j in range(6):
+                step_gain[j] = P[j, 3 * a] / variance
+            for j in range(3):
+                x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
+                y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
+                e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, 3 * a]
+                for m in range(6):
+                    state[j, m] += step_gain[m] * e[j]
+            for j in range(6):
+                for m in range(6):
+                    P[j, m] -= step_gain[j] * step_gain[m] * variance
+            for j in range(2):
+                weighted[j] += e[1 + j] * e[0] / variance
+                for m in range(2):
+                    information[j, m] += e[1 + j] * e[1 + m] / variance
+        while s < S and first[s] == i + 1:
+            trim = np.linalg.solve(information, weighted)
+            z = state[0] - trim[0] * state[1] - trim[1] * state[2]
+            q, w, d, kk = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), k.copy()
+            for a in range(2):
+                q[0, a] = pose[0, a] + p[0, a] + trim[0] * p[1, a] + trim[1] * p[2, a]
+                w[0, a] = v[0, a] + trim[0] * v[1, a] + trim[1] * v[2, a]
+                d[0, a] = drive[0, a] + trim[a]
+            begin[s] = np.array(
+                [
+                    q[0, 0] + c * z[0] - sn * z[3],
+                    q[0, 1] + sn * z[0] + c * z[3],
+                    w[0, 0] + c * z[1] - sn * z[4],
+                    w[0, 1] + sn * z[1] + c * z[4],
+                ]
+            )
+            t, psi = pose_time[i], yaw[i]
+            for m in range(first[s], last[s]):
+                t_next, psi_next = pose_time[m], future_yaw[s, m - first[s]]
+                _drive_until(t, t_next, psi, psi_next, kk, command_time, command, gain, damping, delay, q, w, d)
+                if abs(t_next - t - last_dt) > 1e-9:
+                    for a in range(2):
+                        discretize(levels[a, 2], levels[a, 3], t_next - t, F[a], Q[a])
+                    last_dt = t_next - t
+                half = 0.5 * (psi_next - psi)
+                c, sn = np.cos(half), np.sin(half)
+                rotate(z, c, sn)
+                propagate(z, F)
+                rotate(z, c, sn)
+                c, sn = np.cos(psi_next), np.sin(psi_next)
+                out[s, m - first[s], 0] = q[0, 0] + c * z[0] - sn * z[3]
+                out[s, m - first[s], 1] = q[0, 1] + sn * z[0] + c * z[3]
+                out[s, m - first[s], 2] = w[0, 0] + c * z[1] - sn * z[4]
+                out[s, m - first[s], 3] = w[0, 1] + sn * z[1] + c * z[4]
+                t, psi = t_next, psi_next
+            s += 1
+    return out, begin
+
+
+@numba.njit(cache=True)
+def coast(
+    command_time: Array,
+    command: Array,
+    gain: Array,
+    damping: Array,
+    delay: Array,
+    position: Array,
+    velocity: Array,
+    time: Array,
+    yaw: Array,
+) -> Array:
+    """Motion of two axes from a known state under held commands, without trim and disturbance.
+
+    Args:
+        command_time: Shape (M,) [s].
+        command: Shape (M, 2).
+        gain: g, shape (2,).
+        damping: b, shape (2,) [1/s]; may be negative.
+        delay: tau, shape (2,) [s].
+        position: World, at the first time, shape (2,).
+        velocity: World, at the first time, shape (2,).
+        time: Increasing, shape (N,) [s].
+        yaw: Heading at those times, shape (N,) [rad].
+
+    Returns:
+        Position and velocity, shape (N, 4).
+    """
+    out = np.empty((time.size, 4))
+    p, v, drive = position.copy().reshape(1, 2), velocity.copy().reshape(1, 2), np.zeros((1, 2))
+    k = np.zeros(2, np.int64)
+    for j in range(2):
+        while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= time[0]:
+            k[j] += 1
+        drive[0, j] = gain[j] * command[k[j], j]
+    for i in range(time.size):
+        if i:
+            _drive_until(
+                time[i - 1], time[i], yaw[i - 1], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
+            )
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = p[0, 0], p[0, 1], v[0, 0], v[0, 1]
+    return out

@@ -1,0 +1,93 @@
+"""Logs of every known format as one noun: `read(path) -> Log`.
+
+A format is found by the first bytes of a file, never by its name. Each format is a module with
+`sniff(path, head) -> bool` and `read(path, tables) -> Content`, imported when it is asked for; what it needs from
+outside is imported when it reads.
+"""
+
+import hashlib
+from collections.abc import Collection
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+
+from rotorfit.errors import LogError
+from rotorfit.log import Log
+from rotorfit.sources.content import Content, one_line
+
+__all__ = ["FORMATS", "read"]
+
+FORMATS = MappingProxyType(
+    {
+        "rosbag1": "rotorfit.sources.rosbag1",
+        "rosbag2": "rotorfit.sources.rosbag2",
+        "mcap": "rotorfit.sources.mcap",
+        "mat": "rotorfit.sources.mat",
+        "mat73": "rotorfit.sources.mat73",
+        "csv": "rotorfit.sources.csv",
+    }
+)
+"""Format to the module that reads it, in the order of asking: signatures first, CSV, which has none, last."""
+
+_HEAD = 1 << 16  # two lines of the widest CSV
+
+
+def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
+    """Reads a log.
+
+    Args:
+        path: A file, or the folder of a ROS 2 bag.
+        tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
+            like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) are always read whole.
+
+    Returns:
+        The log as recorded; what was lost or recovered is in its notes.
+
+    Raises:
+        LogError: Missing, empty or unreadable file, unknown format, no table in it, damage before the first message.
+    """
+    path = Path(path)
+    try:
+        head = _head(path)
+        for name, module in FORMATS.items():
+            source = import_module(module)
+            if source.sniff(path, head):
+                content: Content = source.read(path, None if tables is None else frozenset(tables))
+                return Log(path, name, _sha256(path), content.tables, content.skipped, content.notes)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
+    if path.is_dir():
+        raise LogError(
+            f"{path}: a folder without metadata.yaml is no ROS 2 bag; name a file in it, "
+            "or rebuild the metadata with `ros2 bag reindex`"
+        )
+    raise LogError(
+        f"{path}: of no known format ({', '.join(FORMATS)}); a CSV needs a header row of names, "
+        "then rows of numbers between commas, semicolons or tabs"
+    )
+
+
+def _head(path: Path) -> bytes:
+    """First bytes of a file, or nothing for a folder."""
+    if path.is_dir():
+        return b""
+    if not path.exists():
+        raise LogError(f"{path}: no such file; check the path")
+    if not path.is_file():
+        raise LogError(f"{path}: not a regular file; copy the log to one")
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if not head:
+        raise LogError(f"{path}: the file is empty; check that the recording was written and copied whole")
+    return head
+
+
+def _sha256(path: Path) -> str:
+    """Hex digest of a file; of a folder: of the bytes of its files in the order of their names."""
+    digest = hashlib.sha256()
+    files = sorted(entry for entry in path.iterdir() if entry.is_file()) if path.is_dir() else [path]
+    for entry in files:
+        with entry.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,51 @@
+"""What a format's reader hands back, and the bounds that a file from a stranger must keep."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.log import Column, Table
+
+LIMIT = 1 << 30
+"""Most bytes that one packed block, or one log's decoded numbers, may take: about 15 hours of poses at 120 Hz."""
+
+WIDEST = 64
+"""Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""
+
+
+class DamageError(Exception):
+    """Bytes that cannot be what they claim to be. Readers turn it into a note, or into a `LogError`."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a format's reader found in a file.
+
+    Attributes:
+        tables: Name to table, in the order of the file.
+        skipped: Tables that exist but were not decoded: name to the reason.
+        notes: What was lost or recovered on reading, one sentence each.
+    """
+
+    tables: Mapping[str, Table]
+    skipped: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def one_line(error: BaseException) -> str:
+    """First line of an error's text, at most 200 characters: texts of libraries run on, ours are one line."""
+    text = str(error).strip() or type(error).__name__
+    return text.splitlines()[0].strip()[:200]
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """The first names and how many more there are, for a note."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def column_from(values: Column) -> Column:
+    """Drops axes of length one and foreign byte order: shape (N,) or (N, M), native, as compiled code needs it."""
+    squeezed = np.atleast_1d(np.squeeze(values)) if values.size else np.zeros(0, values.dtype)
+    return np.asarray(squeezed, dtype=squeezed.dtype.newbyteorder("="))

@@ -1,0 +1,16 @@
+"""What the tests share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REAL_FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def real_flights() -> Path:
+    """Folder of the real flights; the test is skipped, saying so, where it is absent."""
+    if not REAL_FLIGHTS.is_dir():
+        pytest.skip(f"real flights are not there: {os.path.relpath(REAL_FLIGHTS)}")
+    return REAL_FLIGHTS
