@@ -63,7 +63,10 @@ def test_a_unit_overrides_and_scale_and_offset_come_before_it(unit: str, factor:
 
 
 def test_a_stamp_that_is_no_number_is_marked() -> None:
-    assert stamps_of(log_of(t=[1.0, np.nan, np.inf]), Channel("t")).tolist() == [10**9, MISSING_STAMP, MISSING_STAMP]
+    stamps = stamps_of(log_of(t=[1.0, np.nan, np.inf, 2.0, 1e300, 3.0]), Channel("t"))
+
+    assert stamps[[0, 3, 5]].tolist() == [10**9, 2 * 10**9, 3 * 10**9]
+    assert np.all(stamps[[1, 2, 4]] == MISSING_STAMP)
 
 
 @pytest.mark.parametrize("values", [[1.7e18, 1.8e18], np.array([10**14])])

@@ -1,10 +1,11 @@
-"""Reading logs: every format through one set of cases, then damage, hostility and the errors a user meets."""
+"""Reading logs: every format through one set of cases, then what is particular to each. Damage: see test_log.py."""
 
 import shutil
 import sqlite3
 import struct
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from rotorfit.log import Log
 from rotorfit.sources import FORMATS, read
+from rotorfit.sources.content import DamageError
 from rotorfit.sources.messages import Topic, decoded, types_of
 
 POSE, TWIST, IMAGE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/Image"
@@ -363,6 +365,13 @@ def test_idl_definitions_are_understood(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+def test_idl_constants_that_are_computed_are_refused_before_they_fill_the_memory() -> None:
+    text = "module m { module msg { const long long X = 1 << 999999999999; struct A { double x; }; }; };"
+
+    with pytest.raises(DamageError, match="computes constants"):
+        types_of(Topic("/a", "m/msg/A", "cdr", text, "idl"))
+
+
 def random_message(store: Typestore, typename: str, rng: np.random.Generator) -> object:
     """A message of any type with random content, lists of random length and strings of random length."""
 
@@ -455,23 +464,74 @@ def test_a_split_bag_is_one_log_in_the_order_of_its_metadata(tmp_path: Path) -> 
     np.testing.assert_array_equal(pose, np.concatenate([earlier.pose, rec.pose]))
 
 
-def test_mat_structures_are_dotted_and_what_is_no_array_of_numbers_is_left_out(tmp_path: Path) -> None:
-    content = {
-        "log": {"t": np.arange(5.0), "inner": {"x": np.eye(2, 5)}},
-        "text": "hover",
-        "cell": np.array([1, "a"], "O"),
-    }
-    content |= {"dt": 0.1, "none": np.zeros((0, 0)), "flag": np.array([True, False]), "count": np.arange(3, dtype="i2")}
-    scipy.io.savemat(tmp_path / "a.mat", content)
+def mat_arrays(value: object, name: str) -> dict[str, np.ndarray]:
+    """Arrays of numbers in what scipy reads, structures dotted."""
+    if not isinstance(value, np.ndarray):
+        return {}
+    if value.dtype.names and type(value) is np.ndarray and value.size == 1:
+        parts = (mat_arrays(value.flat[0][label], f"{name}.{label}") for label in value.dtype.names)
+        return {label: array for part in parts for label, array in part.items()}
+    return {name: np.atleast_1d(value.squeeze())} if value.dtype.kind in "biuf" else {}
+
+
+def assert_as_scipy(path: Path) -> None:
+    """Reads a MAT file and compares with scipy."""
+    columns = read(path).tables[path.stem].columns
+    with warnings.catch_warnings(action="ignore"):
+        content = scipy.io.loadmat(path, mat_dtype=True)
+    arrays = [mat_arrays(value, name) for name, value in content.items() if not name.startswith("__")]
+    expected = {name: array for part in arrays for name, array in part.items()}
+
+    assert set(columns) == set(expected)
+    for name, values in columns.items():
+        assert values.dtype == expected[name].dtype.newbyteorder("=") or not values.size
+        np.testing.assert_array_equal(values, expected[name].reshape(values.shape))
+
+
+MAT_CONTENT = {
+    "log": {"t": np.arange(5.0), "inner": {"x": np.eye(2, 5), "far": {"y": np.float32([[1], [2]])}}, "empty": []},
+    "text": "hover", "cell": np.array([1, "a"], "O"), "complex": np.array([1j, 2]), "cube": np.ones((2, 3, 4)),
+    "dt": 0.1, "none": np.zeros((0, 0)), "flag": np.array([True, False]), "short": np.arange(3, dtype="i2"),
+    "huge": np.array([2**63], "u8"), "s": np.zeros(2, [("a", "f8")]), "flat": np.ones((2, 1, 3)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_mat_arrays_come_as_scipy_reads_them_and_the_rest_is_named(packed: bool, tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", MAT_CONTENT, do_compression=packed)
 
     log = read(tmp_path / "a.mat")
-    columns = log.tables["a"].columns
 
-    assert {name: values.shape for name, values in columns.items()} == {
-        "log.t": (5,), "log.inner.x": (2, 5), "dt": (1,), "none": (0,), "flag": (2,), "count": (3,),
+    assert set(log.tables["a"].columns) == {
+        "log.t", "log.inner.x", "log.inner.far.y", "log.empty", "dt", "none", "flag", "short", "huge", "flat",
     }  # fmt: skip
-    assert columns["count"].dtype == np.int16
-    assert log.notes == ("variables left out because they are not arrays of numbers: text, cell",)
+    assert log.notes == ("variables left out because they are not arrays of numbers: text, cell, complex, cube, s",)
+    arrays = {name: value for name, value in MAT_CONTENT.items() if name not in ("cube", "complex")}
+    scipy.io.savemat(tmp_path / "b.mat", arrays, do_compression=packed)
+    assert_as_scipy(tmp_path / "b.mat")
+
+
+MATLAB_FILES = [*(f"test{name}_[567].*" for name in ("double", "matrix", "minus", "multi", "structnest"))]
+
+
+@pytest.mark.parametrize("pattern", [*MATLAB_FILES, "testbool_8_*", "*_endian.mat"])
+def test_files_that_matlab_wrote_come_as_scipy_reads_them(pattern: str) -> None:
+    folder = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
+    if not folder.is_dir():
+        pytest.skip("this scipy comes without its test data")
+    paths = sorted(folder.glob(pattern))
+
+    assert paths
+    for path in paths:
+        assert_as_scipy(path)
+
+
+def test_real_mat_files_come_as_scipy_reads_them(real_flights: Path) -> None:
+    paths = sorted(real_flights.glob("*/*.mat"))
+
+    assert len(paths) == 14
+    for path in paths:
+        assert_as_scipy(path)
 
 
 def test_csv_keeps_whole_numbers_and_says_which_columns_are_left_out(tmp_path: Path) -> None:
@@ -497,6 +557,12 @@ def test_a_csv_whose_numbers_turn_fractional_late_keeps_them(tmp_path: Path) -> 
     (tmp_path / "a.csv").write_text("t,x\n" + "".join(f"{row},{value}\n" for row, value in enumerate(values)))
 
     np.testing.assert_array_equal(read(tmp_path / "a.csv").tables["a"].columns["x"], values)
+
+
+def test_decimal_commas_are_understood_from_whichever_row_has_the_first(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t;x\n0;0\n1; 0,5\n2;-1,25\n")
+
+    np.testing.assert_array_equal(read(tmp_path / "a.csv").tables["a"].columns["x"], [0, 0.5, -1.25])
 
 
 def test_the_digest_is_that_of_the_file_and_of_a_folder_that_of_its_files_by_name(tmp_path: Path) -> None:

@@ -260,17 +260,23 @@ def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple
     return name, values
 
 
+def split_source(source: str | float) -> tuple[str, str]:
+    """Table and column of `TABLE:COLUMN`, split at the first colon; no table, "", where there is none."""
+    table, colon, name = str(source).partition(":")
+    return (table, name) if colon else ("", table)
+
+
 def _table_of(log: Log, source: str) -> tuple[Table, str]:
     """The table that a source names, and the column's name in it."""
     only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
-    head, colon, tail = source.partition(":")
-    if only is not None and (not colon or source in only.columns):
+    head, tail = split_source(source)
+    if only is not None and (not head or source in only.columns):
         return only, source
-    if colon and head in log.tables:
+    if head in log.tables:
         return log.tables[head], tail
-    if colon and head in log.skipped:
+    if head in log.skipped:
         raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
-    if colon:
+    if head:
         raise CardError(f"{log.path}: no table {head!r}{_nearest(head, log.tables)} (`rotorfit info` lists them)")
     holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
     raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")

@@ -101,26 +101,32 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
         time: Which column, and how to read it: (raw * scale + offset), then the unit.
 
     Returns:
-        Shape (N,) [ns]; `MISSING_STAMP` where the recorded stamp is not a number.
+        Shape (N,) [ns]; `MISSING_STAMP` where the recorded stamp is no number, or one that int64 cannot hold.
 
     Raises:
-        CardError: The column is not there, or holds numbers too large for their unit.
+        CardError: The column is not there, or most of its numbers are too large for their unit.
     """
     name, raw = raw_column(log, time.source)
     whole = raw.dtype.kind in "iu"
     finite = np.isfinite(raw)
-    largest = float(np.max(np.abs(raw.astype(np.float64)), initial=0.0, where=finite))
+    sizes = np.abs(np.where(finite, raw, 0).astype(np.float64))
     of_message = name.endswith("header.stamp") or name == "log_time"
-    unit = time.unit or ("ns" if whole and (of_message or largest > 1e15) else "s")
+    unit = time.unit or ("ns" if whole and (of_message or np.max(sizes, initial=0.0) > 1e15) else "s")
     factor = _NS[unit]
-    if (largest * abs(time.scale) + abs(time.offset)) * factor >= 2.0**62:
+    in_range = finite & (sizes * abs(time.scale) + abs(time.offset) < 2.0**62 / factor)
+    if np.sum(in_range) < np.sum(finite) / 2:
+        typical = float(np.median(sizes[finite]))
         raise CardError(
-            f'{log.path}: stamps of {time.source} reach {largest:.3g} {unit}: state their unit, as unit = "ns"'
+            f'{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: add their unit, as unit = "ns"'
         )
+    kept = np.where(in_range, raw, 0)
     if whole and time.scale == 1:  # exact: float64 would round nanoseconds since 1970 to 256 ns
-        return raw.astype(np.int64) * factor + round(time.offset * factor)
-    values = (np.where(finite, raw, 0).astype(np.float64) * time.scale + time.offset) * factor
-    return np.where(finite, np.round(values).astype(np.int64), MISSING_STAMP)
+        stamps = kept.astype(np.int64) * factor + round(time.offset * factor)
+    else:
+        values = kept.astype(np.float64) * time.scale + time.offset
+        units = np.floor(values)  # apart from the fraction, so that the product does not round a second time
+        stamps = units.astype(np.int64) * factor + np.round((values - units) * factor).astype(np.int64)
+    return np.where(in_range, stamps, MISSING_STAMP)
 
 
 def increasing(stamps: Stamps) -> Mask:

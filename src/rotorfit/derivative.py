@@ -7,12 +7,8 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from rotorfit.frames import Array
-
-Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+from rotorfit.frames import Array, Indices, Mask
 
 NANOSECOND = 1e-9
 """Grace at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not decide

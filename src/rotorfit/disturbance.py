@@ -13,10 +13,14 @@ from typing import Any
 import numba
 import numpy as np
 
-from rotorfit.frames import Array
+from rotorfit.frames import Array, Indices
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_rate")
 """q [unit^2/s^5], r [unit^2], mu [1/s], lambda [1/s]: the order of every array of disturbance levels."""
+
+STEP_GRAIN = 1e-5
+"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response to
+the commands is not rounded."""
 
 START_POSITION_VARIANCE = 1.0
 START_VELOCITY_VARIANCE = 10.0
@@ -92,12 +96,36 @@ def discretize(damping: float, rate: float, dt: float, F: Array, Q: Array) -> No
         F[2, 2] = f22 * f22
 
 
+def distinct_steps(time: Array) -> tuple[Array, Indices]:
+    """Steps between stamps, rounded to `STEP_GRAIN` so that few are distinct.
+
+    Args:
+        time: Increasing, shape (B,) [s].
+
+    Returns:
+        The distinct steps, shape (U,) [s], and which of them leads to each stamp, shape (B,).
+    """
+    grains = np.rint(np.diff(time, prepend=time[:1]) / STEP_GRAIN)
+    values, index = np.unique(grains, return_inverse=True)
+    return values * STEP_GRAIN, index.astype(np.int64)
+
+
 @numba.njit(cache=True)
-def whiten_axis(time: Array, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
+def step_tables(steps: Array, damping: float, rate: float) -> Any:
+    """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3), upper triangles."""
+    F, Q = np.zeros((steps.size, 3, 3)), np.zeros((steps.size, 3, 3))
+    for i in range(steps.size):
+        discretize(damping, rate, steps[i], F[i], Q[i])
+    return F, Q
+
+
+@numba.njit(cache=True)
+def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
     """Passes columns of one axis through the filter's gains.
 
     Args:
-        time: Block times, shape (B,) [s].
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
         count: Poses in each block, shape (B,): the noise of a block is r / count.
         fresh: True where a segment starts and the filter starts anew, shape (B,).
         columns: Data and sensitivities, shape (B, C).
@@ -109,31 +137,26 @@ def whiten_axis(time: Array, count: Array, fresh: Any, columns: Array, levels: A
     B, C = columns.shape
     out = np.empty((B, C))
     log_variance = np.empty(B)
-    q, r, mu, rate = levels
-    F = np.zeros((3, 3))
-    Q = np.zeros((3, 3))
+    q, r = levels[0], levels[1]
+    F, Q = step_tables(steps, levels[2], levels[3])
     state = np.zeros((C, 3))
     p00 = p01 = p02 = p11 = p12 = p22 = 0.0
-    last_dt = -1.0
     for i in range(B):
         if fresh[i]:
             state[:] = 0.0
             p01 = p02 = p12 = 0.0
-            p00, p11, p22 = START_POSITION_VARIANCE, START_VELOCITY_VARIANCE, q / (2 * rate)
+            p00, p11, p22 = START_POSITION_VARIANCE, START_VELOCITY_VARIANCE, q / (2 * levels[3])
         else:
-            dt = time[i] - time[i - 1]
-            if abs(dt - last_dt) > 1e-9:
-                discretize(mu, rate, dt, F, Q)
-                last_dt = dt
-            f01, f02, f11, f12, f22 = F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2]
+            f, d = F[step[i]], Q[step[i]]
+            f01, f02, f11, f12, f22 = f[0, 1], f[0, 2], f[1, 1], f[1, 2], f[2, 2]
             a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
             a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
-            p00 = a00 + a01 * f01 + a02 * f02 + q * Q[0, 0]
-            p01 = a01 * f11 + a02 * f12 + q * Q[0, 1]
-            p02 = a02 * f22 + q * Q[0, 2]
-            p11 = a11 * f11 + a12 * f12 + q * Q[1, 1]
-            p12 = a12 * f22 + q * Q[1, 2]
-            p22 = f22 * p22 * f22 + q * Q[2, 2]
+            p00 = a00 + a01 * f01 + a02 * f02 + q * d[0, 0]
+            p01 = a01 * f11 + a02 * f12 + q * d[0, 1]
+            p02 = a02 * f22 + q * d[0, 2]
+            p11 = a11 * f11 + a12 * f12 + q * d[1, 1]
+            p12 = a12 * f22 + q * d[1, 2]
+            p22 = f22 * p22 * f22 + q * d[2, 2]
             for j in range(C):
                 n, s, w = state[j, 0], state[j, 1], state[j, 2]
                 state[j, 0] = n + f01 * s + f02 * w
@@ -168,51 +191,97 @@ def rotate(vector: Array, c: float, s: float) -> None:
 
 
 @numba.njit(cache=True)
-def propagate(vector: Array, F: Array) -> None:
-    """Moves a (6,) state one step by the transitions F (2, 3, 3) of x and y, in place."""
+def propagate(vector: Array, fx: Array, fy: Array) -> None:
+    """Moves a (6,) state one step by the transitions (3, 3) of x and y, in place."""
     for a in range(2):
+        F = fx if a == 0 else fy
         n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
-        vector[3 * a] = n + F[a, 0, 1] * s + F[a, 0, 2] * w
-        vector[3 * a + 1] = F[a, 1, 1] * s + F[a, 1, 2] * w
-        vector[3 * a + 2] = F[a, 2, 2] * w
+        vector[3 * a] = n + F[0, 1] * s + F[0, 2] * w
+        vector[3 * a + 1] = F[1, 1] * s + F[1, 2] * w
+        vector[3 * a + 2] = F[2, 2] * w
 
 
 @numba.njit(cache=True)
-def predict_covariance(P: Array, F: Array, c: float, s: float) -> None:
-    """P <- M P M^T for M = turn by half the angle, step, turn by the other half; P (6, 6) symmetric, in place."""
-    for _ in range(2):
-        for i in range(6):
-            rotate(P[i], c, s)
-            propagate(P[i], F)
-            rotate(P[i], c, s)
-        for i in range(6):
-            for j in range(i):
-                P[i, j], P[j, i] = P[j, i], P[i, j]
+def _turn_covariance(P: Array, c: float, s: float) -> None:
+    """Turns the frame of a covariance held as blocks: P[0] of x, P[1] of y, P[2] of x with y, each (3, 3), in place."""
+    cc, ss, cs = c * c, s * s, c * s
+    for i in range(3):
+        for j in range(i, 3):
+            a, b, m, n = P[0, i, j], P[1, i, j], P[2, i, j], P[2, j, i]
+            P[0, i, j] = P[0, j, i] = cc * a + ss * b + cs * (m + n)
+            P[1, i, j] = P[1, j, i] = ss * a + cc * b - cs * (m + n)
+            P[2, i, j] = cc * m - ss * n + cs * (b - a)
+            P[2, j, i] = cc * n - ss * m + cs * (b - a)
 
 
 @numba.njit(cache=True)
-def add_turned_noise(P: Array, Q: Array, levels: Array, c: float, s: float) -> None:
-    """Adds the driving noise of a step: it belongs to the heading of the step's middle, so it takes half the turn.
+def _step_block(P: Array, F: Array, G: Array) -> None:
+    """P <- F P G^T for the upper triangular transitions F and G of (n, s, w), in place."""
+    for j in range(3):
+        P[0, j] += F[0, 1] * P[1, j] + F[0, 2] * P[2, j]
+        P[1, j] = F[1, 1] * P[1, j] + F[1, 2] * P[2, j]
+        P[2, j] *= F[2, 2]
+    for i in range(3):
+        P[i, 0] += G[0, 1] * P[i, 1] + G[0, 2] * P[i, 2]
+        P[i, 1] = G[1, 1] * P[i, 1] + G[1, 2] * P[i, 2]
+        P[i, 2] *= G[2, 2]
 
-    Q (2, 3, 3) holds upper triangles for a unit power; c and s are cosine and sine of half the turn.
-    """
+
+@numba.njit(cache=True)
+def start_covariance(P: Array, levels: Array) -> None:
+    """Fills the blocks P (3, 3, 3) with what is known before the first pose: nothing but the levels of w."""
+    P[:] = 0.0
     for a in range(2):
-        b, cross = 1 - a, (-s * c if a == 0 else s * c)
-        for j in range(3):
-            for k in range(3):
-                power = levels[a, 0] * (Q[a, j, k] if j <= k else Q[a, k, j])
-                P[3 * a + j, 3 * a + k] += c * c * power
-                P[3 * b + j, 3 * b + k] += s * s * power
-                P[j, 3 + k] += cross * power
-                P[3 + j, k] += cross * power
+        P[a, 0, 0] = START_POSITION_VARIANCE
+        P[a, 1, 1] = START_VELOCITY_VARIANCE
+        P[a, 2, 2] = levels[a, 0] / (2 * levels[a, 3])
 
 
 @numba.njit(cache=True)
-def whiten_plane(time: Array, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
+def predict_covariance(
+    P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float
+) -> None:
+    """Moves the blocks P (3, 3, 3) one step: half the turn, the step with its driving noise, the other half; in place.
+
+    fx, fy are the transitions and qx, qy the covariances for a unit power, (3, 3); c and s belong to half the turn.
+    """
+    _turn_covariance(P, c, s)
+    for a in range(2):
+        F, Q = (fx, qx) if a == 0 else (fy, qy)
+        _step_block(P[a], F, F)
+        for i in range(3):
+            for j in range(i, 3):
+                P[a, i, j] += levels[a, 0] * Q[i, j]
+                P[a, j, i] = P[a, i, j]
+    _step_block(P[2], fx, fy)
+    _turn_covariance(P, c, s)
+
+
+@numba.njit(cache=True)
+def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> float:
+    """Takes a measured position of one axis into the blocks P (3, 3, 3); fills the gain (6,), returns the variance."""
+    own, other = P[axis], P[1 - axis]
+    S = own[0, 0] + noise
+    for i in range(3):
+        gain[3 * axis + i] = own[i, 0] / S
+        gain[3 * (1 - axis) + i] = (P[2, 0, i] if axis == 0 else P[2, i, 0]) / S
+    for i in range(3):
+        for j in range(3):
+            own[i, j] -= gain[3 * axis + i] * gain[3 * axis + j] * S
+            other[i, j] -= gain[3 * (1 - axis) + i] * gain[3 * (1 - axis) + j] * S
+            P[2, i, j] -= gain[i] * gain[3 + j] * S
+    return S
+
+
+@numba.njit(cache=True)
+def whiten_plane(
+    steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array
+) -> Any:
     """Passes horizontal columns through one six-state filter that turns with the heading.
 
     Args:
-        time: Block times, shape (B,) [s].
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
         count: Poses in each block, shape (B,).
         fresh: True where a segment starts, shape (B,).
         yaw: Heading at the blocks, shape (B,) [rad].
@@ -226,49 +295,33 @@ def whiten_plane(time: Array, count: Array, fresh: Any, yaw: Array, columns: Arr
     B, C, _ = columns.shape
     out = np.empty((B, C, 2))
     log_variance = np.empty((B, 2))
-    F = np.zeros((2, 3, 3))
-    Q = np.zeros((2, 3, 3))
-    P = np.zeros((6, 6))
+    Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
+    Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
+    P = np.zeros((3, 3, 3))
     state = np.zeros((C, 6))
     gain = np.empty(6)
-    last_dt = -1.0
     for i in range(B):
         if fresh[i]:
             state[:] = 0.0
-            P[:] = 0.0
-            for a in range(2):
-                P[3 * a, 3 * a] = START_POSITION_VARIANCE
-                P[3 * a + 1, 3 * a + 1] = START_VELOCITY_VARIANCE
-                P[3 * a + 2, 3 * a + 2] = levels[a, 0] / (2 * levels[a, 3])
+            start_covariance(P, levels)
         else:
-            dt = time[i] - time[i - 1]
-            if abs(dt - last_dt) > 1e-9:
-                for a in range(2):
-                    discretize(levels[a, 2], levels[a, 3], dt, F[a], Q[a])
-                last_dt = dt
+            fx, fy = Fx[step[i]], Fy[step[i]]
             half = 0.5 * (yaw[i] - yaw[i - 1])
             c, s = np.cos(half), np.sin(half)
-            predict_covariance(P, F, c, s)
-            add_turned_noise(P, Q, levels, c, s)
+            predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, s)
             for j in range(C):
                 rotate(state[j], c, s)
-                propagate(state[j], F)
+                propagate(state[j], fx, fy)
                 rotate(state[j], c, s)
         c, s = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
-            S = P[3 * a, 3 * a] + levels[a, 1] / count[i]
+            S = update_covariance(P, a, levels[a, 1] / count[i], gain)
             root = 1.0 / np.sqrt(S)
             log_variance[i, a] = np.log(S)
-            for j in range(6):
-                gain[j] = P[j, 3 * a] / S
             for j in range(C):
                 x, y = columns[i, j, 0], columns[i, j, 1]
                 e = (c * x + s * y if a == 0 else c * y - s * x) - state[j, 3 * a]
                 out[i, j, a] = e * root
                 for k in range(6):
                     state[j, k] += gain[k] * e
-            for j in range(6):
-                for k in range(j, 6):
-                    P[j, k] -= gain[j] * gain[k] * S
-                    P[k, j] = P[j, k]
     return out, log_variance

@@ -9,8 +9,18 @@ import numpy as np
 from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import DELAY_RANGE, Optimum, Point, Record, inverted, maximise, record
+from rotorfit.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.likelihood import (
+    DELAY_RANGE,
+    START_LEVELS,
+    Optimum,
+    Point,
+    Record,
+    inverted,
+    maximise,
+    record,
+    response,
+)
 from rotorfit.model import (
     COEFFICIENTS,
     STRUCTURE,
@@ -23,8 +33,8 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import Found, prediction_error, search, trim_variance, without_input
-from rotorfit.profile import ROOT_OF_CHI2, height, hold, interval
+from rotorfit.modes import Found, prediction_error, search, start_point, trim_variance, without_input
+from rotorfit.profile import height, hold, interval, quantile
 from rotorfit.regression import PaperFit, paper_regression
 
 Method = Literal["ml", "paper"]
@@ -37,13 +47,25 @@ EXPLAINS = 0.9
 """The commands must bring the 1 s prediction error on the training flights below this share of what it is without them;
 else the axis was not excited, whatever the likelihood of a feedback loop says."""
 
-WIDEST_DAMPING = 10.0
+PLAINLY = 0.5
+"""Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
+
+WIDEST_DAMPING = 6.0
 """Ratio of the ends of the damping's interval beyond which it is not identifiable."""
 
 WIDEST_DELAY = 0.4
 """Width of the delay's interval beyond which it is not identifiable [s]."""
 
-PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
+NORMAL = 1.959963984540054
+"""97.5 % point of the normal distribution, for the regression's intervals."""
+
+DIVERGED = 0.5
+"""Expected gain in log-likelihood of one more step above which the climb has not ended."""
+
+COUPLING_ROUNDS = 2
+"""Rounds in which x and y under a held heading take each other into account."""
+
+PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 8)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
 
 
@@ -84,7 +106,7 @@ def fit(
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
     report(0.0, "the paper's regression")
-    paper = paper_regression(flights, AXES)
+    paper = paper_regression(flights, wanted)
     results: dict[str, Axis] = {}
     covariances: dict[str, Array] = {}
     groups = _groups(flights, wanted)
@@ -131,108 +153,116 @@ def _groups(flights: Sequence[Flight], wanted: Sequence[str]) -> list[tuple[str,
 
 
 @dataclass(frozen=True)
-class _Explored:
-    """What the search says of one axis.
+class _Estimate:
+    """One axis after the climb.
 
     Attributes:
-        found: Optima, the believed one first.
-        place: Which column of the optima this axis is.
-        explained: Prediction error over that without the command.
+        records: What its likelihood sees.
+        optimum: The maximum that is believed.
+        place: Which of the optimum's axes this is.
+        found: Optima of the search, the believed one first; none for an axis that no flight moves.
+        excited: Whether its commands explain anything.
     """
 
-    found: tuple[Found, ...]
+    records: Sequence[Record]
+    optimum: Optimum
     place: int
-    explained: float
+    found: tuple[Found, ...]
+    excited: bool
 
 
 def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array]]:
     """Axes of one group by the likelihood, and their covariance."""
     serving = [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
     records = [rec for f in serving if (rec := record(f, group))]
-    if sum(float(rec.block_time.size) / 30 for rec in records) < LEAST_TIME:
+    if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
         return {axis: unknown_axis("too_short") for axis in group}, {}
     moving = [any(_moves(f, axis) for f in serving) for axis in group]
-    explored = _explore(serving, records, group, moving)
-    excited = np.array([part is not None and part.explained < EXPLAINS for part in explored])
-    optimum = _assembled(records, group, explored, excited)
-    results, covariance = {}, {}
-    for k, axis in enumerate(group):
-        part = explored[k]
-        if part is None:
-            results[axis] = replace(unknown_axis("not_excited"), noise=_noise(optimum, k))
-        else:
-            results[axis] = _axis(records, optimum, k, part, bool(excited[k]), _places(flights, serving))
-    known = [k for k, axis in enumerate(group) if results[axis].predictor]
-    if known:
-        names = tuple(f"{group[k]}.{name}" for k in known for name in COEFFICIENTS)
-        covariance[names] = _covariance(optimum, known)
-    return results, covariance
+    if all(rec.held for rec in records):
+        estimates = [_alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
+        if len(group) == 2:
+            estimates = _coupled(records, estimates)
+    else:
+        estimates = _together(serving, records, group, moving)
+    places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
+    results = {axis: _axis(estimate, places) for axis, estimate in zip(group, estimates, strict=True)}
+    return results, _covariances(group, estimates, results)
 
 
-def _explore(
-    serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
-) -> list[_Explored | None]:
-    """Searches axis by axis where the heading is held, else jointly; None for an axis that no flight moves."""
-    if len(group) == 1 or all(rec.held for rec in records):
-        out: list[_Explored | None] = []
-        for k, axis in enumerate(group):
-            if not moving[k]:
-                out.append(None)
-                continue
-            alone = [rec for f in serving if (rec := record(f, (axis,)))]
-            found = search(alone, serving, _free(len(alone), [True]))
-            idle = prediction_error(serving, (axis,), without_input(alone, found[0].optimum, [0]))
-            out.append(_Explored(found, 0, _ratio(found[0].prediction[0], idle[0])))
-        return out
-    found = search(records, serving, _free(len(records), moving))
-    out = []
-    for k in range(len(group)):
-        if not moving[k]:
-            out.append(None)
-            continue
-        idle = prediction_error(serving, group, without_input(records, found[0].optimum, [k]))
-        out.append(_Explored(found, k, _ratio(found[0].prediction[k], idle[k])))
+def _alone(serving: Sequence[Flight], axis: str, moves: bool) -> _Estimate:
+    """One axis by itself."""
+    records = [rec for f in serving if (rec := record(f, (axis,)))]
+    if not moves:
+        point = start_point(records, 0.0, 1.0, START_LEVELS[None])
+        return _Estimate(records, maximise(records, replace(point, gain=np.zeros(1)), _free(len(records), [False])), 0, (), False)
+    found = search(records, serving, _free(len(records), [True]))
+    best = found[0].optimum
+    if not _explains(serving, (axis,), records, found[0], 0):
+        return _Estimate(records, without_input(records, best, [0]), 0, found, False)
+    return _Estimate(records, maximise(records, best.point, best.free, best.inverse), 0, found, True)
+
+
+def _coupled(records: Sequence[Record], estimates: Sequence[_Estimate]) -> list[_Estimate]:
+    """Takes into account, exactly, what each axis does to the other through the small turns of a held heading.
+
+    The response of both together less that of one alone is taken off its data, and it is climbed again. At the fixed
+    point the residual is that of the joint response; only its sensitivities leave the turns out.
+    """
+    out = list(estimates)
+    for _ in range(COUPLING_ROUNDS):
+        points = [estimate.optimum.point for estimate in out]
+        joint = Point(*(np.concatenate([getattr(p, name) for p in points], axis) for name, axis in _JOINT_AXES))
+        offsets = [_offset(rec, joint, points, j) for j, rec in enumerate(records)]
+        for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
+            shifted = [
+                replace(rec, position=rec.position - offset[:, k : k + 1])
+                for rec, offset in zip(plain.records, offsets, strict=True)
+            ]
+            optimum = maximise(shifted, before.optimum.point, before.optimum.free, before.optimum.inverse)
+            out[k] = replace(before, records=shifted, optimum=optimum)
     return out
 
 
-def _ratio(error: float, idle: float) -> float:
-    """Prediction error over that without the command; 0 where the flights are too short to predict."""
-    return float(error / idle) if np.isfinite(error) and np.isfinite(idle) and idle > 0 else 0.0
+_JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("levels", 0))
 
 
-def _free(flights: int, moving: Sequence[bool]) -> Array:
+def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int) -> Array:
+    """Joint response less the two responses alone, along and across the mean heading, shape (B, 2)."""
+    mean = response(rec, joint, flight)[0]
+    along = heading_from_world(mean, np.full(len(mean), rec.heading))
+    alone = [response(rec.only(k), point, flight)[0] for k, point in enumerate(points)]
+    return along - np.hstack(alone)
+
+
+def _together(
+    serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
+) -> list[_Estimate]:
+    """x and y of vehicles that turn, by one likelihood."""
+    found = search(records, serving, _free(len(records), moving))
+    best = found[0].optimum
+    excited = [moves and _explains(serving, group, records, found[0], k) for k, moves in enumerate(moving)]
+    unexcited = [k for k, good in enumerate(excited) if not good]
+    if unexcited:
+        best = without_input(records, best, unexcited)
+    optimum = maximise(records, best.point, best.free, best.inverse)
+    return [_Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
+
+
+def _explains(
+    serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int
+) -> bool:
+    """Whether the commands of an axis explain its motion; flights too short to predict get the benefit of the doubt."""
+    error = found.prediction[k]
+    if not np.isfinite(error) or error < PLAINLY * found.held[k]:
+        return True
+    idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
+    return bool(error < EXPLAINS * idle[k])
+
+
+def _free(flights: int, moving: Sequence[bool]) -> Mask:
     """Which parameters may move: the coefficients of the moving axes, all trims and levels."""
     K = len(moving)
     return np.concatenate([np.tile(moving, 3), np.ones(flights * K + 4 * K, bool)])
-
-
-def _assembled(
-    records: Sequence[Record], group: Sequence[str], explored: Sequence[_Explored | None], excited: Array
-) -> Optimum:
-    """The maximum over all axes of the group together, the unexcited ones without input."""
-    K, F = len(group), len(records)
-    columns: list[tuple[float, float, float, Array, Array]] = []
-    for part in explored:
-        if part is None:
-            columns.append((0.0, 0.0, 0.0, np.zeros(F), np.log([0.1, 1e-7, 0.5, 2.0])))
-            continue
-        p, k = part.found[0].optimum.point, part.place
-        columns.append((float(p.gain[k]), float(p.log_damping[k]), float(p.delay[k]), p.trim[:, k], p.levels[k]))
-    gain, log_damping, delay = (np.array([column[i] for column in columns]) for i in range(3))
-    point = Point(
-        gain=np.where(excited, gain, 0.0),
-        log_damping=np.where(excited, log_damping, 0.0),
-        delay=np.where(excited, delay, 0.0),
-        trim=np.column_stack([column[3] for column in columns]),
-        levels=np.stack([column[4] for column in columns]),
-    )
-    inverse = explored[0].found[0].optimum.inverse if K == 1 and explored[0] and excited[0] else None
-    return maximise(records, point, _free(F, excited.tolist()), inverse)
-
-
-def _places(flights: Sequence[Flight], serving: Sequence[Flight]) -> list[int | None]:
-    """Of each flight, its place among those that served; None where it did not."""
-    return [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
 
 
 def _noise(optimum: Optimum, k: int) -> dict[str, float]:
@@ -243,51 +273,44 @@ def _noise(optimum: Optimum, k: int) -> dict[str, float]:
     }
 
 
-def _axis(
-    records: Sequence[Record],
-    optimum: Optimum,
-    k: int,
-    part: _Explored,
-    excited: bool,
-    places: Sequence[int | None],
-) -> Axis:
+def _axis(estimate: _Estimate, places: Sequence[int | None]) -> Axis:
     """Everything that is said of one axis."""
-    modes = _modes(part)
-    trim = tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places)
-    if not excited:
-        return replace(unknown_axis("not_excited"), noise=_noise(optimum, k), modes=modes, trim=trim)
-    if optimum.gain > 0.5:
-        return replace(unknown_axis("diverged"), noise=_noise(optimum, k), modes=modes, trim=trim)
+    records, optimum, k = estimate.records, estimate.optimum, estimate.place
+    nothing = replace(
+        unknown_axis("not_excited" if not estimate.excited else "diverged"),
+        noise=_noise(optimum, k),
+        modes=_modes(estimate),
+        trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
+    )
+    if not estimate.excited or optimum.gain > DIVERGED:
+        return nothing
     K = optimum.point.gain.size
     variance = np.diag(inverted(optimum.score.information, optimum.free))
     index = {"input": k, "damping": K + k, "delay": 2 * K + k}
-    ends: dict[str, Interval] = {}
-    profile: list[tuple[float, float]] = []
-    for name, i in index.items():
-        ends[name], points = interval(records, optimum, i, float(np.sqrt(variance[i])))
-        if name == "delay":
-            profile = points
-    g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
+    found = {name: interval(records, optimum, i) for name, i in index.items()}
+    ends: dict[str, Interval] = {name: where for name, (where, _) in found.items()}
     ends["damping"] = _exponential(ends["damping"])
     if _holds_zero(ends["input"]):
-        return replace(unknown_axis("not_excited"), noise=_noise(optimum, k), modes=modes, trim=trim)
+        return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     status = _status(ends)
-    value = {"input": g, "damping": b, "delay": tau}
-    error = {name: float(np.sqrt(variance[i])) * (b if name == "damping" else 1.0) for name, i in index.items()}
-    published = {name: value[name] if status[name] == "ok" else None for name in COEFFICIENTS}
-    return Axis(
+    point = Predictor(
+        input=float(optimum.point.gain[k]),
+        damping=float(np.exp(optimum.point.log_damping[k])),
+        delay=float(optimum.point.delay[k]),
+    )
+    error = {n: float(np.sqrt(variance[i])) * (point.damping if n == "damping" else 1.0) for n, i in index.items()}
+    published = {name: getattr(point, name) if status[name] == "ok" else None for name in COEFFICIENTS}
+    return replace(
+        nothing,
         input=published["input"],
         damping=published["damping"],
         delay=published["delay"],
         stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS},
         ci95=ends,
         status=status,
-        trim=trim,
-        noise=_noise(optimum, k),
-        predictor=Predictor(g, b, tau),
+        predictor=point,
         combinations=_combinations(optimum, k),
-        modes=modes,
-        profile=_drawn(records, optimum, index["delay"], profile),
+        profile=_drawn(records, optimum, index["delay"], found["delay"][1]),
     )
 
 
@@ -302,11 +325,14 @@ def _holds_zero(ends: Interval) -> bool:
 
 
 def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
-    """Per coefficient, `ok` or `not_identifiable`, from the intervals alone."""
-    low, high = ends["damping"]
-    damping = low is not None and high is not None and high / low < WIDEST_DAMPING
+    """Per coefficient, `ok` or `not_identifiable`, from the intervals alone.
+
+    Where the searched range cuts the delay off it cuts the damping off too, and the damping's interval is not its own.
+    """
     early, late = ends["delay"]
     delay = early is not None and late is not None and late - early < WIDEST_DELAY
+    low, high = ends["damping"]
+    damping = None not in ends["delay"] and low is not None and high is not None and high / low < WIDEST_DAMPING
     gain = None not in ends["input"]
     return {
         name: "ok" if good else "not_identifiable" for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
@@ -316,27 +342,40 @@ def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
 def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
     """Steady gain and total lag, with intervals by the delta method (the gain's in its logarithm)."""
     K = optimum.point.gain.size
-    at = [k, K + k, 2 * K + k]
-    C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
+    C = inverted(optimum.score.information, optimum.free)
     g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
-    c = np.array([1 / g, -1.0, 0.0])
-    spread = ROOT_OF_CHI2 * float(np.sqrt(c @ C @ c))
-    steady = sorted((g / b * float(np.exp(-spread)), g / b * float(np.exp(spread)))) if spread < 2 else (None, None)
-    c = np.array([0.0, -1 / b, 1.0])
-    lag, half = tau + 1 / b, ROOT_OF_CHI2 * float(np.sqrt(c @ C @ c))
+
+    def half_width(gradient: tuple[float, float, float]) -> float:
+        c = np.zeros(3 * K + optimum.point.trim.size)
+        c[[k, K + k, 2 * K + k]] = gradient
+        return quantile(optimum, c) * float(np.sqrt(c @ C[: c.size, : c.size] @ c))
+
+    spread, half = half_width((1 / g, -1.0, 0.0)), half_width((0.0, -1 / b, 1.0))
+    low, high = sorted((g / b * float(np.exp(-spread)), g / b * float(np.exp(spread)))) if spread < 2 else (None, None)
+    lag = tau + 1 / b
     return {
-        "steady_gain": Combination(g / b, (steady[0], steady[1])),
+        "steady_gain": Combination(g / b, (low, high)),
         "total_lag": Combination(lag, (lag - half, lag + half) if half < 2 * lag else (None, None)),
     }
 
 
-def _covariance(optimum: Optimum, known: Sequence[int]) -> Array:
-    """Covariance of (input, damping, delay) of the known axes, from the information."""
-    K = optimum.point.gain.size
-    at = [offset + k for k in known for offset in (0, K, 2 * K)]
-    scale = np.concatenate([[1.0, np.exp(optimum.point.log_damping[k]), 1.0] for k in known])
-    C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
-    return C * np.outer(scale, scale)  # type: ignore[no-any-return]
+def _covariances(
+    group: Sequence[str], estimates: Sequence[_Estimate], results: Mapping[str, Axis]
+) -> dict[tuple[str, ...], Array]:
+    """Covariance of (input, damping, delay) of the axes with a predictor, a block for each likelihood."""
+    blocks: dict[int, list[int]] = {}
+    for number, (axis, estimate) in enumerate(zip(group, estimates, strict=True)):
+        if results[axis].predictor:
+            blocks.setdefault(id(estimate.optimum), []).append(number)
+    out = {}
+    for numbers in blocks.values():
+        optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
+        K = optimum.point.gain.size
+        at = [offset + k for k in places for offset in (0, K, 2 * K)]
+        scale = np.concatenate([[1.0, np.exp(optimum.point.log_damping[k]), 1.0] for k in places])
+        C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
+        out[tuple(f"{group[n]}.{name}" for n in numbers for name in COEFFICIENTS)] = C * np.outer(scale, scale)
+    return out
 
 
 def _joined(blocks: Mapping[tuple[str, ...], Array]) -> tuple[tuple[str, ...], Array]:
@@ -350,8 +389,8 @@ def _joined(blocks: Mapping[tuple[str, ...], Array]) -> tuple[tuple[str, ...], A
     return names, matrix
 
 
-def _modes(part: _Explored) -> tuple[Mode, ...]:
-    k, best = part.place, max(f.optimum.score.log_likelihood for f in part.found)
+def _modes(estimate: _Estimate) -> tuple[Mode, ...]:
+    k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
     return tuple(
         Mode(
             delay=float(f.optimum.point.delay[k]),
@@ -362,7 +401,7 @@ def _modes(part: _Explored) -> tuple[Mode, ...]:
             prediction=float(f.prediction[k]) if np.isfinite(f.prediction[k]) else None,
             chosen=number == 0,
         )
-        for number, f in enumerate(part.found)
+        for number, f in enumerate(estimate.found)
     )
 
 
@@ -395,7 +434,7 @@ def _paper_group(
         names = ("input", "damping")
         value = dict(zip(names, (float(g), float(b)), strict=True))
         spread = dict(zip(names, (float(e) for e in error), strict=True))
-        ends = {name: (value[name] - ROOT_OF_CHI2 * spread[name], value[name] + ROOT_OF_CHI2 * spread[name]) for name in names}
+        ends = {name: (value[name] - NORMAL * spread[name], value[name] + NORMAL * spread[name]) for name in names}
         excited = not _holds_zero(ends["input"])
         if not excited:
             results[axis] = unknown_axis("not_excited")
@@ -423,6 +462,6 @@ def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float
         log_damping=np.log([max(damping, 1e-3)]),
         delay=np.zeros(1),
         trim=np.zeros((len(records), 1)),
-        levels=np.log([[0.1, 1e-7, 0.5, 2.0]]),
+        levels=START_LEVELS[None],
     )
     return _noise(maximise(records, start, _free(len(records), [False])), 0)

@@ -1,43 +1,18 @@
 """Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, column
-from rotorfit.clock import (
-    GAP_PERIODS,
-    GAP_TOLERANCE,
-    MISSING_STAMP,
-    Mask,
-    Stamps,
-    degrees_for_radians,
-    fresh,
-    held,
-    increasing,
-    median_period,
-    stamps_of,
-)
-from rotorfit.errors import CardError, FlightError
-from rotorfit.frames import AXES, Array, heading_from_world, yaw_from_quaternion
+from rotorfit.card import Card
+from rotorfit.clock import Mask
+from rotorfit.errors import FlightError
+from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.log import Log
+from rotorfit.stream import Note, Stream, commands_of, poses_of
 
-
-@dataclass(frozen=True)
-class Note:
-    """A repair or a remark on a flight.
-
-    Attributes:
-        code: Short stable name, such as `stale_poses`.
-        text: One sentence with the count in it.
-        count: How many samples it concerns.
-    """
-
-    code: str
-    text: str
-    count: int
+__all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
 
 
 @dataclass(frozen=True)
@@ -89,27 +64,10 @@ class Flight:
 MIN_DURATION = 2.0
 """Shortest flight [s]: what the prediction protocol gives to the filter before it scores."""
 
+SLOWEST_POSES = 1.0
+"""Median period of the poses [s] beyond which their clock is taken to lack its unit."""
+
 _TURN = np.radians(0.5)
-_NEVER = np.int64(2**62)
-
-
-@dataclass(frozen=True)
-class _Stream:
-    """Commands or poses on their own clock, with what was repaired.
-
-    Attributes:
-        what: `command` or `pose`.
-        stamps: Shape (N,) [ns].
-        values: Shape (N, 4): x, y, z, yaw.
-        until: Until when a command acts if no other follows, shape (N,) [ns].
-        notes: What was repaired so far.
-    """
-
-    what: str
-    stamps: Stamps
-    values: Array
-    until: Stamps
-    notes: tuple[Note, ...] = ()
 
 
 def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None] = (None, None)) -> Flight:
@@ -117,13 +75,12 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
 
     The common window runs from the first command to the earlier of the last pose and the last command plus its hold.
     Commands hold until the next one, but no longer than `card.hold` (default: three median periods): a longer gap
-    starts a new segment. Gaps between poses do not. Commands in the heading frame are x forward, y left, z up, yaw
-    counter-clockwise; in the world frame x and y are those of the converted pose (east and north for a card in NED),
-    because a card never implies the signs of commands.
+    starts a new segment. Gaps between poses do not.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: Which column is what. Commands in the world frame are along the axes of the converted pose (x east, y
+            north, z up also for a card in NED), because a card never implies their signs.
         span: Start and end [s] from the start of the common window; None for its ends. Nothing outside is seen.
 
     Returns:
@@ -134,8 +91,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             less than two seconds, or yaw in degrees taken for radians.
     """
-    commands, axes, origin = _commands(log, card)
-    poses = _poses(log, card)
+    commands, axes, origin = commands_of(log, card)
+    poses = poses_of(log, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
     begin, finish = origin + round(start * 1e9), origin + round(stop * 1e9)
@@ -170,188 +127,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     )
 
 
-def _commands(log: Log, card: Card) -> tuple[_Stream, tuple[str, ...], int]:
-    """Repaired commands, the commanded axes, and the stamp of the first command [ns]."""
-    stamps, series, notes = _read(log, card.command_time, card.command, "command")
-    silent = [axis for axis, values in series.items() if not np.any(np.isfinite(values))]
-    if silent and len(silent) < len(series):
-        text = f"the command of {', '.join(silent)} is never a number: taken as not commanded"
-        notes = (*notes, Note("axis_never_commanded", text, len(stamps)))
-        series = {axis: values for axis, values in series.items() if axis not in silent}
-    values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
-    stream = _in_order(_numbers(_Stream("command", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _inside_window(stream, log, card)
-    origin = int(stream.stamps[0])
-    return _held(_without_garbage_start(stream), log, card), tuple(series), origin
-
-
-def _poses(log: Log, card: Card) -> _Stream:
-    """Repaired poses in the world frame; yaw still wrapped."""
-    stamps, series, notes = _read(log, card.pose_time, card.pose, "pose")
-    x, y, z = series["x"], series["y"], series["z"]
-    if "yaw" in series:
-        yaw = series["yaw"]
-    else:
-        parts = [series[f"q{part}"] for part in "wxyz"]
-        lost = np.sum(np.square(parts), axis=0) < 1e-6  # mocap bridges write zeros while the body is out of sight
-        yaw = np.where(lost, np.nan, yaw_from_quaternion(*parts))
-    if card.frame == "NED":
-        x, y, z, yaw = y, x, -z, np.pi / 2 - yaw
-    values = np.stack([x, y, z, yaw], axis=1)
-    stream = _in_order(_numbers(_Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _kept(stream, fresh(stream.values), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
-    if len(stream.stamps) < 2:
-        raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
-    if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
-        raise FlightError(
-            f"{log.path}: yaw jumps or turns as no vehicle can: degrees taken for radians? Write yaw = {{ from = "
-            f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
-        )
-    return stream
-
-
-def _read(
-    log: Log, time: Channel, channels: Mapping[str, Channel], what: str
-) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
-    """Stamps and series of one length; the last surplus sample goes, because dropping the first would forge a delay."""
-    stamps = stamps_of(log, time)
-    series = {name: column(log, channel, len(stamps)) for name, channel in channels.items()}
-    counts = {"time": len(stamps)} | {name: len(values) for name, values in series.items()}
-    shared, longest = min(counts.values()), max(counts.values())
-    if shared == 0:
-        raise FlightError(f"{log.path}: there are no {what}s: {time.source} or a column beside it is empty")
-    if longest - shared > 1:
-        lengths = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise CardError(
-            f"{log.path}: lengths of [{what}] do not go together ({lengths}); which columns belong together?"
-        )
-    if longest == shared:
-        return stamps, series, ()
-    surplus = ", ".join(name for name, count in counts.items() if count == longest)
-    note = Note(f"surplus_{what}", f"1 last sample of {what} {surplus} has no partner: dropped", 1)
-    return stamps[:shared], {name: values[:shared] for name, values in series.items()}, (note,)
-
-
-def _kept(stream: _Stream, keep: Mask, code: str, why: str) -> _Stream:
-    """The samples to keep, and a note where some go."""
-    lost = int(np.sum(~keep))
-    if not lost:
-        return stream
-    note = Note(code, f"{lost} of {len(keep)} {stream.what}s {why}", lost)
-    return replace(
-        stream,
-        stamps=stream.stamps[keep],
-        values=stream.values[keep],
-        until=stream.until[keep],
-        notes=(*stream.notes, note),
-    )
-
-
-def _numbers(stream: _Stream, log: Log) -> _Stream:
-    """Without samples that hold NaN or have no stamp: they count as absent."""
-    stamped = stream.stamps != MISSING_STAMP
-    stream = _kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
-    finite = np.isfinite(stream.values)
-    if not np.any(np.all(finite, axis=1)):
-        never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
-        which = f" ({', '.join(never)} never is)" if never else ""
-        raise FlightError(
-            f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
-        )
-    return _kept(stream, np.all(finite, axis=1), f"nan_{stream.what}s", "are not numbers: taken as absent")
-
-
-def _in_order(stream: _Stream, log: Log) -> _Stream:
-    """Without samples that are not later than all before them."""
-    steps = np.diff(stream.stamps)
-    keep = increasing(stream.stamps)
-    back = np.zeros(len(keep), dtype=np.bool_)
-    back[1:] = stream.stamps[1:] < np.maximum.accumulate(stream.stamps)[:-1]
-    if np.sum(steps < 0) > np.sum(steps > 0) or np.sum(back) > len(back) / 2:
-        raise FlightError(
-            f"{log.path}: the clock of the {stream.what}s runs backwards ({np.sum(steps < 0)} of {len(steps)} steps); "
-            f"is `time` of [{stream.what}] the right column?"
-        )
-    if np.sum(keep) < 2 and len(keep) > 1:
-        raise FlightError(
-            f"{log.path}: the clock of the {stream.what}s stands still; is `time` of [{stream.what}] the right column "
-            "(a header that nobody filled? try log_time)?"
-        )
-    stream = _kept(stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped")
-    return _kept(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
-
-
-def _inside_window(stream: _Stream, log: Log, card: Card) -> _Stream:
-    """Commands while the card's window is open; the last one before it closes acts no longer than that."""
-    if card.window is None:
-        return stream
-    values = _window_values(log, card, card.window, stream.stamps)
-    open_ = np.nan_to_num(values) != 0
-    if not np.any(open_):
-        raise FlightError(f"{log.path}: window {card.window.source} is never open during the commands")
-    closing = np.append(stream.stamps[~open_], _NEVER)
-    until = closing[np.searchsorted(closing, stream.stamps, side="right")]
-    why = f"lie where {card.window.source} is zero: dropped"
-    return _kept(replace(stream, until=until), open_, "commands_outside_window", why)
-
-
-def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Array:
-    """The window's column held onto the commands' stamps; NaN before its first value.
-
-    Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
-    column of its own table that is named as the commands' clock.
-    """
-    values = column(log, window)
-    table, _, _ = str(window.source).rpartition(":")
-    name = str(card.command_time.source).rpartition(":")[2]
-    own = replace(card.command_time, source=f"{table}:{name}" if table else name)
-    beside = [time for time in (card.command_time, card.pose_time) if str(time.source).rpartition(":")[0] == table]
-    for time in [*beside, own]:
-        clock = stamps_of(log, time)
-        if abs(len(clock) - len(values)) <= 1:
-            break
-    else:
-        raise CardError(f"{log.path}: nothing tells the time of window {window.source} ({len(values)} values)")
-    shared = min(len(clock), len(values))
-    return held(clock[:shared], values[:shared], stamps)
-
-
-def _without_garbage_start(stream: _Stream) -> _Stream:
-    """Without a first command that the rest of the flight disowns.
-
-    Loggers that start before the controller write what the memory held. Such a sample is told by all of: ten robust
-    standard deviations from the median of the others, beyond their extremes by more than their whole range, and
-    larger than any. It is dropped; the first segment begins with the second command, the common window where it did.
-    """
-    if len(stream.stamps) < 50:
-        return stream
-    first, rest = stream.values[0], stream.values[1:]
-    median, low, high = np.median(rest, axis=0), np.min(rest, axis=0), np.max(rest, axis=0)
-    sigma = 1.4826 * np.median(np.abs(rest - median), axis=0)
-    far = np.abs(first - median) > 10 * sigma
-    beyond = np.maximum(first - high, low - first) > high - low
-    garbage = far & beyond & (np.abs(first) > np.maximum(np.abs(low), np.abs(high)))
-    keep = np.ones(len(stream.stamps), dtype=np.bool_)
-    keep[0] = not np.any(garbage)
-    culprits = ", ".join(f"{axis} = {value:.3g}" for axis, value, bad in zip(AXES, first, garbage, strict=True) if bad)
-    why = f"(the first, {culprits}) lie far beyond all others and never recur: dropped"
-    return _kept(stream, keep, "garbage_first_command", why)
-
-
-def _held(stream: _Stream, log: Log, card: Card) -> _Stream:
-    """Commands that act for their hold, or until the next where that comes as soon but for the rounding of stamps."""
-    period = median_period(stream.stamps)
-    if period is None and card.hold is None:
-        raise FlightError(f"{log.path}: there is only one command; is [command] of the card the flown stream?")
-    period = period or 0
-    hold = GAP_PERIODS * period if card.hold is None else round(card.hold * 1e9)
-    until = np.minimum(stream.stamps + hold, stream.until)
-    late = stream.stamps[1:] - until[:-1]
-    until[:-1] += np.where((late > 0) & (late <= GAP_TOLERANCE * period), late, 0)
-    return replace(stream, until=until)
-
-
-def _window_end(log: Log, commands: _Stream, poses: _Stream, origin: int) -> int:
+def _window_end(log: Log, commands: Stream, poses: Stream, origin: int) -> int:
     """End of the common window [ns]."""
     end = min(int(poses.stamps[-1]), int(commands.until[-1]))
     if max(origin, int(poses.stamps[0])) >= end:
@@ -387,6 +163,9 @@ def _segments(command_time: Array, command_end: Array) -> tuple[Segment, ...]:
 
 
 def _check_duration(log: Log, segments: tuple[Segment, ...], pose_time: Array) -> None:
+    period = float(np.median(np.diff(pose_time))) if len(pose_time) > 1 else 0.0
+    if period > SLOWEST_POSES:
+        raise FlightError(f"{log.path}: poses come every {period:.3g} s; add the unit of `time` to [pose] of the card")
     first, last = (float(pose_time[0]), float(pose_time[-1])) if len(pose_time) else (0.0, 0.0)
     duration = sum(max(0.0, min(part.end, last) - max(part.start, first)) for part in segments)
     if duration < MIN_DURATION:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.derivative import Indices, local_polynomial
+from rotorfit.derivative import local_polynomial
+from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
-from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.frames import AXES, Array, Indices, heading_from_world
 from rotorfit.prediction import coast, predict
 
 SETTLING = 2.0
@@ -157,6 +158,7 @@ def _predict_segment(
             t,
             np.ascontiguousarray(pose[:, pair]),
             yaw,
+            *distinct_steps(t),
             *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay", "levels")),
             np.array([axis.trim_variance for axis in chosen]),
             first,
@@ -236,14 +238,24 @@ def score_predictions(
     Returns:
         Axis name to errors.
     """
-    errors = {h: [_errors(part, values, h) for part, values in zip(parts, predicted, strict=True)] for h in horizons}
-    fit = errors.get(FIT_HORIZON) or [
-        _errors(part, values, FIT_HORIZON) for part, values in zip(parts, predicted, strict=True)
-    ]
+    errors = {h: _all_errors(parts, predicted, h) for h in {*horizons, FIT_HORIZON}}
     return {
-        axis: AxisScore({f"{h:g}": _horizon(errors[h], k) for h in horizons}, _fit_percent(fit, k))
+        axis: AxisScore({f"{h:g}": _horizon(errors[h], k) for h in horizons}, _fit_percent(errors[FIT_HORIZON], k))
         for k, axis in enumerate(AXES)
     }
+
+
+def horizon_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> dict[str, Horizon]:
+    """The same at one horizon, without the rest; axis name to errors."""
+    errors = _all_errors(parts, predicted, horizon)
+    return {axis: _horizon(errors, k) for k, axis in enumerate(AXES)}
+
+
+def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> tuple[Array, Array, Array]:
+    """Of all segments in a row; see `_errors`."""
+    pieces = [_errors(part, values, horizon) for part, values in zip(parts, predicted, strict=True)]
+    velocity, measured, position = (np.concatenate([p[i] for p in pieces] or [np.empty((0, 4))]) for i in range(3))
+    return velocity, measured, position
 
 
 def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
@@ -271,18 +283,16 @@ def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array,
     return velocity, measured, position
 
 
-def _horizon(errors: Sequence[tuple[Array, Array, Array]], k: int) -> Horizon:
-    velocity = np.concatenate([v[:, k] for v, _, _ in errors] or [np.empty(0)])
-    position = np.concatenate([p[:, k] for _, _, p in errors] or [np.empty(0)])
+def _horizon(errors: tuple[Array, Array, Array], k: int) -> Horizon:
+    velocity, _, position = (e[:, k] for e in errors)
     velocity = velocity[np.isfinite(velocity)]
     if position.size < LEAST_SCORES or not velocity.size or not np.isfinite(position).all():
         return Horizon(None, None, int(position.size))
     return Horizon(float(np.sqrt(np.mean(velocity**2))), float(np.sqrt(np.mean(position**2))), int(position.size))
 
 
-def _fit_percent(errors: Sequence[tuple[Array, Array, Array]], k: int) -> float | None:
-    error = np.concatenate([v[:, k] for v, _, _ in errors] or [np.empty(0)])
-    measured = np.concatenate([m[:, k] for _, m, _ in errors] or [np.empty(0)])
+def _fit_percent(errors: tuple[Array, Array, Array], k: int) -> float | None:
+    error, measured, _ = (e[:, k] for e in errors)
     good = np.isfinite(error)
     spread = float(np.linalg.norm(measured[good] - measured[good].mean())) if good.any() else 0.0
     return float(100 * (1 - np.linalg.norm(error[good]) / spread)) if spread > 0 else None

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 AXES = ("x", "y", "z", "yaw")
 """The four axes in the order of the commands, of the pose and of the paper's coefficients gamma."""

@@ -5,15 +5,14 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 (g, log b, tau), so the damping is positive by construction.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
 
-from rotorfit.disturbance import whiten_axis, whiten_plane
+from rotorfit.disturbance import distinct_steps, whiten_axis, whiten_plane
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.response import axis_response, plane_response
 
 DELAY_RANGE = (-0.1, 0.6)
@@ -52,6 +51,8 @@ class Record:
         block: Block of each pose, shape (N,).
         count: Poses of each block, shape (B,).
         block_time: Mean stamp of each block, shape (B,) [s].
+        steps: Distinct steps between the blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
         block_yaw: Mean heading of each block, shape (B,) [rad].
         position: Mean pose of each block less the first of its segment, world, shape (B, K) [m or rad].
         fresh: True for the first block of a segment, shape (B,).
@@ -63,20 +64,26 @@ class Record:
 
     axes: tuple[str, ...]
     starts: Array
-    pose_range: Any
-    command_range: Any
+    pose_range: Indices
+    command_range: Indices
     pose_time: Array
     yaw: Array
-    block: Any
+    block: Indices
     count: Array
     block_time: Array
+    steps: Array
+    step: Indices
     block_yaw: Array
     position: Array
-    fresh: Any
+    fresh: Mask
     command_time: Array
     command: Array
     held: bool
     heading: float
+
+    def only(self, k: int) -> "Record":
+        """The record with one axis of its commands; what it measured is left as it is."""
+        return replace(self, axes=self.axes[k : k + 1], command=np.ascontiguousarray(self.command[:, k : k + 1]))
 
 
 def record(flight: Flight, axes: Sequence[str]) -> Record | None:
@@ -116,6 +123,8 @@ def record(flight: Flight, axes: Sequence[str]) -> Record | None:
     mean -= mean[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
     yaw = flight.yaw[keep]
     block_yaw = np.bincount(block, yaw) / count
+    block_time = np.bincount(block, t[keep]) / count
+    steps, step = distinct_steps(block_time)
     return Record(
         axes=tuple(axes),
         starts=np.array(starts),
@@ -125,7 +134,9 @@ def record(flight: Flight, axes: Sequence[str]) -> Record | None:
         yaw=yaw,
         block=block,
         count=count,
-        block_time=np.bincount(block, t[keep]) / count,
+        block_time=block_time,
+        steps=steps,
+        step=step,
         block_yaw=block_yaw,
         position=mean,
         fresh=fresh,
@@ -160,29 +171,43 @@ class Point:
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper ends of the searched ranges, in the order of `flat`."""
-        K, F = self.gain.size, len(self.trim)
-        return tuple(  # type: ignore[return-value]
-            np.concatenate(
-                [
-                    np.full(K, (-np.inf, np.inf)[end]),
-                    np.full(K, np.log(DAMPING_RANGE)[end]),
-                    np.full(K, DELAY_RANGE[end]),
-                    np.full(F * K, (-np.inf, np.inf)[end]),
-                    np.tile(LEVEL_RANGE[:, end], K),
-                ]
-            )
-            for end in (0, 1)
-        )
+        return _bounds(self.gain.size, len(self.trim))
 
     def moved(self, step: Array) -> "Point":
         """The point plus a step in the order of `flat`, kept inside the searched ranges."""
         return self.with_flat(np.clip(self.flat() + step, *self.bounds()))
+
+    def reach(self, step: Array) -> float:
+        """Largest share, at most 1, of a step that stays inside the searched ranges."""
+        value, (low, high) = self.flat(), self.bounds()
+        room = np.where(step > 0, high - value, value - low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where((step != 0) & (room > 0), room / np.abs(step), np.inf)
+        return float(min(1.0, share.min()))
 
     def with_flat(self, values: Array) -> "Point":
         """The point with all parameters replaced, in the order of `flat`."""
         K = self.gain.size
         gain, log_damping, delay, trim, levels = np.split(values, [K, 2 * K, 3 * K, values.size - 4 * K])
         return Point(gain, log_damping, delay, trim.reshape(self.trim.shape), levels.reshape(K, 4))
+
+
+@functools.cache
+def _bounds(K: int, F: int) -> tuple[Array, Array]:
+    """Bounds of a point of K axes and F flights."""
+    low, high = (
+        np.concatenate(
+            [
+                np.full(K, sign * np.inf),
+                np.full(K, np.log(DAMPING_RANGE)[end]),
+                np.full(K, DELAY_RANGE[end]),
+                np.full(F * K, sign * np.inf),
+                np.tile(LEVEL_RANGE[:, end], K),
+            ]
+        )
+        for end, sign in ((0, -1.0), (1, 1.0))
+    )
+    return low, high
 
 
 def response(rec: Record, point: Point, flight: int) -> tuple[Array, Array]:
@@ -207,88 +232,127 @@ def response(rec: Record, point: Point, flight: int) -> tuple[Array, Array]:
     return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns], axis=1)
 
 
-def whiten(rec: Record, columns: Array, levels: Array, wanted: Sequence[int] | None = None) -> tuple[Array, Array]:
-    """Passes world columns (B, C, K) through the filter: rows (B, C, K) of the heading frame and log variances (B, K).
-
-    Where the heading is held the axes are filtered one by one, and `wanted` names those that are wanted (all by default).
-    """
+def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
+    """Passes columns (B, C, K) through the filter: rows (B, C, K), x and y in the heading frame, log variances (B, K)."""
     values = np.exp(levels)
-    if not rec.held:
-        return whiten_plane(rec.block_time, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
     if len(rec.axes) == 2:
-        c, s = np.cos(rec.heading), np.sin(rec.heading)
-        columns = columns @ np.array([[c, -s], [s, c]])
-    parts = [
-        whiten_axis(rec.block_time, rec.count, rec.fresh, np.ascontiguousarray(columns[:, :, k]), values[k])
-        for k in (range(len(rec.axes)) if wanted is None else wanted)
-    ]
-    return np.stack([p[0] for p in parts], axis=2), np.stack([p[1] for p in parts], axis=1)
+        return whiten_plane(rec.steps, rec.step, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
+    rows, log_variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
+    return rows[:, :, None], log_variance[:, None]
 
 
 @dataclass(frozen=True)
 class Score:
-    """The likelihood at a point, with gradient and expected information over (g, log b, tau, trims, levels).
+    """The likelihood at a point, over (g, log b, tau, trims, levels); n = 3 K + F K of them before the levels.
 
     Attributes:
         log_likelihood: Of all flights together.
-        gradient: Shape (3 K + F K + 4 K,).
-        information: Block diagonal between the coefficients with the trims and the levels, shape as the gradient squared.
+        adjustment: What restricted likelihood adds: less half the log determinant of the coefficients' information.
+        gradient: Shape (n + 4 K,); the levels' part is that of both together.
+        information: Expected; block diagonal between the coefficients with the trims and the levels.
+        slopes: Derivative of the coefficients' information by each level, shape (4 K, n, n).
         innovations: Per flight, standardised, heading frame, shape (B, K).
     """
 
     log_likelihood: float
+    adjustment: float
     gradient: Array
     information: Array
+    slopes: Array
     innovations: tuple[Array, ...]
 
+    @property
+    def objective(self) -> float:
+        """What is maximised."""
+        return self.log_likelihood + self.adjustment
 
-def score(records: Sequence[Record], point: Point, with_levels: bool = True) -> Score:
+
+LEVEL_STEP = 1e-6
+"""Step of the differences by the logarithm of a level."""
+
+
+def score(records: Sequence[Record], point: Point, adjusted: Mask | None = None) -> Score:
     """Log-likelihood with gradient and information in one pass over the flights.
+
+    The levels are those of the restricted likelihood: the coefficients that are fitted take up part of the disturbance,
+    and plain likelihood would take what is left for all of it. The coefficients' own gradient is that of the plain one.
 
     Args:
         records: The flights.
         point: Where.
-        with_levels: False leaves the part of the levels at zero and saves its passes.
+        adjusted: Coefficients and trims that are being fitted, shape (n,); None leaves out everything about the levels.
+
+    Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc. B 49
+    (1987), pp. 1-39.
     """
-    K, F = point.gain.size, len(records)
-    size = 3 * K + F * K + 4 * K
-    information, gradient = np.zeros((size, size)), np.zeros(size)
+    K, n = point.gain.size, 3 * point.gain.size + point.trim.size
+    information, gradient, slopes = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K), np.zeros((4 * K, n, n))
     log_likelihood, innovations = 0.0, []
-    levels = np.arange(size - 4 * K, size)
     for j, rec in enumerate(records):
         mean, sensitivity = response(rec, point, j)
-        residual = (rec.position - mean)[:, None, :]
-        rows, log_variance = whiten(rec, np.concatenate([residual, sensitivity], axis=1), point.levels)
-        flat = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(1 + 4 * K, -1)
-        e, J = flat[0], flat[1:]
+        columns = np.concatenate([(rec.position - mean)[:, None, :], sensitivity], axis=1)
+        e, J, log_variance = _rows(rec, columns, point.levels)
         where = np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K]
-        information[np.ix_(where, where)] += J @ J.T
+        square = J @ J.T
+        information[np.ix_(where, where)] += square
         gradient[where] += J @ e
         log_likelihood -= 0.5 * float(e @ e + log_variance.sum() + e.size * np.log(2 * np.pi))
-        innovations.append(rows[:, 0])
-        if with_levels:
-            d_innovation, d_log_variance = _level_sensitivity(rec, residual, point.levels, rows[:, 0], log_variance)
-            raw = d_innovation + 0.5 * e * d_log_variance
-            information[np.ix_(levels, levels)] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
-            gradient[levels] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
-    return Score(log_likelihood, gradient, information, tuple(innovations))
+        innovations.append(e.reshape(-1, K))
+        if adjusted is None:
+            continue
+        d_innovation, d_log_variance = np.empty((4 * K, e.size)), np.empty((4 * K, e.size))
+        for i in range(4 * K):
+            levels = point.levels.copy()
+            levels.ravel()[i] += LEVEL_STEP
+            e1, J1, log_variance1 = _rows(rec, columns, levels)
+            d_innovation[i], d_log_variance[i] = e1 - e, log_variance1 - log_variance
+            slopes[i][np.ix_(where, where)] += (J1 @ J1.T - square) / LEVEL_STEP
+        d_innovation /= LEVEL_STEP
+        d_log_variance /= LEVEL_STEP
+        raw = d_innovation + 0.5 * e * d_log_variance
+        information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
+        gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
+    adjustment = 0.0
+    if adjusted is not None:
+        covariance = inverted(information[:n, :n], adjusted)
+        gradient[n:] -= 0.5 * np.einsum("ij,kij->k", covariance, slopes)
+        adjustment = _adjustment(information[:n, :n], point, adjusted)
+    return Score(log_likelihood, adjustment, gradient, information, slopes, tuple(innovations))
 
 
-def _level_sensitivity(
-    rec: Record, residual: Array, levels: Array, innovation: Array, log_variance: Array
-) -> tuple[Array, Array]:
-    """Differences of the standardised innovations and log variances by each level: twice (4 K, B K)."""
-    K, step = len(rec.axes), 1e-6
-    d_innovation, d_log_variance = np.zeros((K, 4, *innovation.shape)), np.zeros((K, 4, *innovation.shape))
-    for k in range(K):
-        seen = slice(k, k + 1) if rec.held else slice(None)
-        for i in range(4):
-            moved = levels.copy()
-            moved[k, i] += step
-            rows, variance = whiten(rec, residual, moved, range(K)[seen])
-            d_innovation[k, i, :, seen] = (rows[:, 0] - innovation[:, seen]) / step
-            d_log_variance[k, i, :, seen] = (variance - log_variance[:, seen]) / step
-    return d_innovation.reshape(4 * K, -1), d_log_variance.reshape(4 * K, -1)
+def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array, Array]:
+    """Innovations (B K,), whitened sensitivities (4 K, B K) and log variances (B K,)."""
+    rows, log_variance = whiten(rec, columns, levels)
+    flat = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(columns.shape[1], -1)
+    return flat[0], flat[1:], log_variance.ravel()
+
+
+def _adjustment(information: Array, point: Point, adjusted: Mask) -> float:
+    """Less half the log determinant, of sensitivities taken per unit of the gain so that it does not reward small gains."""
+    K, index = point.gain.size, np.flatnonzero(adjusted)
+    scale = np.ones(len(information))
+    scale[K : 3 * K] = 1 / np.tile(np.maximum(np.abs(point.gain), 1e-9), 2)
+    block = information[np.ix_(index, index)] * np.outer(scale[index], scale[index])
+    size = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    return float(-0.5 * np.linalg.slogdet(block / np.outer(size, size) + 1e-10 * np.eye(index.size))[1] - np.log(size).sum())
+
+
+def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:
+    """How many the levels leave for the variance of a combination of coefficients.
+
+    Args:
+        score_: With the levels' part.
+        free: True for the parameters that were fitted, shape (n + 4 K,).
+        direction: Of the combination, shape (n,).
+
+    Source: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114, as used for restricted likelihood by
+    M. G. Kenward and J. H. Roger, Biometrics 53 (1997), pp. 983-997.
+    """
+    n = direction.size
+    along = inverted(score_.information[:n, :n], free[:n]) @ direction
+    slope = -np.einsum("i,kij,j->k", along, score_.slopes, along) / float(direction @ along)
+    spread = float(slope @ inverted(score_.information[n:, n:], free[n:]) @ slope)
+    return max(2.0 / max(spread, 1e-9), 3.0)
 
 
 @dataclass(frozen=True)
@@ -299,6 +363,7 @@ class Optimum:
         point: Where.
         score: What it is worth.
         free: True for the parameters that could move, shape (3 K + F K + 4 K,).
+        adjusted: Coefficients and trims that the levels account for, shape (3 K + F K,); None where levels were held.
         inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
         gain: Expected gain in log-likelihood of one more step: how far from the top.
         passes: Passes over the flights that it took.
@@ -306,7 +371,8 @@ class Optimum:
 
     point: Point
     score: Score
-    free: Any
+    free: Mask
+    adjusted: Mask | None
     inverse: Array
     gain: float
     passes: int
@@ -315,8 +381,9 @@ class Optimum:
 def maximise(
     records: Sequence[Record],
     point: Point,
-    free: Any,
+    free: Mask,
     inverse: Array | None = None,
+    adjusted: Mask | None = None,
     tolerance: float = 1e-3,
     most: int = 80,
 ) -> Optimum:
@@ -327,24 +394,32 @@ def maximise(
         point: Where to start.
         free: True for the parameters that may move, shape (3 K + F K + 4 K,).
         inverse: Inverse information to start with, where one is known.
+        adjusted: Coefficients and trims that the levels account for; those that are free by default.
         tolerance: Expected gain in log-likelihood below which to stop.
         most: Largest number of passes.
     """
-    best = score(records, point, bool(free[-1]))
-    passes, active = 1, free & ~pressed(point, best.gradient)
-    fresh = inverse is None
+    if adjusted is None and free[-1]:
+        adjusted = free[: 3 * point.gain.size + point.trim.size]
+    best = score(records, point, adjusted)
+    passes, active, fresh = 1, free & ~pressed(point, best.gradient), inverse is None
     while True:
         movable = free & ~pressed(point, best.gradient)
-        if fresh or not np.array_equal(movable, active):
+        if inverse is None or fresh or not np.array_equal(movable, active):
             inverse, active, fresh = inverted(best.information, movable), movable, True
         step = inverse @ best.gradient
+        stuck = pressed(point, step) & active
+        if stuck.any():  # at a bound, pushed outwards not by the gradient but by the others
+            active = active & ~stuck
+            inverse, fresh = inverted(best.information, active), True
+            step = inverse @ best.gradient
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
             break
         step = limited(step, point.gain.size)
-        trial, result, tried = _line_search(records, point, best, step)
+        step = point.reach(step) * step
+        trial, result, tried = _line_search(records, point, best, step, adjusted)
         passes += tried
-        if result.log_likelihood <= best.log_likelihood:
+        if result.objective <= best.objective:
             if fresh:
                 break
             fresh = True
@@ -353,21 +428,23 @@ def maximise(
         fresh = gain > SECANT_BELOW or passes < 3
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
-    return Optimum(point, best, free, inverse, gain, passes)
+    return Optimum(point, best, free, adjusted, inverse, gain, passes)
 
 
-def _line_search(records: Sequence[Record], point: Point, here: Score, step: Array) -> tuple[Point, Score, int]:
-    """Shortens a step until the likelihood rises; gives up after eight."""
+def _line_search(
+    records: Sequence[Record], point: Point, here: Score, step: Array, adjusted: Mask | None
+) -> tuple[Point, Score, int]:
+    """Shortens a step until the objective rises; gives up after eight."""
     for tried in range(1, 9):
         trial = point.moved(step)
-        result = score(records, trial, bool(np.any(here.gradient[-4:])))
-        if result.log_likelihood > here.log_likelihood:
+        result = score(records, trial, adjusted)
+        if result.objective > here.objective:
             break
         step = 0.3 * step
     return trial, result, tried
 
 
-def inverted(information: Array, active: Array) -> Array:
+def inverted(information: Array, active: Mask) -> Array:
     """Inverse of the information over the active parameters, zero elsewhere."""
     out = np.zeros_like(information)
     index = np.flatnonzero(active)
@@ -387,7 +464,7 @@ def _secant(inverse: Array, step: Array, change: Array) -> Array:
     return left @ inverse @ left.T + np.outer(step, step) / curvature
 
 
-def pressed(point: Point, gradient: Array) -> Any:
+def pressed(point: Point, gradient: Array) -> Mask:
     """True where a parameter stands at a bound of its range and the gradient pushes it outwards."""
     value, (low, high) = point.flat(), point.bounds()
     return ((value <= low) & (gradient < 0)) | ((value >= high) & (gradient > 0))

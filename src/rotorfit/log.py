@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 Column = npt.NDArray[Any]
@@ -19,7 +18,8 @@ class Table:
     Attributes:
         name: Topic, message name, or the file's stem where a file holds one table.
         columns: Name to values, as recorded: no unit, sign or type is changed. Nested message fields are dotted
-            (`pose.position.x`); stamps of messages (`header.stamp`, `log_time`) are int64 nanoseconds.
+            (`pose.position.x`); stamps of messages (`header.stamp`, `log_time`) are int64 nanoseconds. All columns of
+            a bag's table have N rows; those of a MAT file need not.
     """
 
     name: str
@@ -32,11 +32,11 @@ class Log:
 
     Attributes:
         path: Where it was read from.
-        format: Name of the format, such as `csv`, `mat`, `rosbag1`, `rosbag2`.
-        sha256: Hex digest of the file (of a folder: of its files in the order of their names).
-        tables: Name to table.
-        skipped: Tables that exist but were not decoded: name to the reason.
-        notes: What was lost or recovered on reading, one sentence each.
+        format: Name of the format, a key of `sources.FORMATS`, such as `csv` or `rosbag1`; or `simulated`.
+        sha256: Hex digest of the file (of a folder: of the bytes of its files in the order of their names).
+        tables: Name to table, in the order of the file.
+        skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
+        notes: What was lost or recovered on reading, and which columns were left out, one line each.
     """
 
     path: Path

@@ -1,8 +1,8 @@
 """Model: coefficients with their uncertainty, the disturbance levels, and where they come from. Simulate, save, load."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +171,11 @@ class Model:
     def gamma(self) -> tuple[float | None, ...]:
         """The paper's eight coefficients, g and b of x, y, z, yaw in turn; None where the data cannot tell."""
         return tuple(value for axis in AXES for value in (self.axes[axis].input, self.axes[axis].damping))
+
+
+def with_findings(model: Model, findings: Sequence[Finding]) -> Model:
+    """The model with these findings."""
+    return replace(model, findings=tuple(findings))
 
 
 @dataclass(frozen=True)

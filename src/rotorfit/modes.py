@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.flight import Flight
-from rotorfit.forecast import Dynamics, predict_flight, score_predictions
+from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.frames import Array
 from rotorfit.likelihood import BLOCK_RATE, START_LEVELS, Optimum, Point, Record, inverted, maximise
 
@@ -38,11 +38,13 @@ class Found:
         optimum: Of the likelihood.
         starts: How many starts ended there.
         prediction: RMSE of 1 s velocity predictions on the training flights, per axis, shape (K,).
+        held: The same of holding the velocity of the start.
     """
 
     optimum: Optimum
     starts: int
     prediction: Array
+    held: Array
 
 
 def start_point(records: Sequence[Record], delay: float, damping: float, levels: Array) -> Point:
@@ -89,7 +91,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Array) ->
         if number == 0:
             levels = climbed.point.levels
     predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
-    found = [Found(o, n, p) for o, n, p in zip(optima, starts, predictions, strict=True)]
+    found = [Found(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
     return _ranked(found)
 
 
@@ -113,19 +115,26 @@ def _ranked(found: Sequence[Found]) -> tuple[Found, ...]:
     return tuple(found[i] for i in (best, *rest))
 
 
-def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Optimum) -> Array:
-    """RMSE of 1 s velocity predictions of an optimum on its own flights, per axis; NaN where a flight is too short."""
+def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Optimum) -> tuple[Array, Array]:
+    """RMSE of 1 s velocity predictions of an optimum on its own flights, and that of holding the velocity of the start.
+
+    Returns:
+        Both per axis, shape (K,); NaN where the flights are too short.
+    """
     dynamics = dynamics_of(axes, optimum)
-    squares = np.zeros((2, len(axes)))
+    squares, count = np.zeros((2, len(axes))), np.zeros(len(axes))
     for flight in flights:
         parts = predict_flight(_thinned(flight), dynamics, JUDGE_HORIZON, axes)
-        scores = score_predictions(parts, [part.predicted for part in parts], (JUDGE_HORIZON,))
-        for k, axis in enumerate(axes):
-            horizon = scores[axis].horizons[f"{JUDGE_HORIZON:g}"]
-            if horizon.velocity_rmse is not None:
-                squares[:, k] += horizon.n * horizon.velocity_rmse**2, horizon.n
+        for row, predicted in enumerate(([p.predicted for p in parts], [hold_velocity(p) for p in parts])):
+            errors = horizon_errors(parts, predicted, JUDGE_HORIZON)
+            for k, axis in enumerate(axes):
+                rmse = errors[axis].velocity_rmse
+                if rmse is not None:
+                    squares[row, k] += errors[axis].n * rmse**2
+                    count[k] += errors[axis].n if row == 0 else 0
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt(squares[0] / squares[1])  # type: ignore[no-any-return]
+        own, held = np.sqrt(squares / count)
+    return own, held
 
 
 def _thinned(flight: Flight) -> Flight:

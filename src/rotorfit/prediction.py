@@ -9,13 +9,12 @@ import numba
 import numpy as np
 
 from rotorfit.disturbance import (
-    START_POSITION_VARIANCE,
-    START_VELOCITY_VARIANCE,
-    add_turned_noise,
-    discretize,
     predict_covariance,
     propagate,
     rotate,
+    start_covariance,
+    step_tables,
+    update_covariance,
 )
 from rotorfit.frames import Array
 from rotorfit.response import transition
@@ -78,6 +77,8 @@ def predict(
     pose_time: Array,
     pose: Array,
     yaw: Array,
+    steps: Array,
+    step: Any,
     gain: Array,
     damping: Array,
     delay: Array,
@@ -95,6 +96,8 @@ def predict(
         pose_time: Shape (N,) [s]; all at or after the first command plus the delay.
         pose: World, shape (N, 2).
         yaw: Measured heading, shape (N,) [rad].
+        steps: Distinct steps between the poses, shape (U,) [s].
+        step: Which of them leads to each pose, shape (N,).
         gain: g, shape (2,).
         damping: b, shape (2,) [1/s].
         delay: tau, shape (2,) [s].
@@ -118,50 +121,38 @@ def predict(
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= pose_time[0]:
             k[j] += 1
         drive[0, j] = gain[j] * command[k[j], j]
-    P, F, Q = np.zeros((6, 6)), np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
-    for a in range(2):
-        P[3 * a, 3 * a] = START_POSITION_VARIANCE
-        P[3 * a + 1, 3 * a + 1] = START_VELOCITY_VARIANCE
-        P[3 * a + 2, 3 * a + 2] = levels[a, 0] / (2 * levels[a, 3])
+    Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
+    Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
+    P = np.zeros((3, 3, 3))
+    start_covariance(P, levels)
     state = np.zeros((3, 6))  # of the data less the driven response, and of the two unit trims
     information = np.diag(1 / trim_variance)
     weighted = np.zeros(2)
     e = np.empty(3)
     step_gain = np.empty(6)
-    last_dt = -1.0
     s = 0
     for i in range(pose_time.size):
         if i:
-            dt = pose_time[i] - pose_time[i - 1]
             _drive_until(
                 pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
             )
-            if abs(dt - last_dt) > 1e-9:
-                for a in range(2):
-                    discretize(levels[a, 2], levels[a, 3], dt, F[a], Q[a])
-                last_dt = dt
+            fx, fy = Fx[step[i]], Fy[step[i]]
             half = 0.5 * (yaw[i] - yaw[i - 1])
             c, sn = np.cos(half), np.sin(half)
-            predict_covariance(P, F, c, sn)
-            add_turned_noise(P, Q, levels, c, sn)
+            predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, sn)
             for j in range(3):
                 rotate(state[j], c, sn)
-                propagate(state[j], F)
+                propagate(state[j], fx, fy)
                 rotate(state[j], c, sn)
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
-            variance = P[3 * a, 3 * a] + levels[a, 1]
-            for j in range(6):
-                step_gain[j] = P[j, 3 * a] / variance
+            variance = update_covariance(P, a, levels[a, 1], step_gain)
             for j in range(3):
                 x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
                 y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
                 e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, 3 * a]
                 for m in range(6):
                     state[j, m] += step_gain[m] * e[j]
-            for j in range(6):
-                for m in range(6):
-                    P[j, m] -= step_gain[j] * step_gain[m] * variance
             for j in range(2):
                 weighted[j] += e[1 + j] * e[0] / variance
                 for m in range(2):
@@ -186,14 +177,10 @@ def predict(
             for m in range(first[s], last[s]):
                 t_next, psi_next = pose_time[m], future_yaw[s, m - first[s]]
                 _drive_until(t, t_next, psi, psi_next, kk, command_time, command, gain, damping, delay, q, w, d)
-                if abs(t_next - t - last_dt) > 1e-9:
-                    for a in range(2):
-                        discretize(levels[a, 2], levels[a, 3], t_next - t, F[a], Q[a])
-                    last_dt = t_next - t
                 half = 0.5 * (psi_next - psi)
                 c, sn = np.cos(half), np.sin(half)
                 rotate(z, c, sn)
-                propagate(z, F)
+                propagate(z, Fx[step[m]], Fy[step[m]])
                 rotate(z, c, sn)
                 c, sn = np.cos(psi_next), np.sin(psi_next)
                 out[s, m - first[s], 0] = q[0, 0] + c * z[0] - sn * z[3]

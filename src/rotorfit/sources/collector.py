@@ -9,7 +9,7 @@ import numpy as np
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
-from rotorfit.sources.content import LIMIT, Content, DamageError, listed
+from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
 
 _BATCH = 4096  # messages decoded at once, or
@@ -58,7 +58,7 @@ class Collector:
 
     def note(self, text: str) -> None:
         """Says what was lost or recovered."""
-        self._notes.append(text)
+        self._notes.append(one_line(text))
 
     def declare(self, topic: Topic) -> None:
         """Makes a topic known, also one that may turn out to have no message."""
@@ -105,10 +105,11 @@ class Collector:
             columns = _columns(stream)
             if len(columns) > 1:
                 tables[name] = Table(name, columns)
-                self._notes += _notes(stream)
+                for text in _notes(stream):
+                    self.note(text)
             else:
                 reason = stream.reason or stream.fault or "no numbers of the same length in all messages"
-                skipped[name] = f"{reason} ({stream.topic.msgtype}, {stream.count} messages)"
+                skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
         return Content(tables, skipped, tuple(self._notes))
 
     def _stream(self, topic: Topic) -> _Stream:
@@ -122,7 +123,7 @@ class Collector:
         except DamageError as error:
             return _Stream(topic, None, str(error))
         if not has_numbers(types, topic.msgtype):
-            return _Stream(topic, None, "holds no numbers of its own")
+            return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
 
     def _decode(self, stream: _Stream) -> None:

@@ -1,10 +1,12 @@
 """What a format's reader hands back, and the bounds that a file from a stranger must keep."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
 
 LIMIT = 1 << 30
@@ -33,10 +35,16 @@ class Content:
     notes: tuple[str, ...]
 
 
-def one_line(error: BaseException) -> str:
-    """First line of an error's text, at most 200 characters: texts of libraries run on, ours are one line."""
-    text = str(error).strip() or type(error).__name__
-    return text.splitlines()[0].strip()[:200]
+def check_size(path: Path, columns: Iterable[Column]) -> None:
+    """Raises `LogError` where the numbers decoded so far take more memory than `LIMIT`."""
+    if sum(values.nbytes for values in columns) > LIMIT:
+        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of numbers; cut the log to the flight that you need")
+
+
+def one_line(text: object) -> str:
+    """First line of a text or an error, at most 300 characters: names in a damaged file may hold anything."""
+    line = (str(text).strip() or type(text).__name__).splitlines()[0].strip()
+    return line if len(line) <= 300 else f"{line[:299]}…"
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:

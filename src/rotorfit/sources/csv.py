@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
-from rotorfit.sources.content import Content, listed, one_line
+from rotorfit.sources.content import LIMIT, Content, listed, one_line
 
 if TYPE_CHECKING:
     import polars as pl
@@ -66,6 +66,8 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         LogError: Not UTF-8, no header, no rows, no column of numbers.
     """
     notes: list[str] = []
+    if path.stat().st_size > LIMIT:
+        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of text; cut the log to the flight that you need")
     sheet = _sheet(path, path.read_bytes().removeprefix(_UTF8_MARK), notes)
     frame = _frame(path, sheet)
     columns = _columns(frame, sheet.names, notes)
@@ -103,7 +105,7 @@ def _sheet(path: Path, data: bytes, notes: list[str]) -> _Sheet:
         line = data.count(b"\n", 0, end + 1 + int(lines.starts[torn[0]])) + 1
         notes.append(f"{len(torn)} torn lines left out, the first is line {line} of the file")
     rows = body if not len(torn) else np.frombuffer(body, np.uint8)[np.repeat(whole, lines.lengths)].tobytes()
-    return _Sheet(names, separator, lines.quoted, rows)
+    return _Sheet(names, separator, lines.quoted, _with_points(rows, separator))
 
 
 class _Lines:
@@ -198,7 +200,6 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
     """Parses the rows; columns that are not plain numbers come as text."""
     import polars as pl
 
-    first = sheet.rows[: sheet.rows.find(b"\n") + 1 or None].decode()
     parse = partial(
         pl.read_csv,
         sheet.rows,
@@ -207,7 +208,6 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
         separator=sheet.separator,
         quote_char='"' if sheet.quoted else None,
         null_values=list(_EMPTY),
-        decimal_comma=_has_decimal_comma(first, sheet.separator),
     )
     fault: Exception | None = None
     # Types from the first rows, five times faster; else from all; else, with a number that fits no type, text.
@@ -220,9 +220,12 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
     raise LogError(f"{path}: cannot be parsed as CSV ({one_line(fault)}); look at it in an editor") from fault
 
 
-def _has_decimal_comma(row: str, separator: str) -> bool:
-    """Whether a comma stands where other tables have a decimal point."""
-    return separator != "," and re.search(r"\d,\d", row) is not None and re.search(r"\d\.\d", row) is None
+def _with_points(rows: bytes, separator: str) -> bytes:
+    """The rows with decimal points, where commas stand in their place in the first of them."""
+    sample = rows[:_BLOCK]
+    if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample):
+        return rows.replace(b",", b".")
+    return rows
 
 
 def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
@@ -257,12 +260,12 @@ def _numbers(series: "pl.Series") -> Column | None:
         series = series.set(series.is_in(_EMPTY).fill_null(False), None)
         folded = series.str.to_lowercase()
         if folded.is_in(["true", "false"]).all() and not series.null_count():
-            return (folded == "true").to_numpy()
+            return (folded == "true").to_numpy(writable=True)
         series = next((parsed for parsed in _parsed(series) if parsed.null_count() == series.null_count()), series)
     if series.dtype in (pl.Int64, pl.Boolean) and not series.null_count():
-        return series.to_numpy()
+        return series.to_numpy(writable=True)
     if series.dtype.is_numeric() or series.dtype == pl.Boolean:
-        return series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+        return series.cast(pl.Float64).fill_null(float("nan")).to_numpy(writable=True)
     return None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
-from rotorfit.sources.content import LIMIT, Content, column_from, listed, one_line
+from rotorfit.sources.content import LIMIT, Content, check_size, column_from, listed, one_line
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512  # where MATLAB writes its own header
@@ -39,6 +39,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     try:
         with h5py.File(path, "r") as file:
             _gather(file, "", columns, others, 0)
+            check_size(path, columns.values())
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise LogError(f"{path}: damaged HDF5 ({one_line(error)}); copy the file again") from error
     if not columns:

@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 
@@ -92,13 +93,14 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
             closing(sqlite3.connect(f"{whole.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
         ):
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LIMIT)
+            database.text_factory = partial(str, encoding="utf-8", errors="replace")
             database.execute("PRAGMA trusted_schema = OFF")
             _check_schema(named, database)
             topics = _topics(database)
             for topic in topics.values():
                 collector.declare(topic)
             _messages(database, topics, collector)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where SQLite quotes damaged bytes
         collector.note(f"{named.name} is damaged ({one_line(error)}); read up to there")
 
 

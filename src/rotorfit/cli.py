@@ -1,0 +1,294 @@
+"""The command line: each verb parses, calls the library, and prints.
+
+What is heavy (numpy, numba, rich) is imported by the verb that needs it, so that `rotorfit --help` answers at once.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from rotorfit import __version__
+from rotorfit.errors import RotorfitError
+
+Progress = Callable[[float, str], None]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class _Verbs(click.Group):
+    """Verbs in the order of the work. A known error ends with one line and 1; a bug keeps its trace."""
+
+    def list_commands(self, _ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except RotorfitError as error:
+            raise click.ClickException(" ".join(str(error).split())) from error
+        except BrokenPipeError:  # the reader of our output has seen enough: click ends quietly
+            raise
+        except OSError as error:
+            if error.filename is None:
+                raise
+            line = f"{error.filename}: {error.strerror}; check the path, its permissions and the room on the disk"
+            raise click.ClickException(line) from error
+
+
+@click.group(cls=_Verbs, subcommand_metavar="VERB ...")
+@click.version_option(__version__, prog_name="rotorfit", message="%(prog)s %(version)s")
+def main() -> None:
+    """From a flight log to a trustworthy model of a velocity-commanded multirotor.
+
+    LOG is a file of any known format (`rotorfit formats`), or LOG@T0:T1 for a part of it in seconds.
+    """
+
+
+def _span(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    from rotorfit.pipeline import WHOLE, parse_span
+
+    try:
+        return WHOLE if text is None else parse_span(text)
+    except RotorfitError as error:
+        raise click.BadParameter(str(error), ctx) from None
+
+
+def _axes(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    from rotorfit.frames import AXES
+
+    axes = AXES if text is None else tuple(part.strip() for part in text.split(","))
+    unknown = [axis for axis in axes if axis not in AXES]
+    if unknown:
+        raise click.BadParameter(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}", ctx)
+    return axes
+
+
+def _horizons(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    from rotorfit.forecast import HORIZONS
+
+    try:
+        horizons = HORIZONS if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError:
+        horizons = ()
+    if not horizons or not all(0 < horizon < float("inf") for horizon in horizons):
+        raise click.BadParameter(f"{text!r} is no list of positive seconds, such as 0.5,1,2,5", ctx)
+    return horizons
+
+
+def _file(**more: Any) -> click.Path:
+    return click.Path(path_type=Path, **more)
+
+
+_logs = click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+_model = click.argument("model_path", metavar="MODEL")
+_card = click.option("--card", metavar="C", help="Name of a built-in card, or a TOML file; default: the one that fits.")
+_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+_span_option = click.option(
+    "--span", metavar="T0:T1", callback=_span, help="Part of every log [s], from the start of its common window."
+)
+
+
+@main.command()
+@click.argument("directory", metavar="[DIR]", type=_file(file_okay=False), default=Path("rotorfit-demo"))
+@_json
+def demo(directory: Path, as_json: bool) -> None:
+    """Simulate, fit, validate, report: no drone needed.
+
+    Six simulated flights, both methods, the proof and the report go to DIR (./rotorfit-demo).
+    """
+    from rotorfit.demo import demo as run
+    from rotorfit.demo import demo_mapping
+
+    with _progress() as progress:
+        result = run(directory, progress)
+    if as_json:
+        return _print_json(demo_mapping(result))
+    from rotorfit.terminal import demo_view, show
+
+    return show(demo_view(result))
+
+
+@main.command()
+@_logs
+@_card
+@click.option(
+    "--draft-card", "draft", type=_file(dir_okay=False), metavar="FILE", help="Write a card for the log, to be edited."
+)
+@_json
+def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
+    """Show what is inside logs.
+
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks and the excitation of each axis.
+    """
+    from dataclasses import asdict
+
+    from rotorfit.draft import write_draft
+    from rotorfit.sources import read
+    from rotorfit.survey import survey_logs
+
+    if draft and len(logs) > 1:
+        raise click.UsageError("--draft-card drafts for one log: give one")
+    surveys = survey_logs(logs, card)
+    if draft:
+        write_draft(read(logs[0]), draft)
+    if as_json:
+        return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
+    from rotorfit.terminal import show, survey_view
+
+    for survey in surveys:
+        show([*survey_view(survey), ""])
+    if draft:
+        click.echo(f"Card written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
+    return None
+
+
+@main.command()
+@_logs
+@_card
+@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
+@click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
+@_span_option
+@click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
+@_json
+def fit(
+    logs: Sequence[str], card: str | None, method: Any, axes: Any, span: Any, output: Path | None, as_json: bool
+) -> None:
+    """Estimate the coefficients from one or several flights."""
+    from rotorfit.model import save, to_mapping
+    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, parse_log
+
+    if output:
+        check_destination(output, MODEL_MARK)
+    with _progress() as progress:
+        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress).model
+    if output:
+        save(model, output)
+    if as_json:
+        return _print_json(to_mapping(model))
+    from rotorfit.terminal import model_view, show
+
+    show(model_view(model, axes))
+    click.echo(f"\nModel written to {output}." if output else "\nNothing was written; -o model.json keeps the model.")
+    return None
+
+
+@main.command()
+@_model
+@_logs
+@_card
+@_span_option
+@click.option("--horizons", metavar="0.5,1,2,5", callback=_horizons, help="How far to predict [s].")
+@_json
+def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, horizons: Any, as_json: bool) -> None:
+    """Score a model on flights that were not fitted."""
+    from rotorfit.model import load
+    from rotorfit.pipeline import parse_log, validate_logs
+    from rotorfit.validation import to_mapping
+
+    model = load(model_path)
+    with _progress() as progress:
+        validation, _ = validate_logs(model, [parse_log(log, span) for log in logs], card, horizons, progress)
+    if as_json:
+        return _print_json(to_mapping(validation))
+    from rotorfit.terminal import show, validation_view
+
+    return show(validation_view(validation))
+
+
+@main.command()
+@click.argument("paths", metavar="MODEL... LOG...", nargs=-1, required=True)
+@_json
+def compare(paths: Sequence[str], as_json: bool) -> None:
+    """Score several models side by side on the same flights."""
+    from rotorfit.pipeline import compare_logs, comparison_mapping
+
+    with _progress() as progress:
+        comparison = compare_logs(paths, progress=progress)
+    if as_json:
+        return _print_json(comparison_mapping(comparison))
+    from rotorfit.terminal import comparison_view, show
+
+    return show(comparison_view(comparison))
+
+
+@main.command()
+@_model
+@_logs
+@click.option("-o", "output", type=_file(), metavar="report.html", required=True, help="The page to write.")
+@click.option("--figures", type=_file(file_okay=False), metavar="DIR", help="Also write figures for a paper here.")
+@_json
+def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
+    """Write one self-contained page about a model and its proof."""
+    from rotorfit.model import load
+    from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
+    from rotorfit.report import write_figures, write_report
+
+    check_destination(output, REPORT_MARK)
+    model = load(model_path)
+    with _progress() as progress:
+        validation, flights = validate_logs(model, [parse_log(log) for log in logs], progress=progress)
+    training, left_out = training_flights(model)
+    write_report(model, training, validation, flights, output)
+    drawn = write_figures(model, training, validation, flights, figures) if figures else []
+    if as_json:
+        return _print_json({"report": str(output), "figures": [str(path) for path in drawn], "notes": left_out})
+    for line in (*left_out, f"Report written to {output}.", *(f"Figure written to {path}." for path in drawn)):
+        click.echo(line)
+    return None
+
+
+@main.command()
+@click.argument("name", required=False)
+@_json
+def cards(name: str | None, as_json: bool) -> None:
+    """List the built-in cards, or print the one that is named."""
+    from rotorfit.card import builtin_cards
+    from rotorfit.draft import builtin_card_text
+
+    if name and not as_json:
+        return click.echo(builtin_card_text(name), nl=False)
+    known = builtin_cards()
+    if name:
+        builtin_card_text(name)
+        return _print_json(dict(known[name].raw))
+    if as_json:
+        return _print_json({"cards": {name: card.raw for name, card in known.items()}})
+    from rotorfit.terminal import cards_view, show
+
+    return show(cards_view(known))
+
+
+@main.command()
+@_json
+def formats(as_json: bool) -> None:
+    """List the formats of logs that can be read."""
+    from rotorfit.sources import FORMATS
+    from rotorfit.terminal import FORMATS as WORDS
+    from rotorfit.terminal import formats_view, show
+
+    if as_json:
+        return _print_json({"formats": {name: WORDS[name] for name in FORMATS}})
+    return show(formats_view(FORMATS))
+
+
+def _print_json(result: Any) -> None:
+    click.echo(json.dumps(result, indent=1, allow_nan=False))
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """A bar on stderr where that is a terminal; nothing in a pipe."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=text)

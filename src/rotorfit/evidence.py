@@ -1,0 +1,276 @@
+"""What is known of a model and why to believe it: coefficients, scores, horizons, delay profiles, residuals.
+
+Tables and charts for whoever draws; see `views`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.flight import Flight
+from rotorfit.frames import AXES, Array
+from rotorfit.model import COEFFICIENTS, Axis, Model
+from rotorfit.validation import FlightScores, Residuals, Validation, residuals
+from rotorfit.views import Chart, Line, Mark, moved_axes
+
+LAGS = 2.0
+"""Longest lag of the residuals' autocorrelation [s]."""
+
+FALL = 1.92
+"""Fall of the profile at the ends of an interval: half the 95 % point of chi-squared with one degree of freedom."""
+
+BAND = 1.96
+"""95 % point of the normal distribution, both sides."""
+
+PROFILE_FLOOR = -25.0
+"""Log-likelihood below which a profile is not drawn."""
+
+SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for axis in AXES}
+"""Unit of a velocity error for people, and the factor from SI."""
+
+LENGTH = {axis: ("deg", 180 / np.pi) if axis == "yaw" else ("cm", 100.0) for axis in AXES}
+"""Unit of a position error for people, and the factor from SI."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors at one horizon over all validation flights that command the axis, SI; None where there is no number.
+
+    Attributes:
+        axis: Name.
+        horizon: [s].
+        velocity: `model`, `hold`, `paper` to velocity RMSE.
+        position: The same of the end point.
+        n: Number of predictions.
+    """
+
+    axis: str
+    horizon: float
+    velocity: Mapping[str, float | None]
+    position: Mapping[str, float | None]
+    n: int
+
+
+@dataclass(frozen=True)
+class CoefficientRow:
+    """One row of the table of coefficients; None where there is no number.
+
+    Attributes:
+        axis: Name.
+        name: `input`, `damping`, `delay`, `steady_gain` or `total_lag`.
+        symbol: The paper's, such as g1; empty where it has none.
+        unit: As text.
+        value: Estimate.
+        stderr: Standard error.
+        low: Lower end of the 95 % interval.
+        high: Upper end.
+        status: Of the coefficient; of a combination `ok`, or `open` where an end is missing.
+        paper: What the paper's regression gives on the same data.
+    """
+
+    axis: str
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    stderr: float | None
+    low: float | None
+    high: float | None
+    status: str
+    paper: float | None
+
+
+def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
+    """Coefficients and their identifiable combinations, axis by axis, with the paper's beside them."""
+    rows = []
+    for k, name in enumerate(AXES):
+        axis, per = model.axes[name], command_unit(model, name)
+        gain, damping = model.paper[2 * k : 2 * k + 2]
+        papers = {"input": gain, "damping": damping, "steady_gain": None, "total_lag": None}
+        if gain is not None and damping:
+            papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
+        rate = "rad/s" if name == "yaw" else "m/s"
+        units = {"input": f"{rate}² per {per}", "damping": "1/s", "steady_gain": f"{rate} per {per}"}
+        for number, coefficient in enumerate(COEFFICIENTS):
+            low, high = axis.ci95.get(coefficient, (None, None))
+            rows.append(
+                CoefficientRow(
+                    name, coefficient, f"g{2 * k + number + 1}" if number < 2 else "",
+                    units.get(coefficient, "s"), getattr(axis, coefficient), axis.stderr.get(coefficient), low, high,
+                    axis.status.get(coefficient, "not_identifiable"), papers.get(coefficient),
+                )
+            )  # fmt: skip
+        for combination, known in axis.combinations.items():
+            low, high = known.ci95
+            status = "ok" if low is not None and high is not None else "open"
+            unit, paper = units.get(combination, "s"), papers.get(combination)
+            rows.append(CoefficientRow(name, combination, "", unit, known.value, None, low, high, status, paper))
+    return tuple(rows)
+
+
+def command_unit(model: Model, axis: str) -> str:
+    """Unit of a command of the model's card, for people."""
+    channel = model.card.command.get(axis)
+    if channel is None:
+        return "unit of command"
+    if channel.full_scale:
+        return f"full {channel.full_scale.replace('_', ' ')}"
+    units = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+    return units.get(channel.meaning or "", "unit of command")
+
+
+def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[Score, ...]:
+    """Scores pooled over the flights that command the axis, weighted by the number of predictions.
+
+    Args:
+        validation: Scores, flight by flight.
+        flights: The same flights, to tell what they command; where they are not at hand all scores count.
+    """
+    known = len(flights) == len(validation.flights)
+    by_name = {"model": validation.flights, **validation.baselines}
+    out = []
+    for axis in AXES:
+        used = [i for i in range(len(validation.flights)) if not known or axis in moved_axes(flights[i])]
+        horizons = validation.flights[used[0]].axes[axis].horizons if used else {}
+        for key in horizons:
+            chosen = {name: [every[i] for i in used] for name, every in by_name.items() if every}
+            pooled = {name: _pooled(every, axis, key) for name, every in chosen.items()}
+            velocity = {name: result[0] for name, result in pooled.items()}
+            position = {name: result[1] for name, result in pooled.items()}
+            out.append(Score(axis, float(key), velocity, position, max(result[2] for result in pooled.values())))
+    return tuple(out)
+
+
+def _pooled(flights: Sequence[FlightScores], axis: str, key: str) -> tuple[float | None, float | None, int]:
+    """Velocity RMSE, position RMSE and n at one horizon over several flights."""
+    squares, n = np.zeros(2), 0
+    for flight in flights:
+        errors = flight.axes[axis].horizons.get(key)
+        if errors and errors.velocity_rmse is not None and errors.position_rmse is not None:
+            squares += errors.n * np.array([errors.velocity_rmse, errors.position_rmse]) ** 2
+            n += errors.n
+    if not n:
+        return None, None, 0
+    velocity, position = np.sqrt(squares / n)
+    return float(velocity), float(position), n
+
+
+NAMES = {"model": "this model", "paper": "paper's coefficients", "hold": "hold the velocity"}
+
+
+def horizon_charts(scores: Sequence[Score]) -> tuple[Chart, ...]:
+    """Velocity and position error over the horizon, the model beside the naive baselines."""
+    charts = []
+    for axis in AXES:
+        mine = [score for score in scores if score.axis == axis]
+        if any(value is not None for score in mine for value in score.velocity.values()):
+            charts += [_horizon_chart(mine, "velocity", *SPEED[axis]), _horizon_chart(mine, "position", *LENGTH[axis])]
+    return tuple(charts)
+
+
+def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float) -> Chart:
+    """Errors of one axis over the horizon."""
+    x = np.array([score.horizon for score in scores])
+    errors: list[Mapping[str, float | None]] = [getattr(score, what) for score in scores]
+    series = {role: factor * np.array([e.get(role) for e in errors], dtype=np.float64) for role in NAMES}  # None: NaN
+    lines = tuple(Line(NAMES[role], role, y) for role, y in series.items() if np.isfinite(y).any())
+    told = "; ".join(f"{line.name} {_listed(x, line.y)} {unit}" for line in lines)
+    axis = scores[0].axis
+    return Chart(
+        kind=f"horizon_{what}",
+        axis=axis,
+        title=f"{axis}: {what} error",
+        x_label="horizon [s]",
+        y_label=f"RMSE [{unit}]",
+        x=x,
+        lines=lines,
+        reading="Lower is better. The gap to the dotted line is what the model knows beyond 'it keeps its velocity'.",
+        summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
+    )
+
+
+def _listed(x: Array, y: Array) -> str:
+    return ", ".join(f"{value:.3g} at {at:g} s" for at, value in zip(x, y, strict=True) if np.isfinite(value))
+
+
+def profile_charts(model: Model) -> tuple[Chart, ...]:
+    """Profile of the log-likelihood over the delay, with the optima that the search found."""
+    return tuple(_profile_chart(name, model.axes[name]) for name in AXES if model.axes[name].profile)
+
+
+def _profile_chart(name: str, axis: Axis) -> Chart:
+    delay, value = (np.array(column, float) for column in zip(*axis.profile, strict=True))
+    chosen = next((mode for mode in axis.modes if mode.chosen), None)
+    base, starts = chosen.log_likelihood if chosen else 0.0, sum(mode.starts for mode in axis.modes)
+    marks = tuple(
+        Mark(
+            mode.delay,
+            mode.log_likelihood - base,
+            "chosen" if mode.chosen else "rejected",
+            f"delay {mode.delay:.3f} s, damping {mode.damping:.3g} 1/s, {mode.starts} of {starts} starts, "
+            f"log-likelihood {mode.log_likelihood - base:+.1f}",
+        )
+        for mode in axis.modes
+    )
+    low, high = axis.ci95.get("delay", (None, None))
+    told = f"delay {axis.predictor.delay:.3f} s, " if axis.predictor else ""
+    reached = f"; {chosen.starts} of {starts} starts reached the chosen optimum" if chosen else ""
+    return Chart(
+        kind="profile",
+        axis=name,
+        title=f"{name}: why this delay",
+        x_label="delay [s]",
+        y_label="log-likelihood − maximum",
+        x=delay,
+        lines=(Line("profile likelihood", "model", value),),
+        reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
+        "stays above the dashed line (−1.92) lies the 95 % interval, shaded. Dots are optima that the search found.",
+        summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}, {len(axis.modes)} optima found.",
+        marks=marks,
+        levels=((-FALL, "−1.92"),),
+        span=(-np.inf if low is None else low, np.inf if high is None else high),
+        y_range=(max(PROFILE_FLOOR, float(value.min())), max([1.5, *(1.1 * mark.y for mark in marks)])),
+    )
+
+
+def _end(value: float | None) -> str:
+    return "open" if value is None else f"{value:.3f}"
+
+
+def residual_charts(model: Model, flights: Sequence[Flight]) -> tuple[Chart, ...]:
+    """Autocorrelation of the standardised innovations, pooled over the flights that command the axis, with 95 % bands.
+
+    Source: G. E. P. Box, G. M. Jenkins, Time series analysis, 1970, section 8.2: bands of 1.96 over the root of N.
+    """
+    every = [(moved_axes(flight), residuals(model, flight)) for flight in flights]
+    parts = {axis: [found[axis] for moved, found in every if axis in moved and axis in found] for axis in AXES}
+    charts = (_residual_chart(axis, found) for axis, found in parts.items() if found)
+    return tuple(chart for chart in charts if chart is not None)
+
+
+def _residual_chart(axis: str, parts: Sequence[Residuals]) -> Chart | None:
+    """One axis; None where the flights are too short for a lag."""
+    step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
+    longest = min(round(LAGS / step), min(part.innovation.size for part in parts) // 4)
+    if longest < 1:
+        return None
+    values = [part.innovation - part.innovation.mean() for part in parts]
+    power, n = sum(float(v @ v) for v in values), sum(v.size for v in values)
+    r = np.array([sum(float(v[lag:] @ v[: v.size - lag]) for v in values) / power for lag in range(1, longest + 1)])
+    band = BAND / float(np.sqrt(n))
+    outside, spread = int(np.sum(np.abs(r) > band)), float(np.sqrt(power / n))
+    return Chart(
+        kind="correlation",
+        axis=axis,
+        title=f"{axis}: what the residuals say",
+        x_label="lag [s]",
+        y_label="autocorrelation",
+        x=np.array(step * np.arange(1, longest + 1), dtype=np.float64),
+        lines=(Line("residual autocorrelation", "residual", r),),
+        reading="Bars inside the band: the model has used up what the past can tell. Bars that stand out: something "
+        "regular is left, and the stated intervals are rather too narrow.",
+        summary=f"{axis}: {outside} of {longest} lags lie outside the 95 % band of ±{band:.3f} "
+        f"({0.05 * longest:.0f} expected by chance); the residuals' standard deviation is {spread:.2f} (expected: 1).",
+        levels=((band, "95 %"), (-band, "95 %")),
+    )

@@ -1,0 +1,54 @@
+"""Views -> one HTML page to send on, and figures for a paper."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rotorfit.flight import Flight
+from rotorfit.model import Model
+from rotorfit.validation import Validation
+
+__all__ = ["write_figures", "write_report"]
+
+
+def write_report(
+    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight], path: Path
+) -> None:
+    """Writes one self-contained HTML page: verdict, coefficients, evidence, findings, repairs, how to reproduce.
+
+    The page asks nothing of the network, works from a mail attachment, prints, and follows the reader's light or dark
+    setting. Charts of flights zoom where scripts may run and are pictures where they may not.
+
+    Args:
+        model: With its findings.
+        training: The flights that it was fitted to; empty where they are not at hand.
+        validation: Its scores; without flights where there are none.
+        flights: The flights of the scores, in their order; empty where they are not at hand.
+        path: Of the page; overwritten.
+    """
+    from rotorfit.report.page import page
+
+    # A path of undecodable bytes holds lone surrogates, which UTF-8 has no place for.
+    path.write_bytes(page(model, training, validation, flights).encode("utf-8", "replace"))
+
+
+def write_figures(
+    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight], directory: Path
+) -> list[Path]:
+    """Writes figures for a paper, each as PNG and PDF; those without content are left out.
+
+    Among them is the layout of the paper's Figure 4: measured against modelled acceleration in world axes for x, y, z
+    and yaw, each on the validation flight that moves it most.
+
+    Args:
+        model: With its findings.
+        training: The flights that it was fitted to; they stand in where there are no validation flights.
+        validation: Its scores.
+        flights: The flights of the scores, in their order.
+        directory: Where to write; made where it is missing.
+
+    Returns:
+        The files written.
+    """
+    from rotorfit.report.figures import figures
+
+    return figures(model, training, validation, flights, directory)

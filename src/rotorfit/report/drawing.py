@@ -1,0 +1,180 @@
+"""Chart -> Drawing: coordinates, ticks and paths of a small vector picture; the template writes them down."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.frames import Array
+from rotorfit.views import Chart, extremes
+
+FINENESS = 4
+"""Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
+
+COLUMNS = 250
+"""Stretches of a long line, each drawn by its extremes."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Place along an axis [units of the picture] and its text."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A marked point with what it says."""
+
+    x: float
+    y: float
+    role: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture in its own units, y downwards; paths and dots are relative to the frame's upper left corner.
+
+    Attributes:
+        width: Of the picture.
+        height: Of the picture.
+        left: Of the frame.
+        top: Of the frame.
+        inner_width: Of the frame.
+        inner_height: Of the frame.
+        fineness: Steps of the paths' coordinates per unit.
+        paths: Role and path, in the order of drawing.
+        dots: Points.
+        levels: Horizontal lines.
+        shade: Left end and width of the marked range; None for none.
+        x_ticks: Along the bottom.
+        y_ticks: Along the left.
+        x_label: With unit.
+        y_label: With unit.
+    """
+
+    width: int
+    height: int
+    left: int
+    top: int
+    inner_width: int
+    inner_height: int
+    fineness: int
+    paths: tuple[tuple[str, str], ...]
+    dots: tuple[Dot, ...]
+    levels: tuple[Tick, ...]
+    shade: tuple[float, float] | None
+    x_ticks: tuple[Tick, ...]
+    y_ticks: tuple[Tick, ...]
+    x_label: str
+    y_label: str
+
+
+def drawn(chart: Chart, width: int, height: int) -> Drawing:
+    """The picture of a chart.
+
+    Args:
+        chart: What to draw.
+        width: Of the picture, in its own units, about a pixel each.
+        height: Likewise.
+    """
+    left, top, inner_width, inner_height = 46, 8, width - 46 - 10, height - 8 - 38
+    x_range, y_range = _x_range(chart), _y_range(chart)
+
+    def place_x(x: Array | float) -> Array:
+        return np.asarray((np.asarray(x) - x_range[0]) / (x_range[1] - x_range[0]) * inner_width)
+
+    def place_y(y: Array | float) -> Array:
+        return np.asarray((y_range[1] - np.asarray(y)) / (y_range[1] - y_range[0]) * inner_height)
+
+    zero = float(place_y(0.0))
+    paths = tuple(
+        (line.role, _bars(place_x(chart.x), place_y(line.y), zero))
+        if chart.kind == "correlation"
+        else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height))
+        for line in chart.lines
+    )
+    dots = [
+        Dot(float(place_x(m.x)), float(np.clip(place_y(m.y), 4, inner_height - 4)), m.role, m.text) for m in chart.marks
+    ]
+    if chart.kind.startswith("horizon"):
+        dots += [
+            Dot(float(place_x(x)), float(place_y(y)), line.role, f"{line.name}, {x:g} s: {y:.3g} {_unit(chart)}")
+            for line in chart.lines
+            for x, y in zip(chart.x, line.y, strict=True)
+            if np.isfinite(y)
+        ]
+    shade = None
+    if chart.span is not None:
+        ends = np.clip(place_x(np.clip(np.array(chart.span), *x_range)), 0, inner_width)
+        shade = (float(ends[0]), float(ends[1] - ends[0]))
+    return Drawing(
+        width, height, left, top, inner_width, inner_height, FINENESS, paths, tuple(dots),
+        levels=tuple(Tick(float(place_y(value)), text) for value, text in chart.levels),
+        shade=shade,
+        x_ticks=tuple(Tick(float(place_x(value)), text) for value, text in ticks(*x_range, inner_width // 60)),
+        y_ticks=tuple(Tick(float(place_y(value)), text) for value, text in ticks(*y_range, inner_height // 32)),
+        x_label=chart.x_label,
+        y_label=chart.y_label,
+    )  # fmt: skip
+
+
+def _unit(chart: Chart) -> str:
+    return chart.y_label[chart.y_label.find("[") + 1 : chart.y_label.find("]")]
+
+
+def _x_range(chart: Chart) -> tuple[float, float]:
+    low, high = float(np.min(chart.x)), float(np.max(chart.x))
+    if chart.kind in ("correlation", "horizon_velocity", "horizon_position"):
+        low = 0.0
+    pad = 0.03 * (high - low) if chart.kind not in ("velocity", "acceleration") else 0.0
+    return (low, high + pad) if high > low else (low - 1, high + 1)
+
+
+def _y_range(chart: Chart) -> tuple[float, float]:
+    """What to show: what the chart says, else all finite values and levels with a margin."""
+    if chart.y_range is not None:
+        return chart.y_range
+    values = np.concatenate([np.array([level for level, _ in chart.levels]), *(line.y for line in chart.lines)])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    if chart.kind.startswith("horizon"):
+        return 0.0, 1.08 * high or 1.0
+    margin = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def _path(x: Array, y: Array, height: float) -> str:
+    """Relative path in integer steps; broken at NaN, long lines by their extremes."""
+    if x.size > 4 * COLUMNS:
+        x, y = (column.ravel() for column in extremes(x, y[:, None], COLUMNS))
+    y = np.clip(y, -height, 2 * height)
+    finite = np.isfinite(y)
+    points = np.round(np.stack([x, np.where(finite, y, 0)], axis=1) * FINENESS).astype(int)
+    parts, last, here = [], np.zeros(2, int), False
+    for point, good in zip(points, finite, strict=True):
+        if good:
+            step = point - last
+            parts.append(f"{'l' if here else 'm'}{step[0]} {step[1]}")
+            last = point
+        here = bool(good)
+    return "".join(parts).replace(" -", "-")
+
+
+def _bars(x: Array, y: Array, zero: float) -> str:
+    """One upright stroke for each value."""
+    fine = [np.round(np.asarray(part) * FINENESS).astype(int) for part in (x, y, zero)]
+    return "".join(f"M{a} {fine[2]}V{b}" for a, b in zip(fine[0], fine[1], strict=True))
+
+
+def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """Round values between two ends, at steps of 1, 2 or 5, with their text."""
+    raw = (high - low) / max(most, 1)
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1 - 1e-9)), default=10.0)
+    values = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+    digits = max(0, int(-np.floor(np.log10(step) + 1e-9)))
+    return [
+        (float(v), f"{v + 0.0:.{digits}f}".replace("-", "−")) for v in np.where(np.abs(values) < step / 2, 0.0, values)
+    ]

@@ -1,0 +1,174 @@
+"""Drafts of cards: they load and give a flight, or say what they lack."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorfit.draft
+from rotorfit.card import load_card
+from rotorfit.draft import builtin_card_text, draft_card, write_draft
+from rotorfit.errors import CardError
+from rotorfit.flight import flight_from_log
+from rotorfit.sources import read
+from test_survey import csv_log, loaded, log_of, message_log
+
+# Drafts
+
+
+@pytest.mark.parametrize(
+    ("pose", "prefix", "stamped"),
+    [
+        ("/vicon/drone/drone", "transform.", True),
+        ("/vrpn_client_node/bebop/pose", "pose.", True),
+        ("/odom", "pose.pose.", False),
+        ("/mocap/pose", "", True),
+    ],
+)
+def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
+    pose: str, prefix: str, stamped: bool, tmp_path: Path
+) -> None:
+    log = message_log(pose, prefix, stamped)
+    text = draft_card(log)
+
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert "INCOMPLETE" not in text
+    assert card.pose_time.source == f"{pose}:{'header.stamp' if stamped else 'log_time'}"
+    assert card.command["yaw"].source == "/drone/cmd_vel:angular.z"
+    assert flight.duration == pytest.approx(19.98, abs=0.03)
+    np.testing.assert_allclose(np.ptp(flight.yaw), 2 * flight.pose_time[-1] / 9, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {},
+        {"time": "t", "x": "px", "y": "py", "z": "pz", "yaw": "psi"},
+        {"time": "timestamp", "cmd_x": "vx_cmd", "cmd_y": "vy_cmd", "cmd_z": "vz_cmd", "cmd_yaw": "yaw_rate_cmd"},
+        {"cmd_x": "u_x", "cmd_y": "u_y", "cmd_z": "u_z", "cmd_yaw": "u_psi", "x": "pos_x", "y": "pos_y", "z": "pos_z"},
+        {"cmd_x": "ux", "cmd_y": "uy", "cmd_z": "uz", "cmd_yaw": "uyaw", "x": "x_pos", "y": "y_pos", "z": "z_pos"},
+        {"cmd_x": "cmdPitch", "cmd_y": "cmdRoll", "cmd_z": "cmd_climb", "cmd_yaw": "cmd_yaw_rate", "yaw": "Heading"},
+        {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
+        {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
+        | {"cmd_yaw": "cmd_vel.angular.z", "x": "pose.position.x", "y": "pose.position.y", "z": "pose.position.z"},
+    ],
+)
+def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, tmp_path: Path) -> None:
+    log = csv_log(**names)
+    text = draft_card(log)
+
+    card = loaded(text, tmp_path)
+
+    assert "INCOMPLETE" not in text
+    assert card.command_time.source == card.pose_time.source == names.get("time", "time")
+    assert {axis: one.source for axis, one in card.command.items()} == {
+        axis: names.get(f"cmd_{axis}", f"cmd_{axis}") for axis in ("x", "y", "z", "yaw")
+    }
+    assert {axis: card.pose[axis].source for axis in ("x", "y", "z", "yaw")} == {
+        axis: names.get(axis, axis) for axis in ("x", "y", "z", "yaw")
+    }
+    assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_units_come_from_names_and_from_values(tmp_path: Path) -> None:
+    log = csv_log(x="x_mm", y="y_mm", z="z_cm", time="time_ms")
+    columns = dict(log.tables["flight"].columns)
+    columns["time_ms"] = np.round(columns["time_ms"] * 1000).astype(np.int64)
+    columns["yaw"] = np.degrees(3 * columns["yaw"])
+    named = loaded(draft_card(log_of(flight=columns)), tmp_path)
+    columns["time"] = columns.pop("time_ms")
+    unnamed = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert (named.pose["x"].unit, named.pose["z"].unit, named.pose_time.unit) == ("mm", "cm", "ms")
+    assert (unnamed.pose_time.unit, unnamed.pose["yaw"].unit, named.pose["yaw"].unit) == ("ms", "deg", "deg")
+    assert flight_from_log(log_of(flight=columns), unnamed).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_quaternions_of_a_csv_are_found(tmp_path: Path) -> None:
+    log = csv_log(yaw="")
+    columns = dict(log.tables["flight"].columns)
+    t = columns["time"]
+    columns |= {"qx": 0 * t, "qy": 0 * t, "qz": np.sin(t / 9), "qw": np.cos(t / 9)}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == ["qw", "qx", "qy", "qz"]
+
+
+def test_references_of_a_position_are_not_taken_for_commands() -> None:
+    names = {f"cmd_{axis}": f"{axis}_ref" for axis in ("x", "y", "z")}
+    text = draft_card(csv_log(**names, cmd_yaw=""))
+
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw" in text
+
+
+def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:
+    log = log_of(run={"Time": np.arange(50.0) / 10, "SS": np.zeros((6, 50)), "U": np.zeros((4, 50))})
+    text = draft_card(log)
+
+    assert "# INCOMPLETE: nothing was recognised for [command] x, y, z or yaw; [pose] x; [pose] y" in text
+    assert '# x = "TABLE:COLUMN"  # EDIT' in text
+    assert "#   SS (6 x 50)" in text
+    with pytest.raises(CardError, match="no axis is commanded"):
+        loaded(text, tmp_path)
+
+
+def test_a_draft_for_a_log_that_a_built_in_card_fits_is_that_card(tmp_path: Path) -> None:
+    text = draft_card(csv_log(cmd_x="cmd_linx", cmd_y="cmd_liny", cmd_z="cmd_linz", cmd_yaw="cmd_angz"))
+
+    assert text.startswith("# A copy of the built-in card bebop2-joystick")
+    assert loaded(text, tmp_path) == load_card("bebop2-joystick")
+
+
+def test_names_with_quotes_and_backslashes_survive_the_draft(tmp_path: Path) -> None:
+    log = message_log(pose='/a"b\\c/pose', pose_prefix="pose.")
+
+    assert loaded(draft_card(log), tmp_path).pose["x"].source == '/a"b\\c/pose:pose.position.x'
+
+
+# Files
+
+
+def test_a_draft_is_written_to_a_new_file_only(tmp_path: Path) -> None:
+    path = tmp_path / "card.toml"
+    write_draft(csv_log(), path)
+    edited = path.read_text() + "# edited"
+    path.write_text(edited)
+
+    with pytest.raises(CardError, match="exists already"):
+        write_draft(csv_log(), path)
+    assert path.read_text() == edited
+
+
+def test_the_text_of_a_built_in_card_loads_as_that_card(tmp_path: Path) -> None:
+    assert loaded(builtin_card_text("bebop2"), tmp_path) == load_card("bebop2")
+
+
+def test_an_unknown_built_in_card_is_refused_with_the_nearest() -> None:
+    with pytest.raises(CardError, match="nearest: 'bebop2-wsu'"):
+        builtin_card_text("bebop-wsu")
+
+
+# Real flights
+
+
+def test_drafts_by_names_alone_give_the_flights_of_the_real_cards(
+    real_flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    files = {
+        "bebop2-joystick": "record_velocity.csv",
+        "bebop2-optitrack": "monster_pitch_trn.bag",
+        "dji-hexarotor": "Datos_Prueba3.mat",
+    }
+    for folder, file in files.items():
+        log = read(real_flights / folder / file)
+        expected = flight_from_log(log, load_card(folder))
+        with monkeypatch.context() as patch:
+            patch.setattr(rotorfit.draft, "fitting_cards", lambda _: {})
+            found = flight_from_log(log, loaded(draft_card(log), tmp_path))
+
+        np.testing.assert_array_equal(found.position, expected.position)
+        np.testing.assert_array_equal(found.command, expected.command)
+        assert found.segments == expected.segments
