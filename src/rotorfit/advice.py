@@ -8,8 +8,8 @@ from rotorfit.finding import Finding
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import DELAY_RANGE
 from rotorfit.model import Axis
+from rotorfit.record import DELAY_RANGE
 
 WEAK_GAIN = 0.2
 """Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
@@ -162,7 +162,7 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
         yield Finding(
             "likelihood_and_prediction_disagree",
             "warning",
-            f"the likelihood of {name} stands {above:.0f} log units higher at a delay of {rival.delay:.3f} s, but predicts "
+            f"the likelihood of {name} is {above:.0f} log units higher at a delay of {rival.delay:.3f} s, but predicts "
             f"{rival.prediction / chosen.prediction:.1f} times worse over 1 s than the delay of {chosen.delay:.3f} s",
             "the optimum that predicts was taken; the other reads the commands of a feedback loop as a measurement",
             f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
@@ -219,7 +219,7 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay of {axis.predictor.delay:.2f} s, which turns the damping negative; the likelihood keeps it",
+        f"it leaves out the delay of {axis.predictor.delay:.2f} s, and the damping pays; the likelihood keeps it",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )
@@ -229,7 +229,7 @@ def _unstable(name: str, gain: float, damping: float) -> Finding:
     return Finding(
         "damping_unstable",
         "error",
-        f"the regression gives {name} a damping of {damping:.2g} 1/s with a gain of {gain:.3g}: the speed would grow by itself",
+        f"the regression gives {name} a damping of {damping:.2g} 1/s and a gain of {gain:.3g}: speed grows by itself",
         "a multirotor does not do that: the delay between command and motion is left out and the damping pays for it, "
         "feedback and noisy derivatives add to it",
         "use --method ml, which estimates the delay and keeps the damping positive",

@@ -19,8 +19,8 @@ LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_rate")
 """q [unit^2/s^5], r [unit^2], mu [1/s], lambda [1/s]: the order of every array of disturbance levels."""
 
 STEP_GRAIN = 1e-5
-"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response to
-the commands is not rounded."""
+"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
+to the commands is not rounded."""
 
 START_POSITION_VARIANCE = 1.0
 START_VELOCITY_VARIANCE = 10.0
@@ -34,7 +34,7 @@ _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=flo
 
 @numba.njit(cache=True)
 def _impulse_response(symmetric: Array, rate: float, t: float) -> Any:
-    """n, s and w at time t after a unit impulse into w; `symmetric` are the complete homogeneous sums of -mu, -lambda."""
+    """n, s and w at time t after a unit impulse into w; `symmetric` are complete homogeneous sums of -mu, -lambda."""
     n = s = 0.0
     for i in range(_TERMS - 1, -1, -1):
         n = n * t + symmetric[i] * _INVERSE_FACTORIAL[i + 2]
@@ -132,7 +132,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         levels: q, r, mu, lambda, shape (4,).
 
     Returns:
-        Innovations over their standard deviation, shape (B, C), and the logarithm of the innovation variance, shape (B,).
+        Innovations over their standard deviation, shape (B, C), and the log of the innovation variance, shape (B,).
     """
     B, C = columns.shape
     out = np.empty((B, C))
@@ -238,9 +238,7 @@ def start_covariance(P: Array, levels: Array) -> None:
 
 
 @numba.njit(cache=True)
-def predict_covariance(
-    P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float
-) -> None:
+def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float) -> None:
     """Moves the blocks P (3, 3, 3) one step: half the turn, the step with its driving noise, the other half; in place.
 
     fx, fy are the transitions and qx, qy the covariances for a unit power, (3, 3); c and s belong to half the turn.
@@ -258,7 +256,7 @@ def predict_covariance(
 
 
 @numba.njit(cache=True)
-def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> float:
+def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
     """Takes a measured position of one axis into the blocks P (3, 3, 3); fills the gain (6,), returns the variance."""
     own, other = P[axis], P[1 - axis]
     S = own[0, 0] + noise
@@ -274,9 +272,7 @@ def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> float:
 
 
 @numba.njit(cache=True)
-def whiten_plane(
-    steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array
-) -> Any:
+def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
     """Passes horizontal columns through one six-state filter that turns with the heading.
 
     Args:

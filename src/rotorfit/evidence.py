@@ -23,8 +23,8 @@ FALL = 1.92
 BAND = 1.96
 """95 % point of the normal distribution, both sides."""
 
-PROFILE_FLOOR = -25.0
-"""Log-likelihood below which a profile is not drawn."""
+PROFILE_REACH = 25.0
+"""How far above and below its maximum a profile is drawn: beyond, all delays are equally impossible."""
 
 SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for axis in AXES}
 """Unit of a velocity error for people, and the factor from SI."""
@@ -156,15 +156,16 @@ def _pooled(flights: Sequence[FlightScores], axis: str, key: str) -> tuple[float
     return float(velocity), float(position), n
 
 
-NAMES = {"model": "this model", "paper": "paper's coefficients", "hold": "hold the velocity"}
+NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": "this model"}
+"""Predictors that are compared, in the order of drawing."""
 
 
 def horizon_charts(scores: Sequence[Score]) -> tuple[Chart, ...]:
-    """Velocity and position error over the horizon, the model beside the naive baselines."""
+    """Velocity and position error over the horizon of the axes that have a model, beside the naive baselines."""
     charts = []
     for axis in AXES:
         mine = [score for score in scores if score.axis == axis]
-        if any(value is not None for score in mine for value in score.velocity.values()):
+        if any(score.velocity.get("model") is not None for score in mine):
             charts += [_horizon_chart(mine, "velocity", *SPEED[axis]), _horizon_chart(mine, "position", *LENGTH[axis])]
     return tuple(charts)
 
@@ -225,12 +226,16 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         x=delay,
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
-        "stays above the dashed line (−1.92) lies the 95 % interval, shaded. Dots are optima that the search found.",
+        "stays above the dashed line (−1.92) lies the 95 % interval, shaded. Dots are optima that the search found; "
+        "hollow ones lie beyond the picture.",
         summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}, {len(axis.modes)} optima found.",
         marks=marks,
         levels=((-FALL, "−1.92"),),
         span=(-np.inf if low is None else low, np.inf if high is None else high),
-        y_range=(max(PROFILE_FLOOR, float(value.min())), max([1.5, *(1.1 * mark.y for mark in marks)])),
+        y_range=(
+            max(-PROFILE_REACH, float(value.min())),
+            min(PROFILE_REACH, max([1.5, 1.1 * float(value.max()), *(1.1 * mark.y for mark in marks)])),
+        ),
     )
 
 

@@ -8,19 +8,11 @@ import numpy as np
 
 from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
+from rotorfit.estimate import Estimate, alone, coupled, free_of, together
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array, Mask, heading_from_world
-from rotorfit.likelihood import (
-    DELAY_RANGE,
-    START_LEVELS,
-    Optimum,
-    Point,
-    Record,
-    inverted,
-    maximise,
-    record,
-    response,
-)
+from rotorfit.frames import AXES, Array
+from rotorfit.likelihood import START_LEVELS, Point, inverted
+from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import (
     COEFFICIENTS,
     STRUCTURE,
@@ -33,22 +25,17 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import Found, prediction_error, search, start_point, trim_variance, without_input
+from rotorfit.modes import trim_variance
 from rotorfit.profile import height, hold, interval, quantile
+from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.regression import PaperFit, paper_regression
 
 Method = Literal["ml", "paper"]
 Progress = Callable[[float, str], None]
+Blocks = dict[tuple[str, ...], Array]
 
 LEAST_TIME = 5.0
 """Scored time below which an axis is too short to tell anything [s]."""
-
-EXPLAINS = 0.9
-"""The commands must bring the 1 s prediction error on the training flights below this share of what it is without them;
-else the axis was not excited, whatever the likelihood of a feedback loop says."""
-
-PLAINLY = 0.5
-"""Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
 
 WIDEST_DAMPING = 6.0
 """Ratio of the ends of the damping's interval beyond which it is not identifiable."""
@@ -61,9 +48,6 @@ NORMAL = 1.959963984540054
 
 DIVERGED = 0.5
 """Expected gain in log-likelihood of one more step above which the climb has not ended."""
-
-COUPLING_ROUNDS = 2
-"""Rounds in which x and y under a held heading take each other into account."""
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 8)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
@@ -103,12 +87,14 @@ def fit(
     """
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
+    if any(f.card.raw != flights[0].card.raw for f in flights):
+        raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
     results: dict[str, Axis] = {}
-    covariances: dict[str, Array] = {}
+    covariances: Blocks = {}
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
@@ -145,33 +131,14 @@ def _groups(flights: Sequence[Flight], wanted: Sequence[str]) -> list[tuple[str,
     """
     moving = [axis for axis in wanted if any(_moves(flight, axis) for flight in flights)]
     plane = tuple(axis for axis in moving if axis in ("x", "y"))
-    groups = [(axis,) for axis in moving if axis in ("z", "yaw")]
+    groups: list[tuple[str, ...]] = [(axis,) for axis in moving if axis in ("z", "yaw")]
     if len(plane) == 1:
         records = [record(flight, plane) for flight in flights if _moves(flight, plane[0])]
         plane = plane if all(rec.held for rec in records if rec) else ("x", "y")
-    return [plane, *groups] if plane else list(groups)  # type: ignore[list-item]
+    return [plane, *groups] if plane else groups
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """One axis after the climb.
-
-    Attributes:
-        records: What its likelihood sees.
-        optimum: The maximum that is believed.
-        place: Which of the optimum's axes this is.
-        found: Optima of the search, the believed one first; none for an axis that no flight moves.
-        excited: Whether its commands explain anything.
-    """
-
-    records: Sequence[Record]
-    optimum: Optimum
-    place: int
-    found: tuple[Found, ...]
-    excited: bool
-
-
-def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array]]:
+def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[str, Axis], Blocks]:
     """Axes of one group by the likelihood, and their covariance."""
     serving = [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
     records = [rec for f in serving if (rec := record(f, group))]
@@ -179,90 +146,14 @@ def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[st
         return {axis: unknown_axis("too_short") for axis in group}, {}
     moving = [any(_moves(f, axis) for f in serving) for axis in group]
     if all(rec.held for rec in records):
-        estimates = [_alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
+        estimates = [alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
         if len(group) == 2:
-            estimates = _coupled(records, estimates)
+            estimates = coupled(records, estimates)
     else:
-        estimates = _together(serving, records, group, moving)
+        estimates = together(serving, records, group, moving)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
     results = {axis: _axis(estimate, places) for axis, estimate in zip(group, estimates, strict=True)}
     return results, _covariances(group, estimates, results)
-
-
-def _alone(serving: Sequence[Flight], axis: str, moves: bool) -> _Estimate:
-    """One axis by itself."""
-    records = [rec for f in serving if (rec := record(f, (axis,)))]
-    if not moves:
-        point = start_point(records, 0.0, 1.0, START_LEVELS[None])
-        return _Estimate(records, maximise(records, replace(point, gain=np.zeros(1)), _free(len(records), [False])), 0, (), False)
-    found = search(records, serving, _free(len(records), [True]))
-    best = found[0].optimum
-    if not _explains(serving, (axis,), records, found[0], 0):
-        return _Estimate(records, without_input(records, best, [0]), 0, found, False)
-    return _Estimate(records, maximise(records, best.point, best.free, best.inverse), 0, found, True)
-
-
-def _coupled(records: Sequence[Record], estimates: Sequence[_Estimate]) -> list[_Estimate]:
-    """Takes into account, exactly, what each axis does to the other through the small turns of a held heading.
-
-    The response of both together less that of one alone is taken off its data, and it is climbed again. At the fixed
-    point the residual is that of the joint response; only its sensitivities leave the turns out.
-    """
-    out = list(estimates)
-    for _ in range(COUPLING_ROUNDS):
-        points = [estimate.optimum.point for estimate in out]
-        joint = Point(*(np.concatenate([getattr(p, name) for p in points], axis) for name, axis in _JOINT_AXES))
-        offsets = [_offset(rec, joint, points, j) for j, rec in enumerate(records)]
-        for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
-            shifted = [
-                replace(rec, position=rec.position - offset[:, k : k + 1])
-                for rec, offset in zip(plain.records, offsets, strict=True)
-            ]
-            optimum = maximise(shifted, before.optimum.point, before.optimum.free, before.optimum.inverse)
-            out[k] = replace(before, records=shifted, optimum=optimum)
-    return out
-
-
-_JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("levels", 0))
-
-
-def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int) -> Array:
-    """Joint response less the two responses alone, along and across the mean heading, shape (B, 2)."""
-    mean = response(rec, joint, flight)[0]
-    along = heading_from_world(mean, np.full(len(mean), rec.heading))
-    alone = [response(rec.only(k), point, flight)[0] for k, point in enumerate(points)]
-    return along - np.hstack(alone)
-
-
-def _together(
-    serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
-) -> list[_Estimate]:
-    """x and y of vehicles that turn, by one likelihood."""
-    found = search(records, serving, _free(len(records), moving))
-    best = found[0].optimum
-    excited = [moves and _explains(serving, group, records, found[0], k) for k, moves in enumerate(moving)]
-    unexcited = [k for k, good in enumerate(excited) if not good]
-    if unexcited:
-        best = without_input(records, best, unexcited)
-    optimum = maximise(records, best.point, best.free, best.inverse)
-    return [_Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
-
-
-def _explains(
-    serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int
-) -> bool:
-    """Whether the commands of an axis explain its motion; flights too short to predict get the benefit of the doubt."""
-    error = found.prediction[k]
-    if not np.isfinite(error) or error < PLAINLY * found.held[k]:
-        return True
-    idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
-    return bool(error < EXPLAINS * idle[k])
-
-
-def _free(flights: int, moving: Sequence[bool]) -> Mask:
-    """Which parameters may move: the coefficients of the moving axes, all trims and levels."""
-    K = len(moving)
-    return np.concatenate([np.tile(moving, 3), np.ones(flights * K + 4 * K, bool)])
 
 
 def _noise(optimum: Optimum, k: int) -> dict[str, float]:
@@ -273,7 +164,7 @@ def _noise(optimum: Optimum, k: int) -> dict[str, float]:
     }
 
 
-def _axis(estimate: _Estimate, places: Sequence[int | None]) -> Axis:
+def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     """Everything that is said of one axis."""
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     nothing = replace(
@@ -335,7 +226,8 @@ def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
     damping = None not in ends["delay"] and low is not None and high is not None and high / low < WIDEST_DAMPING
     gain = None not in ends["input"]
     return {
-        name: "ok" if good else "not_identifiable" for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
+        name: "ok" if good else "not_identifiable"
+        for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
     }
 
 
@@ -359,9 +251,7 @@ def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
     }
 
 
-def _covariances(
-    group: Sequence[str], estimates: Sequence[_Estimate], results: Mapping[str, Axis]
-) -> dict[tuple[str, ...], Array]:
+def _covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Mapping[str, Axis]) -> Blocks:
     """Covariance of (input, damping, delay) of the axes with a predictor, a block for each likelihood."""
     blocks: dict[int, list[int]] = {}
     for number, (axis, estimate) in enumerate(zip(group, estimates, strict=True)):
@@ -378,7 +268,7 @@ def _covariances(
     return out
 
 
-def _joined(blocks: Mapping[tuple[str, ...], Array]) -> tuple[tuple[str, ...], Array]:
+def _joined(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
     """Block diagonal of the groups' covariances."""
     names = tuple(name for block in blocks for name in block)
     matrix = np.zeros((len(names), len(names)))
@@ -389,7 +279,7 @@ def _joined(blocks: Mapping[tuple[str, ...], Array]) -> tuple[tuple[str, ...], A
     return names, matrix
 
 
-def _modes(estimate: _Estimate) -> tuple[Mode, ...]:
+def _modes(estimate: Estimate) -> tuple[Mode, ...]:
     k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
     return tuple(
         Mode(
@@ -419,11 +309,10 @@ def _drawn(
     return tuple(sorted(out))
 
 
-def _paper_group(
-    flights: Sequence[Flight], group: Sequence[str], paper: PaperFit
-) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array]]:
+def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> tuple[dict[str, Axis], Blocks]:
     """Axes by the paper's regression; the disturbance levels that prediction needs are settled at its coefficients."""
-    results, covariance = {}, {}
+    results: dict[str, Axis] = {}
+    covariance: Blocks = {}
     for axis in group:
         i = AXES.index(axis)
         if paper.status.get(axis) != "ok":
@@ -455,7 +344,7 @@ def _paper_group(
 
 
 def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float) -> dict[str, float]:
-    """Disturbance levels of an axis at given coefficients without delay; a damping below the range counts as its end."""
+    """Disturbance levels of an axis at given coefficients without delay; a damping below the range is its end."""
     records = [rec for f in flights if _moves(f, axis) and (rec := record(f, (axis,)))]
     start = Point(
         gain=np.array([gain]),
@@ -464,4 +353,4 @@ def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float
         trim=np.zeros((len(records), 1)),
         levels=START_LEVELS[None],
     )
-    return _noise(maximise(records, start, _free(len(records), [False])), 0)
+    return _noise(maximise(records, start, free_of(len(records), [False])), 0)

@@ -1,7 +1,7 @@
 """The prediction protocol: one implementation for validation, comparison, report, benchmark and the choice of a mode.
 
-Each segment of a flight first gives 2 s to the causal filter; starts follow every 0.5 s. At a start the state comes from
-the filter on data up to that instant; from there only the commands are known.
+Each segment of a flight first gives 2 s to the causal filter; starts follow every 0.5 s. At a start the state comes
+from the filter on data up to that instant; from there only the commands are known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -152,7 +152,7 @@ def _predict_segment(
         chosen = [axes[i] for i in pair]
         if not any(AXES[i] in wanted for i in pair):
             return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan)
-        return predict(  # type: ignore[no-any-return]
+        return predict(  # type: ignore[no-any-return, call-arg]
             flight.command_time[used],
             np.ascontiguousarray(flight.command[used][:, pair]),
             t,
@@ -259,7 +259,7 @@ def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizo
 
 
 def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
-    """In the measured heading: velocity errors and velocities of all steps (n, 4), position errors of end points (m, 4)."""
+    """In the measured heading: velocity errors, velocities of all steps (n, 4), position errors of end points (m, 4)."""
     time, period = part.time, float(np.median(np.diff(part.time)))
     target = part.start + horizon
     end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon

@@ -1,4 +1,4 @@
-"""Model: coefficients with their uncertainty, the disturbance levels, and where they come from. Simulate, save, load."""
+"""Model: coefficients with their uncertainty, disturbance levels, and where they come from. Simulate, save, load."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -115,7 +115,7 @@ def unknown_axis(status: str) -> Axis:
         damping=None,
         delay=None,
         stderr=nothing,
-        ci95={name: (None, None) for name in COEFFICIENTS},
+        ci95=dict.fromkeys(COEFFICIENTS, (None, None)),
         status=dict.fromkeys(COEFFICIENTS, status),
     )
 
@@ -225,7 +225,9 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     """
     predictor = model.axes[axis].predictor
     if predictor is None:
-        raise ModelError(f"the model has no numbers for {axis} ({model.axes[axis].status['input']}): fit a flight that moves it")
+        raise ModelError(
+            f"the model has no numbers for {axis} ({model.axes[axis].status['input']}): fit a flight that moves it"
+        )
     return predictor
 
 
@@ -239,13 +241,18 @@ class Trajectory:
 
 
 def simulate(
-    model: Model, command_time: Array, command: Array, time: Array, pose: Array | None = None, velocity: Array | None = None
+    model: Model,
+    command_time: Array,
+    command: Array,
+    time: Array,
+    pose: Array | None = None,
+    velocity: Array | None = None,
 ) -> Trajectory:
     """Motion under held commands from a given state; axes without a predictor keep their velocity.
 
     Args:
         model: The model.
-        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next one; before the first, the first.
+        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first, the first.
         command: x, y, z, yaw commands in the heading frame, shape (M, 4).
         time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
         pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.
@@ -289,7 +296,9 @@ def load(path: str | Path) -> Model:
     try:
         raw = json.loads(Path(path).read_text())
     except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`") from None
+        raise ModelError(
+            f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
+        ) from None
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ModelError(f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`") from None
     return from_mapping(raw, str(path))
@@ -328,7 +337,9 @@ def from_mapping(raw: Any, where: str) -> Model:
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         raise ModelError(f"{where}: not a rotorfit model; give a file written by `rotorfit fit -o`")
     if raw.get("version") != VERSION:
-        raise ModelError(f"{where}: model version {raw.get('version')}, this rotorfit reads {VERSION}; use the rotorfit that wrote it")
+        raise ModelError(
+            f"{where}: model version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
+        )
     try:
         return Model(
             card=card_from_mapping(raw["card"], where),

@@ -2,8 +2,8 @@
 
 In closed loop the likelihood of a wrong model can stand far above that of the right one: a controller's command tells
 how the vehicle moves, so a model that reads the command as a measurement (no delay, huge damping) explains every
-small motion and predicts nothing. The optimum that is believed is therefore the one that predicts the training flights best over 1 s;
-the likelihood decides between optima that predict alike.
+small motion and predicts nothing. The optimum that is believed is therefore the one that predicts the training flights
+best over 1 s; the likelihood decides between optima that predict alike.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,8 +13,10 @@ import numpy as np
 
 from rotorfit.flight import Flight
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
-from rotorfit.frames import Array
-from rotorfit.likelihood import BLOCK_RATE, START_LEVELS, Optimum, Point, Record, inverted, maximise
+from rotorfit.frames import Array, Mask
+from rotorfit.likelihood import START_LEVELS, Point, inverted
+from rotorfit.maximum import Optimum, maximise
+from rotorfit.record import BLOCK_RATE, Record
 
 STARTS = ((0.15, 1.0), (0.0, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
 """Delay [s] and damping [1/s] of the starts."""
@@ -59,7 +61,7 @@ def start_point(records: Sequence[Record], delay: float, damping: float, levels:
     )
 
 
-def search(records: Sequence[Record], flights: Sequence[Flight], free: Array) -> tuple[Found, ...]:
+def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[Found, ...]:
     """Climbs from every start and gathers the distinct optima, best first.
 
     The first start settles the disturbance levels too; the others climb at those levels and every new optimum is then
@@ -175,4 +177,6 @@ def without_input(records: Sequence[Record], optimum: Optimum, axes: Sequence[in
     for k in axes:
         gain[k], log_damping[k], delay[k] = 0.0, 0.0, 0.0
         free[[k, K + k, 2 * K + k]] = False
-    return maximise(records, replace(optimum.point, gain=gain, log_damping=log_damping, delay=delay), free, tolerance=0.05)
+    return maximise(
+        records, replace(optimum.point, gain=gain, log_damping=log_damping, delay=delay), free, tolerance=0.05
+    )

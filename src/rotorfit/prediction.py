@@ -108,8 +108,8 @@ def predict(
         future_yaw: Heading at the predicted poses, shape (S, E) [rad].
 
     Returns:
-        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's position
-        and velocity at the last pose before each start, shape (S, 4).
+        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's
+        position and velocity at the last pose before each start, shape (S, 4).
     """
     S, E = future_yaw.shape
     out = np.full((S, E, 4), np.nan)
@@ -134,7 +134,19 @@ def predict(
     for i in range(pose_time.size):
         if i:
             _drive_until(
-                pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
+                pose_time[i - 1],
+                pose_time[i],
+                yaw[i - 1],
+                yaw[i],
+                k,
+                command_time,
+                command,
+                gain,
+                damping,
+                delay,
+                p,
+                v,
+                drive,
             )
             fx, fy = Fx[step[i]], Fy[step[i]]
             half = 0.5 * (yaw[i] - yaw[i - 1])

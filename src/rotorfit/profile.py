@@ -1,11 +1,14 @@
 """Profile likelihood: the best log-likelihood with one coefficient held, and intervals from it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rotorfit.frames import Array
-from rotorfit.likelihood import Optimum, Record, degrees_of_freedom, inverted, maximise
+from rotorfit.likelihood import degrees_of_freedom, inverted
+from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Interval
-from collections.abc import Sequence
+from rotorfit.record import Record
 
 
 def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float) -> Optimum:
@@ -39,7 +42,7 @@ def height(optimum: Optimum) -> float:
 
 
 def quantile(optimum: Optimum, direction: Array) -> float:
-    """97.5 % point of Student's t with the degrees of freedom that the levels leave for a combination of coefficients."""
+    """97.5 % point of Student's t at the degrees of freedom that the levels leave for a combination of coefficients."""
     from scipy.special import stdtrit
 
     return float(stdtrit(degrees_of_freedom(optimum.score, optimum.free, direction), 0.975))

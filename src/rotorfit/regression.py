@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from rotorfit.derivative import Mask, local_polynomial
+from rotorfit.derivative import local_polynomial
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array, heading_from_world, world_from_heading
+from rotorfit.frames import AXES, Array, Mask, heading_from_world, world_from_heading
 
 DEGREE = 5
 """Degree of the differentiating polynomial."""

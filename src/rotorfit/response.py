@@ -74,8 +74,8 @@ def axis_response(
         delay: tau [s].
 
     Returns:
-        Shape (B, 4, 1): d/dg (the response to a gain of one), d/dc, d/db and d/dtau of the position. The position itself
-        is g times the first plus c times the second.
+        Shape (B, 4, 1): d/dg (the response to a gain of one), d/dc, d/db and d/dtau of the position. The position
+        itself is g times the first plus c times the second.
 
     Source: paper, eq. (4), with u(t - tau) and a constant added.
     """

@@ -154,10 +154,10 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield Text(summary_of_model(model, wanted))
     yield ""
     yield _coefficient_table(model, wanted)
-    yield _indented(
-        "input and steady gain (= input / damping) are per command of 1; total lag = delay + 1 / damping", 0, "dim"
-    )
     known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
+    combined = any(axis.combinations for axis in known.values())
+    legend = "; steady gain = input / damping; total lag = delay + 1 / damping" if combined else ""
+    yield _indented(f"input is per command of 1{legend}", 0, "dim")
     yield from _list([line for axis, one in known.items() for line in _search_lines(axis, one)])
     for flight in model.flights:
         yield ""

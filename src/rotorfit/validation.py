@@ -20,8 +20,10 @@ from rotorfit.forecast import (
     score_predictions,
 )
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import Point, maximise, record, response
+from rotorfit.likelihood import Point, response
+from rotorfit.maximum import maximise
 from rotorfit.model import Model
+from rotorfit.record import record
 
 Progress = Callable[[float, str], None]
 
@@ -107,7 +109,9 @@ def _score_flight(model: Model, flight: Flight, horizons: Sequence[float]) -> di
     parts = predict_flight(flight, dynamics, max(horizons))
     paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
     paper_damping = np.array([b if (b := model.paper[2 * k + 1]) is not None else np.nan for k in range(4)])
-    coasted = [coast_prediction(flight, part, np.nan_to_num(paper_input), np.nan_to_num(paper_damping)) for part in parts]
+    coasted = [
+        coast_prediction(flight, part, np.nan_to_num(paper_input), np.nan_to_num(paper_damping)) for part in parts
+    ]
     known = {axis: model.axes[axis].predictor is not None for axis in AXES}
     papered = {axis: bool(np.isfinite(paper_input[k])) for k, axis in enumerate(AXES)}
     heading = "predicted" if known["yaw"] else "measured"
@@ -172,5 +176,3 @@ def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
             axis, rec.block_time, best.score.innovations[0][:, 0], response(rec, best.point, 0)[0][:, 0]
         )
     return out
-
-

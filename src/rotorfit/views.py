@@ -101,7 +101,8 @@ class FlightView:
         path: Of its log.
         role: `training` or `validation`.
         duration: Time under commands [s].
-        charts: Velocity and acceleration of the axes that the flight commands; they share one x.
+        charts: Velocity and acceleration of the axes that the flight commands and the model knows; they share one x.
+        missing: Axes that the flight commands and of which there is no model.
         drawn: How the series were reduced for drawing, one sentence.
     """
 
@@ -109,6 +110,7 @@ class FlightView:
     role: str
     duration: float
     charts: tuple[Chart, ...]
+    missing: tuple[str, ...]
     drawn: str
 
 
@@ -132,7 +134,7 @@ def flight_view(
         points: Most points of a line.
         with_paper: Whether to draw what the paper's coefficients predict, too.
     """
-    axes = [axis for axis in AXES if axis in moved_axes(flight)]
+    axes = [axis for axis in moved_axes(flight) if model.axes[axis].predictor]
     pick = [AXES.index(axis) for axis in axes]
     velocities = _velocities(model, flight, with_paper)
     series = {**velocities, **_accelerations(model, flight)}
@@ -144,24 +146,24 @@ def flight_view(
             drawn_lines = {name: y[:, j] for (what, name), y in drawn_series.items() if what == kind}
             whole_lines = {name: y[:, pick[j]] for (what, name), y in series.items() if what == kind}
             charts.append(_motion_chart(kind, axis, time, drawn_lines, whole_lines))
-    return FlightView(flight.path, role, flight.duration, tuple(charts), drawn)
+    missing = tuple(axis for axis in moved_axes(flight) if axis not in axes)
+    return FlightView(flight.path, role, flight.duration, tuple(charts), missing, drawn)
 
 
 def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[str, str], Array]:
     """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
-    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
+    t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
     lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
-    parts = predict_flight(flight, dynamics_from_model(model), 2 * START_EVERY) if _known(model).any() else ()
-    if _known(model).any():
-        lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
-        lines["model"][:, ~_known(model)] = np.nan
+    told = {"measured": np.ones(4, bool), "model": known}
+    parts = predict_flight(flight, dynamics_from_model(model), 2 * START_EVERY) if known.any() else ()
     paper = np.array([np.nan if g is None else g for g in model.paper])
     if with_paper and np.isfinite(paper).any():
         coasted = [coast_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
-        lines["paper"] = _stitched(t, parts, coasted)
-        lines["paper"][:, np.isnan(paper[0::2])] = np.nan
-    for line in lines.values():
+        lines["paper"], told["paper"] = _stitched(t, parts, coasted), np.isfinite(paper[0::2])
+    lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
+    for name, line in lines.items():
         line[:, :2] = heading_from_world(line[:, :2], flight.yaw)
+        line[:, ~told[name]] = np.nan
     return {("velocity", name): line for name, line in lines.items()}
 
 
@@ -216,7 +218,7 @@ def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array],
     unit = f"rad/s{order}" if axis == "yaw" else f"m/s{order}"
     frame = "" if axis in ("z", "yaw") else " (heading frame)" if kind == "velocity" else " (world)"
     modelled = "predicted" if kind == "velocity" else "modelled"
-    names = {"measured": "measured", "model": modelled, "paper": "predicted by the paper's coefficients"}
+    names = {"measured": "measured", "model": modelled, "paper": "paper's prediction"}
     lines = tuple(Line(names[name], name, y) for name, y in drawn.items() if np.isfinite(y).any())
     told = f"{axis}: there is no model to compare with"
     if "model" in whole and np.isfinite(whole["model"] - whole["measured"]).any():

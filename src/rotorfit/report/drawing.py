@@ -96,7 +96,13 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
         for line in chart.lines
     )
     dots = [
-        Dot(float(place_x(m.x)), float(np.clip(place_y(m.y), 4, inner_height - 4)), m.role, m.text) for m in chart.marks
+        Dot(
+            float(place_x(mark.x)),
+            float(np.clip(place_y(mark.y), 4, inner_height - 4)),
+            mark.role if y_range[0] <= mark.y <= y_range[1] else f"{mark.role} beyond",
+            mark.text,
+        )
+        for mark in chart.marks
     ]
     if chart.kind.startswith("horizon"):
         dots += [

@@ -204,7 +204,7 @@ def _flights(
         points = int(min(MOST_POINTS, max(200, MOST_VALUES * flight.duration / max(demand, 1e-9))))
         view = flight_view(model, flight, role, points, with_paper and role == "validation")
         ordered = sorted(view.charts, key=lambda chart: AXES.index(chart.axis))
-        panels = tuple(Panel(chart, drawn(chart, 640, 210), k) for k, chart in enumerate(ordered))
+        panels = tuple(Panel(chart, drawn(chart, 560, 200), k) for k, chart in enumerate(ordered))
         out.append(FlightPanels(number, view, panels, role == "validation" and number < OPEN_FLIGHTS))
     return out[: len(flights)], out[len(flights) :]
 
@@ -229,7 +229,7 @@ def _evidence(
     """Small charts and their tables."""
 
     def panels(charts: Iterable[Chart]) -> list[Panel]:
-        return [Panel(chart, drawn(chart, 340, 230)) for chart in charts]
+        return [Panel(chart, drawn(chart, 280, 205)) for chart in charts]
 
     horizons = horizon_charts(scores)
     return {

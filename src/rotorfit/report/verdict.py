@@ -87,7 +87,7 @@ def _light(model: Model, axis: str, scores: Sequence[Score]) -> Light:
     known = model.axes[axis]
     if known.predictor is None:
         colour = "red" if known.status["input"] == "diverged" else "grey"
-        return Light(axis, colour, "no model", None, (), (f"{STATUS.get(known.status['input'], 'no numbers')}.",))
+        return Light(axis, colour, "no model", None, (), _sentences([STATUS.get(known.status["input"], "no numbers")]))
     forbidden = [f.evidence for f in model.findings if f.axis == axis and f.severity == "error"]
     doubts = [f.evidence for f in model.findings if f.axis == axis and f.severity == "warning"]
     planning = _planning(scores) if scores else None

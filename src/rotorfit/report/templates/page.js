@@ -28,6 +28,7 @@
       font: "11px system-ui, sans-serif"};
     return {
       width, height: Math.max(150, Math.min(230, Math.round(width * 0.36))),
+      padding: [8, 12, 0, 0],
       scales: {x: {time: false}},
       cursor: {drag: {x: true, y: false}, sync: {key: "flight" + flight.number}, points: {size: 5}},
       legend: {live: true},

@@ -1,0 +1,118 @@
+"""One axis, or x and y of a vehicle that turns: search, check that the commands explain anything, climb to the top."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.flight import Flight
+from rotorfit.frames import Array, Mask, heading_from_world
+from rotorfit.likelihood import START_LEVELS, Point, response
+from rotorfit.maximum import Optimum, maximise
+from rotorfit.modes import Found, prediction_error, search, start_point, without_input
+from rotorfit.record import Record, record
+
+EXPLAINS = 0.9
+"""The commands must bring the 1 s prediction error on the training flights below this share of what it is without them;
+else the axis was not excited, whatever the likelihood of a feedback loop says."""
+
+PLAINLY = 0.5
+"""Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
+
+COUPLING_ROUNDS = 2
+"""Rounds in which x and y under a held heading take each other into account."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One axis after the climb.
+
+    Attributes:
+        records: What its likelihood sees.
+        optimum: The maximum that is believed.
+        place: Which of the optimum's axes this is.
+        found: Optima of the search, the believed one first; none for an axis that no flight moves.
+        excited: Whether its commands explain anything.
+    """
+
+    records: Sequence[Record]
+    optimum: Optimum
+    place: int
+    found: tuple[Found, ...]
+    excited: bool
+
+
+def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
+    """One axis by itself."""
+    records = [rec for f in serving if (rec := record(f, (axis,)))]
+    if not moves:
+        point = start_point(records, 0.0, 1.0, START_LEVELS[None])
+        return Estimate(
+            records, maximise(records, replace(point, gain=np.zeros(1)), free_of(len(records), [False])), 0, (), False
+        )
+    found = search(records, serving, free_of(len(records), [True]))
+    best = found[0].optimum
+    if not _explains(serving, (axis,), records, found[0], 0):
+        return Estimate(records, without_input(records, best, [0]), 0, found, False)
+    return Estimate(records, maximise(records, best.point, best.free, best.inverse), 0, found, True)
+
+
+def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Takes into account, exactly, what each axis does to the other through the small turns of a held heading.
+
+    The response of both together less that of one alone is taken off its data, and it is climbed again. At the fixed
+    point the residual is that of the joint response; only its sensitivities leave the turns out.
+    """
+    out = list(estimates)
+    for _ in range(COUPLING_ROUNDS):
+        points = [estimate.optimum.point for estimate in out]
+        joint = Point(*(np.concatenate([getattr(p, name) for p in points], axis) for name, axis in _JOINT_AXES))
+        offsets = [_offset(rec, joint, points, j) for j, rec in enumerate(records)]
+        for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
+            shifted = [
+                replace(rec, position=rec.position - offset[:, k : k + 1])
+                for rec, offset in zip(plain.records, offsets, strict=True)
+            ]
+            optimum = maximise(shifted, before.optimum.point, before.optimum.free, before.optimum.inverse)
+            out[k] = replace(before, records=shifted, optimum=optimum)
+    return out
+
+
+_JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("levels", 0))
+
+
+def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int) -> Array:
+    """Joint response less the two responses alone, along and across the mean heading, shape (B, 2)."""
+    mean = response(rec, joint, flight)[0]
+    along = heading_from_world(mean, np.full(len(mean), rec.heading))
+    alone = [response(rec.only(k), point, flight)[0] for k, point in enumerate(points)]
+    return along - np.hstack(alone)
+
+
+def together(
+    serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
+) -> list[Estimate]:
+    """x and y of vehicles that turn, by one likelihood."""
+    found = search(records, serving, free_of(len(records), moving))
+    best = found[0].optimum
+    excited = [moves and _explains(serving, group, records, found[0], k) for k, moves in enumerate(moving)]
+    unexcited = [k for k, good in enumerate(excited) if not good]
+    if unexcited:
+        best = without_input(records, best, unexcited)
+    optimum = maximise(records, best.point, best.free, best.inverse)
+    return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
+
+
+def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int) -> bool:
+    """Whether the commands of an axis explain its motion; flights too short to predict get the benefit of the doubt."""
+    error = found.prediction[k]
+    if not np.isfinite(error) or error < PLAINLY * found.held[k]:
+        return True
+    idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
+    return bool(error < EXPLAINS * idle[k])
+
+
+def free_of(flights: int, moving: Sequence[bool]) -> Mask:
+    """Which parameters may move: the coefficients of the moving axes, all trims and levels."""
+    K = len(moving)
+    return np.concatenate([np.tile(moving, 3), np.ones(flights * K + 4 * K, bool)])

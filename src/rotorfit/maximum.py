@@ -1,0 +1,125 @@
+"""Climbing the likelihood: Fisher scoring with a secant correction, inside the searched ranges."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.frames import Array, Mask
+from rotorfit.likelihood import Point, Score, inverted, score
+from rotorfit.record import Record
+
+SECANT_BELOW = 20.0
+"""Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A maximum of the likelihood over the parameters that were free.
+
+    Attributes:
+        point: Where.
+        score: What it is worth.
+        free: True for the parameters that could move, shape (3 K + F K + 4 K,).
+        adjusted: Coefficients and trims that the levels account for, shape (3 K + F K,); None where levels were held.
+        inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
+        gain: Expected gain in log-likelihood of one more step: how far from the top.
+        passes: Passes over the flights that it took.
+    """
+
+    point: Point
+    score: Score
+    free: Mask
+    adjusted: Mask | None
+    inverse: Array
+    gain: float
+    passes: int
+
+
+def maximise(
+    records: Sequence[Record],
+    point: Point,
+    free: Mask,
+    inverse: Array | None = None,
+    adjusted: Mask | None = None,
+    tolerance: float = 1e-3,
+    most: int = 80,
+) -> Optimum:
+    """Maximises the likelihood: Fisher scoring, with a secant (BFGS) correction of the information near the top.
+
+    Args:
+        records: The flights.
+        point: Where to start.
+        free: True for the parameters that may move, shape (3 K + F K + 4 K,).
+        inverse: Inverse information to start with, where one is known.
+        adjusted: Coefficients and trims that the levels account for; those that are free by default.
+        tolerance: Expected gain in log-likelihood below which to stop.
+        most: Largest number of passes.
+    """
+    if adjusted is None and free[-1]:
+        adjusted = free[: 3 * point.gain.size + point.trim.size]
+    best = score(records, point, adjusted)
+    passes, active, fresh = 1, free & ~pressed(point, best.gradient), inverse is None
+    while True:
+        movable = free & ~pressed(point, best.gradient)
+        if inverse is None or fresh or not np.array_equal(movable, active):
+            inverse, active, fresh = inverted(best.information, movable), movable, True
+        step = inverse @ best.gradient
+        stuck = pressed(point, step) & active
+        if stuck.any():  # at a bound, pushed outwards not by the gradient but by the others
+            active = active & ~stuck
+            inverse, fresh = inverted(best.information, active), True
+            step = inverse @ best.gradient
+        gain = 0.5 * float(step @ best.gradient)
+        if gain < tolerance or passes >= most:
+            break
+        step = limited(step, point.gain.size)
+        step = point.reach(step) * step
+        trial, result, tried = _line_search(records, point, best, step, adjusted)
+        passes += tried
+        if result.objective <= best.objective:
+            if fresh:
+                break
+            fresh = True
+            continue
+        fall = np.where(active, best.gradient - result.gradient, 0.0)
+        fresh = gain > SECANT_BELOW or passes < 3
+        inverse = _secant(inverse, trial.flat() - point.flat(), fall)
+        point, best = trial, result
+    return Optimum(point, best, free, adjusted, inverse, gain, passes)
+
+
+def _line_search(
+    records: Sequence[Record], point: Point, here: Score, step: Array, adjusted: Mask | None
+) -> tuple[Point, Score, int]:
+    """Shortens a step until the objective rises; gives up after eight."""
+    tried = 0
+    while True:
+        trial = point.moved(step)
+        result = score(records, trial, adjusted)
+        tried += 1
+        if result.objective > here.objective or tried == 8:
+            return trial, result, tried
+        step = 0.3 * step
+
+
+def _secant(inverse: Array, step: Array, change: Array) -> Array:
+    """BFGS update of an inverse information by a step and the fall of the gradient along it."""
+    curvature = float(step @ change)
+    if curvature <= 1e-12:
+        return inverse
+    left = np.eye(step.size) - np.outer(step, change) / curvature
+    return left @ inverse @ left.T + np.outer(step, step) / curvature
+
+
+def pressed(point: Point, gradient: Array) -> Mask:
+    """True where a parameter stands at a bound of its range and the gradient pushes it outwards."""
+    value, (low, high) = point.flat(), point.bounds()
+    return ((value <= low) & (gradient < 0)) | ((value >= high) & (gradient > 0))
+
+
+def limited(step: Array, K: int) -> Array:
+    """Shortens a step that moves log b by more than 1.5, the delay by more than 0.08 s or a level by more than e^2."""
+    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (step[-4 * K :], 2.0))
+    longest = max(float(np.abs(part).max()) / most for part, most in parts)
+    return step / max(longest, 1.0)
