@@ -143,7 +143,7 @@ def test_a_fit_shows_coefficients_intervals_search_repairs_and_findings(folder: 
     assert re.search(r"^x +input +3\.\d+ +3\.\d+ to 3\.\d+ +m/s\^2 +[\d.]+ +ok$", found, re.MULTILINE)
     assert re.search(r"^z +input +- +-.* not_excited$", found, re.MULTILINE)
     assert re.search(r"x: \d of \d starts of the search reached this optimum", found)
-    assert "No numbers: no flight excites z and yaw." in found
+    assert "No numbers: no flight excites z or yaw." in found
     for note in model.flights[0].notes:
         assert note.text in found
     assert model.findings
@@ -298,7 +298,7 @@ def test_info_shows_tables_rates_clocks_cards_and_excitation(folder: Path) -> No
     )
     assert "pose.orientation.w" in found
     assert "Built-in cards that fit: rotorfit-demo" in found
-    assert re.search(r"stale poses: [\d.]+ %; the fresh ones come at 120 Hz", found)
+    assert re.search(r"stale poses: [\d.]+ %; the fresh ones come at 1\d\d\.?\d* Hz", found)
     assert "clocks: the poses start" in found
     assert "recorder: pose stamps are logged" in found
     assert re.search(r"^  x +100 % ", found, re.MULTILINE)

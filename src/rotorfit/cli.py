@@ -33,9 +33,10 @@ class _Verbs(click.Group):
         except BrokenPipeError:  # the reader of our output has seen enough: click ends quietly
             raise
         except OSError as error:
-            if error.filename is None:
+            if not error.strerror:
                 raise
-            line = f"{error.filename}: {error.strerror}; check the path, its permissions and the room on the disk"
+            where = f"{error.filename}: " if error.filename else ""
+            line = f"{where}{error.strerror}; check the path, its permissions and the room on the disk"
             raise click.ClickException(line) from error
 
 
@@ -85,7 +86,12 @@ def _file(**more: Any) -> click.Path:
 
 _logs = click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 _model = click.argument("model_path", metavar="MODEL")
-_card = click.option("--card", metavar="C", help="Name of a built-in card, or a TOML file; default: the one that fits.")
+
+
+def _card(default: str) -> Callable[[Function], Function]:
+    return click.option("--card", metavar="C", help=f"Name of a built-in card, or a TOML file; default: {default}.")
+
+
 _json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 _span_option = click.option(
     "--span", metavar="T0:T1", callback=_span, help="Part of every log [s], from the start of its common window."
@@ -114,7 +120,7 @@ def demo(directory: Path, as_json: bool) -> None:
 
 @main.command()
 @_logs
-@_card
+@_card("the one that fits")
 @click.option(
     "--draft-card", "draft", type=_file(dir_okay=False), metavar="FILE", help="Write a card for the log, to be edited."
 )
@@ -139,16 +145,16 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
     from rotorfit.terminal import show, survey_view
 
-    for survey in surveys:
-        show([*survey_view(survey), ""])
+    for number, survey in enumerate(surveys):
+        show([*([""] if number else []), *survey_view(survey)])
     if draft:
-        click.echo(f"Card written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
+        click.echo(f"\nCard written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
     return None
 
 
 @main.command()
 @_logs
-@_card
+@_card("the one that fits")
 @click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
@@ -179,7 +185,7 @@ def fit(
 @main.command()
 @_model
 @_logs
-@_card
+@_card("the model's own")
 @_span_option
 @click.option("--horizons", metavar="0.5,1,2,5", callback=_horizons, help="How far to predict [s].")
 @_json

@@ -2,10 +2,12 @@
 
 What the commands do not explain is, on each axis of the heading frame,
 
-    n' = s,   s' = -mu s + w,   w' = -lambda w + sqrt(q) xi,   y = n + e,   e ~ N(0, r)
+    n' = s,   s'' = -alpha s' - kappa alpha^2 / 4 s + sqrt(q) xi,   y = n + e,   e ~ N(0, r)
 
-with a damping mu of its own (the Box-Jenkins form): its four levels then share no parameter with the response, and the
-information matrix falls into two blocks. Position and velocity start unknown, w starts in its stationary state.
+a velocity coloured by two real poles: wind with a memory that acts through drag. The poles sum to -alpha, and they are
+equal where the overlap kappa is 1 and far apart where it is small, so that neither has a name to swap with the other.
+They are the disturbance's own (the Box-Jenkins form), so its four levels share no parameter with the response and the
+information matrix falls into two blocks. The position starts unknown, s and s' start in their stationary state.
 """
 
 from typing import Any
@@ -15,15 +17,14 @@ import numpy as np
 
 from rotorfit.frames import Array, Indices
 
-LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_rate")
-"""q [unit^2/s^5], r [unit^2], mu [1/s], lambda [1/s]: the order of every array of disturbance levels."""
+LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
+"""q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
 
 STEP_GRAIN = 1e-5
 """Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
 to the commands is not rounded."""
 
 START_POSITION_VARIANCE = 1.0
-START_VELOCITY_VARIANCE = 10.0
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _NODE = 0.5 * (_NODES + 1)
@@ -33,67 +34,50 @@ _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=flo
 
 
 @numba.njit(cache=True)
-def _impulse_response(symmetric: Array, rate: float, t: float) -> Any:
-    """n, s and w at time t after a unit impulse into w; `symmetric` are complete homogeneous sums of -mu, -lambda."""
-    n = s = 0.0
+def _impulse_response(series: Array, t: float) -> Any:
+    """n, s and s' at time t after a unit impulse into s'; `series` holds the derivatives of s' at 0."""
+    n = s = d = 0.0
     for i in range(_TERMS - 1, -1, -1):
-        n = n * t + symmetric[i] * _INVERSE_FACTORIAL[i + 2]
-        s = s * t + symmetric[i] * _INVERSE_FACTORIAL[i + 1]
-    return n * t * t, s * t, np.exp(-rate * t)
+        n = n * t + series[i] * _INVERSE_FACTORIAL[i + 2]
+        s = s * t + series[i] * _INVERSE_FACTORIAL[i + 1]
+        d = d * t + series[i] * _INVERSE_FACTORIAL[i]
+    return n * t * t, s * t, d
 
 
 @numba.njit(cache=True)
-def discretize(damping: float, rate: float, dt: float, F: Array, Q: Array) -> None:
-    """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, w) over dt for a unit q.
+def discretize(damping: float, stiffness: float, dt: float, F: Array, Q: Array) -> None:
+    """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, s') over dt for a unit q.
 
-    A power series in dt, which knows no singular case (mu = lambda, mu = 0), on a step short enough, then doubled.
+    A power series in dt, which knows no singular case (equal poles, poles at 0, complex poles), on a step short enough,
+    then doubled.
     """
-    doublings = 0
-    step = dt
-    while step * max(damping, rate) > 1.0:
+    doublings, step = 0, dt
+    while step * max(damping, np.sqrt(stiffness)) > 1.0:
         step *= 0.5
         doublings += 1
-    symmetric = np.empty(_TERMS)
-    symmetric[0] = 1.0
-    power = 1.0
-    for i in range(1, _TERMS):
-        power *= -rate
-        symmetric[i] = -damping * symmetric[i - 1] + power
-    n, s, w = _impulse_response(symmetric, rate, step)
-    F[:] = 0.0
-    f = np.exp(-damping * step)
-    F[0, 0] = 1.0
-    F[0, 1] = step if damping * step < 1e-8 else -np.expm1(-damping * step) / damping
-    F[0, 2] = n
-    F[1, 1] = f
-    F[1, 2] = s
-    F[2, 2] = w
+    series = np.empty(_TERMS)
+    series[0], series[1] = 1.0, -damping
+    for i in range(2, _TERMS):
+        series[i] = -damping * series[i - 1] - stiffness * series[i - 2]
+    n, s, d = _impulse_response(series, step)
+    F[0, 0], F[0, 1], F[0, 2] = 1.0, s + damping * n, n
+    F[1, 0], F[1, 1], F[1, 2] = 0.0, d + damping * s, s
+    F[2, 0], F[2, 1], F[2, 2] = 0.0, -stiffness * s, d
     Q[:] = 0.0
     for i in range(4):
-        n, s, w = _impulse_response(symmetric, rate, _NODE[i] * step)
+        n, s, d = _impulse_response(series, _NODE[i] * step)
         scale = _NODE_WEIGHT[i] * step
         Q[0, 0] += scale * n * n
         Q[0, 1] += scale * n * s
-        Q[0, 2] += scale * n * w
+        Q[0, 2] += scale * n * d
         Q[1, 1] += scale * s * s
-        Q[1, 2] += scale * s * w
-        Q[2, 2] += scale * w * w
+        Q[1, 2] += scale * s * d
+        Q[2, 2] += scale * d * d
+    Q[1, 0], Q[2, 0], Q[2, 1] = Q[0, 1], Q[0, 2], Q[1, 2]
     for _ in range(doublings):
-        f01, f02, f11, f12, f22 = F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2]
-        a00, a01, a02 = Q[0, 0] + f01 * Q[0, 1] + f02 * Q[0, 2], Q[0, 1] + f01 * Q[1, 1] + f02 * Q[1, 2], 0.0
-        a02 = Q[0, 2] + f01 * Q[1, 2] + f02 * Q[2, 2]
-        a11, a12 = f11 * Q[1, 1] + f12 * Q[1, 2], f11 * Q[1, 2] + f12 * Q[2, 2]
-        Q[0, 0] += a00 + a01 * f01 + a02 * f02
-        Q[0, 1] += a01 * f11 + a02 * f12
-        Q[0, 2] += a02 * f22
-        Q[1, 1] += a11 * f11 + a12 * f12
-        Q[1, 2] += a12 * f22
-        Q[2, 2] += f22 * Q[2, 2] * f22
-        F[0, 2] = f02 + f01 * f12 + f02 * f22
-        F[0, 1] = f01 + f01 * f11
-        F[1, 2] = f11 * f12 + f12 * f22
-        F[1, 1] = f11 * f11
-        F[2, 2] = f22 * f22
+        before = F.copy()
+        Q += before @ Q @ before.T
+        F[:] = before @ before
 
 
 def distinct_steps(time: Array) -> tuple[Array, Indices]:
@@ -111,12 +95,19 @@ def distinct_steps(time: Array) -> tuple[Array, Indices]:
 
 
 @numba.njit(cache=True)
-def step_tables(steps: Array, damping: float, rate: float) -> Any:
-    """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3), upper triangles."""
+def step_tables(steps: Array, damping: float, overlap: float) -> Any:
+    """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3)."""
     F, Q = np.zeros((steps.size, 3, 3)), np.zeros((steps.size, 3, 3))
     for i in range(steps.size):
-        discretize(damping, rate, steps[i], F[i], Q[i])
+        discretize(damping, 0.25 * overlap * damping * damping, steps[i], F[i], Q[i])
     return F, Q
+
+
+@numba.njit(cache=True)
+def stationary(levels: Array) -> Any:
+    """Variances of s and of s', which are uncorrelated, in the stationary state of levels (4,)."""
+    variance = levels[0] / (2 * levels[2])
+    return variance / (0.25 * levels[3] * levels[2] * levels[2]), variance
 
 
 @numba.njit(cache=True)
@@ -129,7 +120,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         count: Poses in each block, shape (B,): the noise of a block is r / count.
         fresh: True where a segment starts and the filter starts anew, shape (B,).
         columns: Data and sensitivities, shape (B, C).
-        levels: q, r, mu, lambda, shape (4,).
+        levels: q, r, alpha, kappa, shape (4,).
 
     Returns:
         Innovations over their standard deviation, shape (B, C), and the log of the innovation variance, shape (B,).
@@ -145,23 +136,25 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         if fresh[i]:
             state[:] = 0.0
             p01 = p02 = p12 = 0.0
-            p00, p11, p22 = START_POSITION_VARIANCE, START_VELOCITY_VARIANCE, q / (2 * levels[3])
+            p00 = START_POSITION_VARIANCE
+            p11, p22 = stationary(levels)
         else:
             f, d = F[step[i]], Q[step[i]]
-            f01, f02, f11, f12, f22 = f[0, 1], f[0, 2], f[1, 1], f[1, 2], f[2, 2]
+            f01, f02, f11, f12, f21, f22 = f[0, 1], f[0, 2], f[1, 1], f[1, 2], f[2, 1], f[2, 2]
             a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
             a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            a21, a22 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
             p00 = a00 + a01 * f01 + a02 * f02 + q * d[0, 0]
             p01 = a01 * f11 + a02 * f12 + q * d[0, 1]
-            p02 = a02 * f22 + q * d[0, 2]
+            p02 = a01 * f21 + a02 * f22 + q * d[0, 2]
             p11 = a11 * f11 + a12 * f12 + q * d[1, 1]
-            p12 = a12 * f22 + q * d[1, 2]
-            p22 = f22 * p22 * f22 + q * d[2, 2]
+            p12 = a11 * f21 + a12 * f22 + q * d[1, 2]
+            p22 = a21 * f21 + a22 * f22 + q * d[2, 2]
             for j in range(C):
                 n, s, w = state[j, 0], state[j, 1], state[j, 2]
                 state[j, 0] = n + f01 * s + f02 * w
                 state[j, 1] = f11 * s + f12 * w
-                state[j, 2] = f22 * w
+                state[j, 2] = f21 * s + f22 * w
         S = p00 + r / count[i]
         g0, g1, g2 = p00 / S, p01 / S, p02 / S
         root = 1.0 / np.sqrt(S)
@@ -183,7 +176,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
 
 @numba.njit(cache=True)
 def rotate(vector: Array, c: float, s: float) -> None:
-    """Turns the frame of a (6,) state (n, s, w of x, then of y) by the angle of cosine c and sine s, in place."""
+    """Turns the frame of a (6,) state (n, s, s' of x, then of y) by the angle of cosine c and sine s, in place."""
     for k in range(3):
         x, y = vector[k], vector[3 + k]
         vector[k] = c * x + s * y
@@ -198,7 +191,7 @@ def propagate(vector: Array, fx: Array, fy: Array) -> None:
         n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
         vector[3 * a] = n + F[0, 1] * s + F[0, 2] * w
         vector[3 * a + 1] = F[1, 1] * s + F[1, 2] * w
-        vector[3 * a + 2] = F[2, 2] * w
+        vector[3 * a + 2] = F[2, 1] * s + F[2, 2] * w
 
 
 @numba.njit(cache=True)
@@ -216,25 +209,26 @@ def _turn_covariance(P: Array, c: float, s: float) -> None:
 
 @numba.njit(cache=True)
 def _step_block(P: Array, F: Array, G: Array) -> None:
-    """P <- F P G^T for the upper triangular transitions F and G of (n, s, w), in place."""
+    """P <- F P G^T for the transitions F and G of (n, s, s'), in place."""
     for j in range(3):
-        P[0, j] += F[0, 1] * P[1, j] + F[0, 2] * P[2, j]
-        P[1, j] = F[1, 1] * P[1, j] + F[1, 2] * P[2, j]
-        P[2, j] *= F[2, 2]
+        s, d = P[1, j], P[2, j]
+        P[0, j] += F[0, 1] * s + F[0, 2] * d
+        P[1, j] = F[1, 1] * s + F[1, 2] * d
+        P[2, j] = F[2, 1] * s + F[2, 2] * d
     for i in range(3):
-        P[i, 0] += G[0, 1] * P[i, 1] + G[0, 2] * P[i, 2]
-        P[i, 1] = G[1, 1] * P[i, 1] + G[1, 2] * P[i, 2]
-        P[i, 2] *= G[2, 2]
+        s, d = P[i, 1], P[i, 2]
+        P[i, 0] += G[0, 1] * s + G[0, 2] * d
+        P[i, 1] = G[1, 1] * s + G[1, 2] * d
+        P[i, 2] = G[2, 1] * s + G[2, 2] * d
 
 
 @numba.njit(cache=True)
 def start_covariance(P: Array, levels: Array) -> None:
-    """Fills the blocks P (3, 3, 3) with what is known before the first pose: nothing but the levels of w."""
+    """Fills the blocks P (3, 3, 3) with what is known before the first pose."""
     P[:] = 0.0
     for a in range(2):
         P[a, 0, 0] = START_POSITION_VARIANCE
-        P[a, 1, 1] = START_VELOCITY_VARIANCE
-        P[a, 2, 2] = levels[a, 0] / (2 * levels[a, 3])
+        P[a, 1, 1], P[a, 2, 2] = stationary(levels[a])
 
 
 @numba.njit(cache=True)
@@ -282,7 +276,7 @@ def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, 
         fresh: True where a segment starts, shape (B,).
         yaw: Heading at the blocks, shape (B,) [rad].
         columns: Data and sensitivities in the world frame, shape (B, C, 2).
-        levels: q, r, mu, lambda of x and y of the heading frame, shape (2, 4).
+        levels: q, r, alpha, kappa of x and y of the heading frame, shape (2, 4).
 
     Returns:
         Innovations over their standard deviation, forward then left, shape (B, C, 2), and the logarithms of the

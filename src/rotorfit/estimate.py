@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.flight import Flight
-from rotorfit.frames import Array, Mask, heading_from_world
-from rotorfit.likelihood import START_LEVELS, Point, response
+from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
+from rotorfit.likelihood import START_LEVELS, Point, response, segments
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.modes import Found, prediction_error, search, start_point, without_input
 from rotorfit.record import Record, record
@@ -48,9 +48,9 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
     if not moves:
         point = start_point(records, 0.0, 1.0, START_LEVELS[None])
         return Estimate(
-            records, maximise(records, replace(point, gain=np.zeros(1)), free_of(len(records), [False])), 0, (), False
+            records, maximise(records, replace(point, gain=np.zeros(1)), free_of(records, [False])), 0, (), False
         )
-    found = search(records, serving, free_of(len(records), [True]))
+    found = search(records, serving, free_of(records, [True]))
     best = found[0].optimum
     if not _explains(serving, (axis,), records, found[0], 0):
         return Estimate(records, without_input(records, best, [0]), 0, found, False)
@@ -67,7 +67,8 @@ def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Es
     for _ in range(COUPLING_ROUNDS):
         points = [estimate.optimum.point for estimate in out]
         joint = Point(*(np.concatenate([getattr(p, name) for p in points], axis) for name, axis in _JOINT_AXES))
-        offsets = [_offset(rec, joint, points, j) for j, rec in enumerate(records)]
+        rows = segments(records)
+        offsets = [_offset(rec, joint, points, j, rows[j]) for j, rec in enumerate(records)]
         for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
             shifted = [
                 replace(rec, position=rec.position - offset[:, k : k + 1])
@@ -78,14 +79,15 @@ def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Es
     return out
 
 
-_JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("levels", 0))
+_JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("start", 1), ("levels", 0))
 
 
-def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int) -> Array:
+def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int, at: slice) -> Array:
     """Joint response less the two responses alone, along and across the mean heading, shape (B, 2)."""
-    mean = response(rec, joint, flight)[0]
+    turn = np.full(len(joint.start), rec.heading)
+    mean = response(rec, joint, flight, world_from_heading(joint.start, turn)[at])[0]
     along = heading_from_world(mean, np.full(len(mean), rec.heading))
-    alone = [response(rec.only(k), point, flight)[0] for k, point in enumerate(points)]
+    alone = [response(rec.only(k), point, flight, point.start[at])[0] for k, point in enumerate(points)]
     return along - np.hstack(alone)
 
 
@@ -93,7 +95,7 @@ def together(
     serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
 ) -> list[Estimate]:
     """x and y of vehicles that turn, by one likelihood."""
-    found = search(records, serving, free_of(len(records), moving))
+    found = search(records, serving, free_of(records, moving))
     best = found[0].optimum
     excited = [moves and _explains(serving, group, records, found[0], k) for k, moves in enumerate(moving)]
     unexcited = [k for k, good in enumerate(excited) if not good]
@@ -112,7 +114,7 @@ def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence
     return bool(error < EXPLAINS * idle[k])
 
 
-def free_of(flights: int, moving: Sequence[bool]) -> Mask:
-    """Which parameters may move: the coefficients of the moving axes, all trims and levels."""
-    K = len(moving)
-    return np.concatenate([np.tile(moving, 3), np.ones(flights * K + 4 * K, bool)])
+def free_of(records: Sequence[Record], moving: Sequence[bool]) -> Mask:
+    """Which parameters may move: the coefficients of the moving axes, all trims, start velocities and levels."""
+    K, flights, parts = len(moving), len(records), sum(rec.starts.size for rec in records)
+    return np.concatenate([np.tile(moving, 3), np.ones((flights + parts + 4) * K, bool)])

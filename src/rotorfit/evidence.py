@@ -175,7 +175,8 @@ def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float)
     x = np.array([score.horizon for score in scores])
     errors: list[Mapping[str, float | None]] = [getattr(score, what) for score in scores]
     series = {role: factor * np.array([e.get(role) for e in errors], dtype=np.float64) for role in NAMES}  # None: NaN
-    lines = tuple(Line(NAMES[role], role, y) for role, y in series.items() if np.isfinite(y).any())
+    positive = {role: np.where(y > 0, y, np.nan) for role, y in series.items()}
+    lines = tuple(Line(NAMES[role], role, y) for role, y in positive.items() if np.isfinite(y).any())
     told = "; ".join(f"{line.name} {_listed(x, line.y)} {unit}" for line in lines)
     axis = scores[0].axis
     return Chart(
@@ -186,8 +187,10 @@ def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float)
         y_label=f"RMSE [{unit}]",
         x=x,
         lines=lines,
-        reading="Lower is better. The gap to the dotted line is what the model knows beyond 'it keeps its velocity'.",
+        reading="Lower is better. The gap to the dotted line is what the model knows beyond 'it keeps its velocity'; "
+        "the scale is logarithmic, so equal gaps are equal factors.",
         summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
+        y_log=True,
     )
 
 
@@ -216,7 +219,9 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
     )
     low, high = axis.ci95.get("delay", (None, None))
     told = f"delay {axis.predictor.delay:.3f} s, " if axis.predictor else ""
-    reached = f"; {chosen.starts} of {starts} starts reached the chosen optimum" if chosen else ""
+    reached = f"; {chosen.starts} of {starts} starts reached this optimum" if chosen else ""
+    others = len(axis.modes) - 1
+    reached += f", {others} other{'s' if others > 1 else ''} found" if others > 0 else ", no other was found"
     return Chart(
         kind="profile",
         axis=name,
@@ -228,7 +233,7 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
         "stays above the dashed line (−1.92) lies the 95 % interval, shaded. Dots are optima that the search found; "
         "hollow ones lie beyond the picture.",
-        summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}, {len(axis.modes)} optima found.",
+        summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}.",
         marks=marks,
         levels=((-FALL, "−1.92"),),
         span=(-np.inf if low is None else low, np.inf if high is None else high),

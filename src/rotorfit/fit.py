@@ -11,7 +11,7 @@ from rotorfit.errors import FlightError
 from rotorfit.estimate import Estimate, alone, coupled, free_of, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import START_LEVELS, Point, inverted
+from rotorfit.likelihood import START_LEVELS, inverted
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import (
     COEFFICIENTS,
@@ -25,7 +25,7 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import trim_variance
+from rotorfit.modes import start_point, trim_variance
 from rotorfit.profile import height, hold, interval, quantile
 from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.regression import PaperFit, paper_regression
@@ -36,6 +36,9 @@ Blocks = dict[tuple[str, ...], Array]
 
 LEAST_TIME = 5.0
 """Scored time below which an axis is too short to tell anything [s]."""
+
+WIDEST_INPUT = 10.0
+"""Ratio of the ends of the input gain's interval beyond which it is not identifiable."""
 
 WIDEST_DAMPING = 6.0
 """Ratio of the ends of the damping's interval beyond which it is not identifiable."""
@@ -211,6 +214,7 @@ def _exponential(ends: Interval) -> Interval:
 
 
 def _holds_zero(ends: Interval) -> bool:
+    """Whether an interval, an open end being infinite, holds 0."""
     low, high = ends
     return (low is None or low <= 0) and (high is None or high >= 0)
 
@@ -224,7 +228,8 @@ def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
     delay = early is not None and late is not None and late - early < WIDEST_DELAY
     low, high = ends["damping"]
     damping = None not in ends["delay"] and low is not None and high is not None and high / low < WIDEST_DAMPING
-    gain = None not in ends["input"]
+    least, most = ends["input"]
+    gain = least is not None and most is not None and max(least / most, most / least) < WIDEST_INPUT
     return {
         name: "ok" if good else "not_identifiable"
         for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
@@ -238,7 +243,7 @@ def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
     g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
 
     def half_width(gradient: tuple[float, float, float]) -> float:
-        c = np.zeros(3 * K + optimum.point.trim.size)
+        c = np.zeros(optimum.point.n)
         c[[k, K + k, 2 * K + k]] = gradient
         return quantile(optimum, c) * float(np.sqrt(c @ C[: c.size, : c.size] @ c))
 
@@ -346,11 +351,9 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
 def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float) -> dict[str, float]:
     """Disturbance levels of an axis at given coefficients without delay; a damping below the range is its end."""
     records = [rec for f in flights if _moves(f, axis) and (rec := record(f, (axis,)))]
-    start = Point(
+    start = replace(
+        start_point(records, 0.0, 1.0, START_LEVELS[None]),
         gain=np.array([gain]),
         log_damping=np.log([max(damping, 1e-3)]),
-        delay=np.zeros(1),
-        trim=np.zeros((len(records), 1)),
-        levels=START_LEVELS[None],
     )
-    return _noise(maximise(records, start, free_of(len(records), [False])), 0)
+    return _noise(maximise(records, start, free_of(records, [False])), 0)

@@ -44,7 +44,7 @@ class Dynamics:
         input: g; 0 where the axis has no model, then only the disturbance filter tracks it.
         damping: b [1/s].
         delay: tau [s].
-        levels: q, r, mu, lambda of the disturbance, in the order of `LEVELS`.
+        levels: q, r, alpha, kappa of the disturbance, in the order of `LEVELS`.
         trim_variance: Prior variance of the trim of a new flight [unit^2/s^4].
     """
 
@@ -55,7 +55,7 @@ class Dynamics:
     trim_variance: float
 
 
-UNMODELLED = Dynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 0.5, 2.0), 1e-6)
+UNMODELLED = Dynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 2.5, 0.64), 1e-6)
 """An axis of which nothing is known: its velocity is tracked and fades."""
 
 
@@ -259,7 +259,7 @@ def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizo
 
 
 def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
-    """In the measured heading: velocity errors, velocities of all steps (n, 4), position errors of end points (m, 4)."""
+    """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
     time, period = part.time, float(np.median(np.diff(part.time)))
     target = part.start + horizon
     end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon

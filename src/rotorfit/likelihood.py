@@ -6,6 +6,7 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 """
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,10 +20,10 @@ from rotorfit.response import axis_response, plane_response
 DAMPING_RANGE = (1e-3, 100.0)
 """Damping that is searched [1/s]."""
 
-LEVEL_RANGE = np.log(np.array([[1e-10, 1e4], [1e-13, 1e-2], [1e-3, 60.0], [1e-3, 100.0]]))
-"""Logarithmic bounds of the disturbance levels q, r, mu, lambda."""
+LEVEL_RANGE = np.log(np.array([[1e-10, 1e6], [1e-13, 1e-2], [1e-2, 200.0], [1e-5, 1.0]]))
+"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
 
-START_LEVELS = np.log(np.array([0.1, 1e-7, 0.5, 2.0]))
+START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))
 """Where the levels start."""
 
 
@@ -35,22 +36,31 @@ class Point:
         log_damping: log b, shape (K,).
         delay: tau, shape (K,) [s].
         trim: c in the heading frame, shape (F, K).
-        levels: log of q, r, mu, lambda, shape (K, 4).
+        start: Velocity at the start of each segment, shape (S, K), over the segments of all flights in turn.
+        levels: log of q, r, alpha, kappa, shape (K, 4).
     """
 
     gain: Array
     log_damping: Array
     delay: Array
     trim: Array
+    start: Array
     levels: Array
 
     def flat(self) -> Array:
-        """g of all axes, log b, tau, trims, levels: shape (3 K + F K + 4 K,)."""
-        return np.concatenate([self.gain, self.log_damping, self.delay, self.trim.ravel(), self.levels.ravel()])
+        """g of all axes, log b, tau, trims, start velocities, levels: shape (n + 4 K,)."""
+        return np.concatenate(
+            [self.gain, self.log_damping, self.delay, self.trim.ravel(), self.start.ravel(), self.levels.ravel()]
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of parameters before the levels."""
+        return 3 * self.gain.size + self.trim.size + self.start.size
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper ends of the searched ranges, in the order of `flat`."""
-        return _bounds(self.gain.size, len(self.trim))
+        return _bounds(self.gain.size, self.trim.size + self.start.size)
 
     def moved(self, step: Array) -> "Point":
         """The point plus a step in the order of `flat`, kept inside the searched ranges."""
@@ -67,20 +77,21 @@ class Point:
     def with_flat(self, values: Array) -> "Point":
         """The point with all parameters replaced, in the order of `flat`."""
         K = self.gain.size
-        gain, log_damping, delay, trim, levels = np.split(values, [K, 2 * K, 3 * K, values.size - 4 * K])
-        return Point(gain, log_damping, delay, trim.reshape(self.trim.shape), levels.reshape(K, 4))
+        ends = np.cumsum([K, K, K, self.trim.size, self.start.size])
+        gain, log_damping, delay, trim, start, levels = np.split(values, ends)
+        return Point(gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, 4))
 
 
 @functools.cache
-def _bounds(K: int, F: int) -> tuple[Array, Array]:
-    """Bounds of a point of K axes and F flights."""
+def _bounds(K: int, others: int) -> tuple[Array, Array]:
+    """Bounds of a point of K axes and so many trims and start velocities."""
     low, high = (
         np.concatenate(
             [
                 np.full(K, sign * np.inf),
                 np.full(K, np.log(DAMPING_RANGE)[end]),
                 np.full(K, DELAY_RANGE[end]),
-                np.full(F * K, sign * np.inf),
+                np.full(others, sign * np.inf),
                 np.tile(LEVEL_RANGE[:, end], K),
             ]
         )
@@ -89,24 +100,39 @@ def _bounds(K: int, F: int) -> tuple[Array, Array]:
     return low, high
 
 
-def response(rec: Record, point: Point, flight: int) -> tuple[Array, Array]:
+def segments(records: Sequence[Record]) -> list[slice]:
+    """Which rows of `Point.start` belong to each flight."""
+    ends = np.cumsum([0, *(rec.starts.size for rec in records)])
+    return [slice(int(low), int(high)) for low, high in itertools.pairwise(ends)]
+
+
+def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
     """Position of the blocks as the commands explain it, and its sensitivities.
 
+    Args:
+        rec: The flight.
+        point: Coefficients and trims.
+        flight: Which row of the trims.
+        start: Velocity at the start of its segments, world where K is 2, shape (S, K).
+
     Returns:
-        World position (B, K), and d/d(g, log b, tau, c) in the order g, log b, tau, c with K columns each, (B, 4 K, K).
+        World position (B, K), and d/d(g, log b, tau, c, v0) in that order with K columns each, (B, 5 K, K); v0 is
+        that of the block's own segment.
     """
     common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
-    weight = 1.0 / rec.count
+    weight, segment = 1.0 / rec.count, np.cumsum(rec.fresh) - 1
     damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
     if K == 1:
-        out = axis_response(*common, rec.command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0])
-        mean = point.gain[0] * out[:, 0] + trim[0] * out[:, 1]
+        out = axis_response(
+            *common, rec.command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
+        )
     else:
-        out = plane_response(*common, rec.command, weight, rec.yaw, point.gain, trim, damping, point.delay)
-        mean = np.einsum("j,bjk->bk", np.concatenate([point.gain, trim]), out[:, :4])
-    gain, trim_columns, damping_columns, delay_columns = np.split(out, 4, axis=1)
+        out = plane_response(*common, rec.command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
+    gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(out, 5, axis=1)
+    mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
+    mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
     damping_columns = damping_columns * damping[None, :, None]
-    return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns], axis=1)
+    return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns, start_columns], axis=1)
 
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
@@ -120,14 +146,14 @@ def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Score:
-    """The likelihood at a point, over (g, log b, tau, trims, levels); n = 3 K + F K of them before the levels.
+    """The likelihood at a point, over the n coefficients, trims and start velocities and the 4 K levels.
 
     Attributes:
         log_likelihood: Of all flights together.
-        adjustment: What restricted likelihood adds: less half the log determinant of the coefficients' information.
+        adjustment: Of the restricted likelihood: less half the log determinant of the coefficients' information.
         gradient: Shape (n + 4 K,); the levels' part is that of both together.
         information: Expected; block diagonal between the coefficients with the trims and the levels.
-        slopes: Derivative of the coefficients' information by each level, shape (4 K, n, n).
+        slopes: Derivative of the coefficients' information, at the reference, by each level, shape (4 K, n, n).
         innovations: Per flight, standardised, heading frame, shape (B, K).
     """
 
@@ -148,72 +174,112 @@ LEVEL_STEP = 1e-6
 """Step of the differences by the logarithm of a level."""
 
 
-def score(records: Sequence[Record], point: Point, adjusted: Mask | None = None) -> Score:
+@dataclass(frozen=True)
+class Restriction:
+    """What restricted likelihood projects out of the data before it looks at the levels.
+
+    Attributes:
+        active: Coefficients and trims that are being fitted, shape (n,).
+        sensitivities: Per flight, of the response at a fixed reference point near the top, (B, 5 K, K). Fixed, so that
+            the coefficients themselves are judged by the plain likelihood.
+    """
+
+    active: Mask
+    sensitivities: tuple[Array, ...]
+
+
+def restriction(records: Sequence[Record], point: Point, free: Mask) -> Restriction:
+    """The restriction with a point as its reference; `free` covers all parameters, shape (n + 4 K,)."""
+    columns = (response(rec, point, j, point.start[at])[1] for j, (rec, at) in enumerate(_flights(records)))
+    return Restriction(free[: point.n], tuple(columns))
+
+
+def _flights(records: Sequence[Record]) -> list[tuple[Record, slice]]:
+    return list(zip(records, segments(records), strict=True))
+
+
+def score(records: Sequence[Record], point: Point, restricted: Restriction | None = None) -> Score:
     """Log-likelihood with gradient and information in one pass over the flights.
 
     The levels are those of the restricted likelihood: the coefficients that are fitted take up part of the disturbance,
-    and plain likelihood would take what is left for all of it. The coefficients' own gradient is that of the plain one.
+    and plain likelihood would take what is left for all of it.
 
     Args:
         records: The flights.
         point: Where.
-        adjusted: Coefficients and trims that are being fitted, shape (n,); None leaves out everything about the levels.
+        restricted: What the levels account for; None leaves out everything about the levels.
 
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
     B 49 (1987), pp. 1-39.
     """
-    K, n = point.gain.size, 3 * point.gain.size + point.trim.size
-    information, gradient, slopes = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K), np.zeros((4 * K, n, n))
+    K, n, F = point.gain.size, point.n, len(records)
+    information, gradient = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K)
+    projected, slopes = np.zeros((n, n)), np.zeros((4 * K, n, n))
     log_likelihood, innovations = 0.0, []
-    for j, rec in enumerate(records):
-        mean, sensitivity = response(rec, point, j)
-        columns = np.concatenate([(rec.position - mean)[:, None, :], sensitivity], axis=1)
-        e, J, log_variance = _rows(rec, columns, point.levels)
-        where = np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K]
-        square = J @ J.T
-        information[np.ix_(where, where)] += square
-        gradient[where] += J @ e
+    for j, (rec, at) in enumerate(_flights(records)):
+        mean, sensitivity = response(rec, point, j, point.start[at])
+        residual = (rec.position - mean)[:, None, :]
+        fixed = [] if restricted is None else [restricted.sensitivities[j]]
+        rows, log_variance = _rows(rec, np.concatenate([residual, sensitivity, *fixed], axis=1), point.levels)
+        e, J = rows[0], rows[1 : 1 + 5 * K]
+        own = [np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K, i : i + K] for i in _start_places(K, F, at)]
+        parts = _segment_parts(rec, K)
+        for where, part in zip(own, parts, strict=True):
+            information[np.ix_(where, where)] += J[:, part] @ J[:, part].T
+            gradient[where] += J[:, part] @ e[part]
         log_likelihood -= 0.5 * float(e @ e + log_variance.sum() + e.size * np.log(2 * np.pi))
         innovations.append(e.reshape(-1, K))
-        if adjusted is None:
+        if restricted is None:
             continue
+        reference = rows[1 + 5 * K :]
+        columns = np.concatenate([residual, *fixed], axis=1)
         d_innovation, d_log_variance = np.empty((4 * K, e.size)), np.empty((4 * K, e.size))
         for i in range(4 * K):
             levels = point.levels.copy()
             levels.ravel()[i] += LEVEL_STEP
-            e1, J1, log_variance1 = _rows(rec, columns, levels)
-            d_innovation[i], d_log_variance[i] = e1 - e, log_variance1 - log_variance
-            slopes[i][np.ix_(where, where)] += (J1 @ J1.T - square) / LEVEL_STEP
+            moved, moved_log_variance = _rows(rec, columns, levels)
+            d_innovation[i], d_log_variance[i] = moved[0] - e, moved_log_variance - log_variance
+            for where, part in zip(own, parts, strict=True):
+                change = moved[1:, part] @ moved[1:, part].T - reference[:, part] @ reference[:, part].T
+                slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
+        for where, part in zip(own, parts, strict=True):
+            projected[np.ix_(where, where)] += reference[:, part] @ reference[:, part].T
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
         raw = d_innovation + 0.5 * e * d_log_variance
         information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
     adjustment = 0.0
-    if adjusted is not None:
-        covariance = inverted(information[:n, :n], adjusted)
-        gradient[n:] -= 0.5 * np.einsum("ij,kij->k", covariance, slopes)
-        adjustment = _adjustment(information[:n, :n], point, adjusted)
+    if restricted is not None:
+        gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
+        adjustment = -0.5 * _log_determinant(projected, restricted.active)
     return Score(log_likelihood, adjustment, gradient, information, slopes, tuple(innovations))
 
 
-def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array, Array]:
-    """Innovations (B K,), whitened sensitivities (4 K, B K) and log variances (B K,)."""
+def _start_places(K: int, F: int, at: slice) -> range:
+    """First place of the start velocity of each segment among all parameters."""
+    first = 3 * K + F * K
+    return range(first + at.start * K, first + at.stop * K, K)
+
+
+def _segment_parts(rec: Record, K: int) -> list[slice]:
+    """Which entries of the flattened blocks (B K,) belong to each segment."""
+    ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
+    return [slice(low, high) for low, high in itertools.pairwise(ends)]
+
+
+def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
+    """Whitened columns (C, B K) and log variances (B K,)."""
     rows, log_variance = whiten(rec, columns, levels)
-    flat = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(columns.shape[1], -1)
-    return flat[0], flat[1:], log_variance.ravel()
+    return np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(columns.shape[1], -1), log_variance.ravel()
 
 
-def _adjustment(information: Array, point: Point, adjusted: Mask) -> float:
-    """Less half the log determinant, per unit of the gain so that it does not reward small gains."""
-    K, index = point.gain.size, np.flatnonzero(adjusted)
-    scale = np.ones(len(information))
-    scale[K : 3 * K] = 1 / np.tile(np.maximum(np.abs(point.gain), 1e-9), 2)
-    block = information[np.ix_(index, index)] * np.outer(scale[index], scale[index])
-    size = np.sqrt(np.maximum(np.diag(block), 1e-300))
-    return float(
-        -0.5 * np.linalg.slogdet(block / np.outer(size, size) + 1e-10 * np.eye(index.size))[1] - np.log(size).sum()
-    )
+def _log_determinant(information: Array, active: Mask) -> float:
+    """Of the active block, with the ridge of `inverted`."""
+    block = information[np.ix_(active, active)]
+    size = np.sqrt(np.maximum(np.diag(block), 1e-12))
+    scaled = block / np.outer(size, size) + 1e-10 * np.eye(size.size)
+    return float(np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
 
 
 def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:

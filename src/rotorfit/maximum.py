@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import Point, Score, inverted, score
+from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
 from rotorfit.record import Record
 
 SECANT_BELOW = 20.0
@@ -21,7 +21,7 @@ class Optimum:
         point: Where.
         score: What it is worth.
         free: True for the parameters that could move, shape (3 K + F K + 4 K,).
-        adjusted: Coefficients and trims that the levels account for, shape (3 K + F K,); None where levels were held.
+        restricted: What the levels account for; None where levels were held.
         inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
         gain: Expected gain in log-likelihood of one more step: how far from the top.
         passes: Passes over the flights that it took.
@@ -30,7 +30,7 @@ class Optimum:
     point: Point
     score: Score
     free: Mask
-    adjusted: Mask | None
+    restricted: Restriction | None
     inverse: Array
     gain: float
     passes: int
@@ -41,7 +41,7 @@ def maximise(
     point: Point,
     free: Mask,
     inverse: Array | None = None,
-    adjusted: Mask | None = None,
+    restricted: Restriction | None = None,
     tolerance: float = 1e-3,
     most: int = 80,
 ) -> Optimum:
@@ -52,13 +52,13 @@ def maximise(
         point: Where to start.
         free: True for the parameters that may move, shape (3 K + F K + 4 K,).
         inverse: Inverse information to start with, where one is known.
-        adjusted: Coefficients and trims that the levels account for; those that are free by default.
+        restricted: What the levels account for; by default what is free, with the start as reference.
         tolerance: Expected gain in log-likelihood below which to stop.
         most: Largest number of passes.
     """
-    if adjusted is None and free[-1]:
-        adjusted = free[: 3 * point.gain.size + point.trim.size]
-    best = score(records, point, adjusted)
+    if restricted is None and free[-1]:
+        restricted = restriction(records, point, free)
+    best = score(records, point, restricted)
     passes, active, fresh = 1, free & ~pressed(point, best.gradient), inverse is None
     while True:
         movable = free & ~pressed(point, best.gradient)
@@ -75,7 +75,7 @@ def maximise(
             break
         step = limited(step, point.gain.size)
         step = point.reach(step) * step
-        trial, result, tried = _line_search(records, point, best, step, adjusted)
+        trial, result, tried = _line_search(records, point, best, step, restricted)
         passes += tried
         if result.objective <= best.objective:
             if fresh:
@@ -86,17 +86,17 @@ def maximise(
         fresh = gain > SECANT_BELOW or passes < 3
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
-    return Optimum(point, best, free, adjusted, inverse, gain, passes)
+    return Optimum(point, best, free, restricted, inverse, gain, passes)
 
 
 def _line_search(
-    records: Sequence[Record], point: Point, here: Score, step: Array, adjusted: Mask | None
+    records: Sequence[Record], point: Point, here: Score, step: Array, restricted: Restriction | None
 ) -> tuple[Point, Score, int]:
     """Shortens a step until the objective rises; gives up after eight."""
     tried = 0
     while True:
         trial = point.moved(step)
-        result = score(records, trial, adjusted)
+        result = score(records, trial, restricted)
         tried += 1
         if result.objective > here.objective or tried == 8:
             return trial, result, tried

@@ -86,7 +86,7 @@ class Axis:
         ci95: Coefficient name to 95 % interval; an open end is None.
         status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `diverged` or `too_short`.
         trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
-        noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_rate` and `trim_variance` of the disturbance.
+        noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance.
         predictor: What simulation uses; None where the axis is not excited.
         combinations: `steady_gain` (g / b) and `total_lag` (delay + 1 / b) [s].
         modes: Optima of the likelihood, the chosen one first.

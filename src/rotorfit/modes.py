@@ -57,6 +57,7 @@ def start_point(records: Sequence[Record], delay: float, damping: float, levels:
         log_damping=np.full(K, np.log(damping)),
         delay=np.full(K, delay),
         trim=np.zeros((len(records), K)),
+        start=np.zeros((sum(rec.starts.size for rec in records), K)),
         levels=levels,
     )
 

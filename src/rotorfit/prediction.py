@@ -19,6 +19,9 @@ from rotorfit.disturbance import (
 from rotorfit.frames import Array
 from rotorfit.response import transition
 
+START_VELOCITY_VARIANCE = 10.0
+"""Of the vehicle's unknown velocity at the first pose [m^2/s^2], left to the filter."""
+
 
 @numba.njit(cache=True)
 def _move(p: Array, v: Array, drive: Array, damping: Array, c: float, s: float, dt: float) -> None:
@@ -101,7 +104,7 @@ def predict(
         gain: g, shape (2,).
         damping: b, shape (2,) [1/s].
         delay: tau, shape (2,) [s].
-        levels: q, r, mu, lambda, shape (2, 4).
+        levels: q, r, alpha, kappa, shape (2, 4).
         trim_variance: Prior variance of the trim, shape (2,).
         first: Index of the first pose after each start, shape (S,).
         last: One past the last pose to predict from each start, shape (S,).
@@ -125,6 +128,8 @@ def predict(
     Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
     P = np.zeros((3, 3, 3))
     start_covariance(P, levels)
+    for a in range(2):
+        P[a, 1, 1] += START_VELOCITY_VARIANCE
     state = np.zeros((3, 6))  # of the data less the driven response, and of the two unit trims
     information = np.diag(1 / trim_variance)
     weighted = np.zeros(2)

@@ -1,6 +1,6 @@
 """Profile likelihood: the best log-likelihood with one coefficient held, and intervals from it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.adjusted, tolerance=0.02)
+    return maximise(records, point, free, inverse, optimum.restricted, tolerance=0.02)
 
 
 def height(optimum: Optimum) -> float:
@@ -69,19 +69,39 @@ def interval(records: Sequence[Record], optimum: Optimum, index: int) -> tuple[I
     error = float(np.sqrt(inverted(optimum.score.information, optimum.free)[index, index]))
     low, high = (float(bound[index]) for bound in optimum.point.bounds())
     points = [(best, 0.0)]
-    ends: list[float | None] = []
+    ends = []
     for side, bound in ((-1.0, low), (1.0, high)):
-        target, end = best + side * reach * error, None
-        for _ in range(10):
-            target = max(low, min(high, target))
-            fall = max(height(optimum) - height(hold(records, optimum, index, target)), 1e-9)
+
+        def root(target: float) -> float:
+            fall = max(height(optimum) - height(hold(records, optimum, index, target)), 0.0)
             points.append((target, -fall))
-            root = np.sqrt(2 * fall)
-            if abs(root - reach) < 0.04:
-                end = target
-                break
-            if target == bound and root < reach:
-                break
-            target = best + (target - best) * float(np.clip(reach / root, 0.25, 4.0))
-        ends.append(end)
+            return float(np.sqrt(2 * fall))
+
+        ends.append(_crossing(root, best, best + side * reach * error, bound, reach))
     return (ends[0], ends[1]), sorted(points)
+
+
+def _crossing(root: Callable[[float], float], best: float, guess: float, bound: float, reach: float) -> float | None:
+    """Where the root of the fall passes `reach` on the way from `best` to `bound`; None where it does not.
+
+    The root is nearly linear where the likelihood is nearly quadratic, so the steps scale with it; a bracket keeps them
+    honest where it is not, and after twelve looks the outer end of the bracket is taken.
+    """
+    inside, outside, target = best, None, guess
+    side = 1.0 if bound > best else -1.0
+    for _ in range(12):
+        target = min(target, bound) if side > 0 else max(target, bound)
+        value = root(target)
+        if abs(value - reach) < 0.04:
+            return target
+        if value > reach:
+            outside = target
+        elif target == bound:
+            return None
+        else:
+            inside = target
+        share = float(np.clip(reach / max(value, 1e-6), 0.3, 4.0))
+        target = best + (target - best) * share
+        if outside is not None and not min(inside, outside) < target < max(inside, outside):
+            target = 0.5 * (inside + outside)
+    return outside

@@ -6,8 +6,8 @@ steps and the response is continuous in the delay. With f, k, h the transition o
     v(t + dt) = f v + k a,   p(t + dt) = p + k v + h a,   f = exp(-b dt), k = (1 - f) / b, h = (dt - k) / b,
 
 the sensitivities with respect to the damping b pass through df/db, dk/db, dh/db, and the one with respect to the delay
-is a velocity impulse (u_old - u_new) at every switch. All start from rest at the start of a segment: initial position
-and velocity belong to the disturbance filter, which leaves them free.
+is a velocity impulse (u_old - u_new) at every switch. At the start of a segment the velocity is a parameter of its own;
+the position belongs to the disturbance filter, which leaves it free.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorfit.frames import Array
 
-AXIS_COLUMNS = ("gain", "trim", "damping", "delay")
+AXIS_COLUMNS = ("gain", "trim", "damping", "delay", "start")
 """Order of the columns of `axis_response`; `plane_response` has each pair x, y in turn."""
 
 
@@ -56,6 +56,7 @@ def axis_response(
     trim: float,
     damping: float,
     delay: float,
+    velocity: Array,
 ) -> Array:
     """Block means of the position response of one axis, and its sensitivities.
 
@@ -72,27 +73,29 @@ def axis_response(
         trim: Constant acceleration c [unit/s^2].
         damping: b [1/s], positive.
         delay: tau [s].
+        velocity: At the start of each segment, shape (S,) [unit/s].
 
     Returns:
-        Shape (B, 4, 1): d/dg (the response to a gain of one), d/dc, d/db and d/dtau of the position. The position
-        itself is g times the first plus c times the second.
+        Shape (B, 5, 1): d/dg (the response to a gain of one), d/dc, d/db, d/dtau and d/dv0 of the position, v0 being
+        the velocity at the start of the block's own segment. The position itself is g, c, v0 times first, second, last.
 
     Source: paper, eq. (4), with u(t - tau) and a constant added.
     """
-    out = np.zeros((weight.size, 4, 1))
+    out = np.zeros((weight.size, 5, 1))
     for s in range(starts.size):
         t = starts[s]
         k, last = command_range[s, 0], command_range[s, 1]
         while k + 1 < last and command_time[k + 1] + delay <= t:
             k += 1
         u = command[k]
-        gp = gv = cp = cv = bp = bv = tp = tv = 0.0
+        gp = gv = cp = cv = bp = bv = tp = tv = sp = 0.0
+        sv = 1.0
         for i in range(pose_range[s, 0], pose_range[s, 1]):
             while t < pose_time[i]:
                 switch = k + 1 < last and command_time[k + 1] + delay <= pose_time[i]
                 t_next = command_time[k + 1] + delay if switch else pose_time[i]
                 f, kk, h, df, dk, dh = transition(damping, t_next - t)
-                v, a = gain * gv + trim * cv, gain * u + trim
+                v, a = gain * gv + trim * cv + velocity[s] * sv, gain * u + trim
                 bp += kk * bv + dk * v + dh * a
                 bv = f * bv + df * v + dk * a
                 gp += kk * gv + h * u
@@ -101,6 +104,8 @@ def axis_response(
                 cv = f * cv + kk
                 tp += kk * tv
                 tv *= f
+                sp += kk * sv
+                sv *= f
                 t = t_next
                 if switch:
                     tv += gain * (u - command[k + 1])
@@ -111,6 +116,7 @@ def axis_response(
             out[block[i], 1, 0] += w * cp
             out[block[i], 2, 0] += w * bp
             out[block[i], 3, 0] += w * tp
+            out[block[i], 4, 0] += w * sp
     return out
 
 
@@ -129,6 +135,7 @@ def plane_response(
     trim: Array,
     damping: Array,
     delay: Array,
+    velocity: Array,
 ) -> Array:
     """Block means of the horizontal world response, coupled through the measured yaw, and its sensitivities.
 
@@ -146,22 +153,24 @@ def plane_response(
         trim: Constant acceleration in the heading frame, shape (2,) [m/s^2].
         damping: b of x and y, shape (2,) [1/s], positive.
         delay: tau of x and y, shape (2,) [s].
+        velocity: World, at the start of each segment, shape (S, 2) [m/s].
 
     Returns:
-        Shape (B, 8, 2), world components: d/dg_x, d/dg_y, d/dc_x, d/dc_y, d/db_x, d/db_y, d/dtau_x, d/dtau_y. The
-        position itself is the sum of g_x, g_y, c_x, c_y times the first four.
+        Shape (B, 10, 2), world components: d/dg, d/dc, d/db, d/dtau of x and y in turn, and d/dv0, v0 being the world
+        velocity at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
 
     Source: paper, eq. (5), with u(t - tau) and a constant added; exact for a heading that is constant between events.
     """
-    out = np.zeros((weight.size, 8, 2))
-    p = np.zeros((8, 2))
-    v = np.zeros((8, 2))
-    drive = np.zeros((8, 2))
+    out = np.zeros((weight.size, 10, 2))
+    p = np.zeros((10, 2))
+    v = np.zeros((10, 2))
+    drive = np.zeros((10, 2))
     k = np.zeros(2, np.int64)
     for s in range(starts.size):
         t = starts[s]
         p[:] = 0.0
         v[:] = 0.0
+        v[8, 0] = v[9, 1] = 1.0
         last = command_range[s, 1]
         for j in range(2):
             k[j] = command_range[s, 0]
@@ -190,7 +199,10 @@ def plane_response(
                     my += scale * (c * v[j, 1] - sn * v[j, 0])
                     ax += scale * drive[j, 0]
                     ay += scale * drive[j, 1]
-                for j in range(8):
+                for j in range(2):
+                    mx += velocity[s, j] * (c * v[8 + j, 0] + sn * v[8 + j, 1])
+                    my += velocity[s, j] * (c * v[8 + j, 1] - sn * v[8 + j, 0])
+                for j in range(10):
                     vx = c * v[j, 0] + sn * v[j, 1]
                     vy = c * v[j, 1] - sn * v[j, 0]
                     px = k0 * vx
@@ -227,7 +239,7 @@ def plane_response(
                     drive[switch, switch] = new
                     k[switch] += 1
             w = weight[block[i]]
-            for j in range(8):
+            for j in range(10):
                 out[block[i], j, 0] += w * p[j, 0]
                 out[block[i], j, 1] += w * p[j, 1]
     return out

@@ -33,9 +33,9 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
         sentences.append(f"Known: {_listed([_NAMES[name] for name in coefficients])} of {_listed(whole)}.")
     sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]
     unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
-    for status, reason in _REASONS.items():
-        if without := [axis for axis, why in unknown.items() if why == status]:
-            sentences.append(f"No numbers: {reason.format(_listed(without))}.")
+    groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
+    if reasons := [_REASONS[why].format(_listed(group, "or")) for why, group in groups.items() if group]:
+        sentences.append(f"No numbers: {'; '.join(reasons)}.")
     return " ".join([*sentences, *_warnings(model, wanted)])
 
 
@@ -68,6 +68,6 @@ def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
         yield "What it is worth shows on a flight that was not fitted."
 
 
-def _listed(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str], last: str = "and") -> str:
     """`x`, `x and y`, `x, y and z`."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

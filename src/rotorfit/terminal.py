@@ -171,7 +171,9 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
 
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
-    table = _table("axis", "coefficient", "estimate", "95 % interval", "unit", "paper", "status", left=(0, 1, 4, 6))
+    table = _table(
+        "axis", "coefficient", "estimate", "95 % interval", "unit", "paper", "status", left=(0, 1, 4, 6), gap=1
+    )
     for axis in axes:
         known, k = model.axes[axis], AXES.index(axis)
         paper = dict(zip(COEFFICIENTS, model.paper[2 * k : 2 * k + 2], strict=False))
@@ -346,9 +348,9 @@ def formats_view(formats: Iterable[str]) -> View:
     yield Text("A format is found by content, not by name.", style="dim")
 
 
-def _table(*heads: str, left: Sequence[int] = (0,)) -> Table:
+def _table(*heads: str, left: Sequence[int] = (0,), gap: int = 2) -> Table:
     """A table without frame; columns are right-aligned except those that are named."""
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap - 1, 0, 0), header_style="bold")
     for place, head in enumerate(heads):
         text = place in left
         table.add_column(head, justify="left" if text else "right", no_wrap=not text, overflow="fold")

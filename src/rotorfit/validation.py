@@ -1,7 +1,7 @@
 """Model + other flights -> Validation: prediction errors beside naive baselines, and what the residuals say."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,10 @@ from rotorfit.forecast import (
     score_predictions,
 )
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import Point, response
+from rotorfit.likelihood import response
 from rotorfit.maximum import maximise
 from rotorfit.model import Model
+from rotorfit.modes import start_point
 from rotorfit.record import record
 
 Progress = Callable[[float, str], None]
@@ -155,24 +156,22 @@ class Residuals:
     response: Array
 
 
+def _levels(noise: Mapping[str, float]) -> Array:
+    """Logarithms of the disturbance levels, shape (1, 4)."""
+    return np.log([[noise[level] for level in LEVELS]])
+
+
 def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
-    """Innovations of every axis with a predictor, with the flight's own trim."""
+    """Innovations of every axis with a predictor, with the flight's own trim and start."""
     out = {}
     for axis in AXES:
         known, rec = model.axes[axis], record(flight, (axis,))
         if known.predictor is None or rec is None:
             continue
-        point = Point(
-            gain=np.array([known.predictor.input]),
-            log_damping=np.log([max(known.predictor.damping, 1e-3)]),
-            delay=np.array([known.predictor.delay]),
-            trim=np.zeros((1, 1)),
-            levels=np.log([[known.noise[level] for level in LEVELS]]),
-        )
-        free = np.zeros(point.flat().size, bool)
-        free[3] = True
-        best = maximise([rec], point, free)
-        out[axis] = Residuals(
-            axis, rec.block_time, best.score.innovations[0][:, 0], response(rec, best.point, 0)[0][:, 0]
-        )
+        start = start_point([rec], known.predictor.delay, max(known.predictor.damping, 1e-3), _levels(known.noise))
+        free = np.zeros(start.flat().size, bool)
+        free[3 : start.n] = True
+        best = maximise([rec], replace(start, gain=np.array([known.predictor.input])), free)
+        explained = response(rec, best.point, 0, best.point.start)[0][:, 0]
+        out[axis] = Residuals(axis, rec.block_time, best.score.innovations[0][:, 0], explained)
     return out

@@ -76,6 +76,7 @@ class Chart:
         levels: Horizontal lines, value to name.
         span: A marked range of x, such as an interval; an open end is infinite.
         y_range: What to show of y; None for all.
+        y_log: Whether y is drawn on a logarithmic scale; all its values are then positive or NaN.
     """
 
     kind: str
@@ -91,6 +92,7 @@ class Chart:
     levels: tuple[tuple[float, str], ...] = ()
     span: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
+    y_log: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,10 @@ COLUMNS = 250
 """Stretches of a long line, each drawn by its extremes."""
 
 
+MIN_SPACE = 18
+"""Least distance of two horizons that are both written below the axis."""
+
+
 @dataclass(frozen=True)
 class Tick:
     """Place along an axis [units of the picture] and its text."""
@@ -86,11 +90,17 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
         return np.asarray((np.asarray(x) - x_range[0]) / (x_range[1] - x_range[0]) * inner_width)
 
     def place_y(y: Array | float) -> Array:
-        return np.asarray((y_range[1] - np.asarray(y)) / (y_range[1] - y_range[0]) * inner_height)
+        y, (low, high) = (np.log10(y), np.log10(y_range)) if chart.y_log else (np.asarray(y), y_range)
+        return np.asarray((high - y) / (high - low) * inner_height)
 
-    zero = float(place_y(0.0))
+    x_ticks = ticks(*x_range, inner_width // 60)
+    if chart.kind.startswith("horizon"):
+        x_ticks = [
+            (float(x), f"{x:g}") for x in chart.x if x == chart.x[0] or place_x(x) - place_x(chart.x[0]) > MIN_SPACE
+        ]
+    y_ticks = (log_ticks if chart.y_log else ticks)(*y_range, inner_height // 32)
     paths = tuple(
-        (line.role, _bars(place_x(chart.x), place_y(line.y), zero))
+        (line.role, _bars(place_x(chart.x), place_y(line.y), float(place_y(0.0))))
         if chart.kind == "correlation"
         else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height))
         for line in chart.lines
@@ -119,8 +129,8 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
         width, height, left, top, inner_width, inner_height, FINENESS, paths, tuple(dots),
         levels=tuple(Tick(float(place_y(value)), text) for value, text in chart.levels),
         shade=shade,
-        x_ticks=tuple(Tick(float(place_x(value)), text) for value, text in ticks(*x_range, inner_width // 60)),
-        y_ticks=tuple(Tick(float(place_y(value)), text) for value, text in ticks(*y_range, inner_height // 32)),
+        x_ticks=tuple(Tick(float(place_x(value)), text) for value, text in x_ticks),
+        y_ticks=tuple(Tick(float(place_y(value)), text) for value, text in y_ticks),
         x_label=chart.x_label,
         y_label=chart.y_label,
     )  # fmt: skip
@@ -145,8 +155,8 @@ def _y_range(chart: Chart) -> tuple[float, float]:
     values = np.concatenate([np.array([level for level, _ in chart.levels]), *(line.y for line in chart.lines)])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
-    if chart.kind.startswith("horizon"):
-        return 0.0, 1.08 * high or 1.0
+    if chart.y_log:
+        return 0.7 * low, 1.4 * high
     margin = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
     return low - margin, high + margin
 
@@ -184,3 +194,13 @@ def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
     return [
         (float(v), f"{v + 0.0:.{digits}f}".replace("-", "−")) for v in np.where(np.abs(values) < step / 2, 0.0, values)
     ]
+
+
+def log_ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """1, 2 and 5 times the powers of ten between two positive ends, or the powers alone where those are too many."""
+    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
+        values = [f * power for power in powers for f in factors if low <= f * power <= high]
+        if len(values) <= most + 1:
+            break
+    return [(float(value), f"{value:.4g}") for value in values]

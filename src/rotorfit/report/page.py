@@ -38,6 +38,9 @@ MOST_VALUES = 230_000
 OPEN_FLIGHTS = 6
 """Validation flights that are unfolded from the start."""
 
+COLOURED = 0.15
+"""Share of lags outside the 95 % band beyond which intervals are called too narrow: three times what is expected."""
+
 SECTIONS = (
     ("verdict", "Verdict"),
     ("coefficients", "Coefficients"),
@@ -118,15 +121,10 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
         validation: Its scores.
         flights: The flights of the scores, in their order.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    environment = Environment(
-        loader=PackageLoader("rotorfit.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     tested, fitted = _flights(model, flights, training)
     # Our own files and JSON without "<" may stand in <style> and <script> as they are; everything else is escaped.
     raw = {
@@ -136,7 +134,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
         "series": Markup(_json(_series(view) for view in (*tested, *fitted))),
     }
     scores = scores_of(validation, flights)
-    text = environment.get_template("page.html.j2").render(
+    text = environment.from_string(_file("templates/page.html.j2")).render(
         **raw,
         **_evidence(model, training, flights, scores),
         version=__version__,
@@ -161,7 +159,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
 
 
 def _file(name: str) -> str:
-    return resources.files("rotorfit.report").joinpath(*name.split("/")).read_text(encoding="utf-8")
+    return resources.files(__name__.rpartition(".")[0]).joinpath(*name.split("/")).read_text(encoding="utf-8")
 
 
 def _plot_library() -> str:
@@ -231,7 +229,8 @@ def _evidence(
     def panels(charts: Iterable[Chart]) -> list[Panel]:
         return [Panel(chart, drawn(chart, 280, 205)) for chart in charts]
 
-    horizons = horizon_charts(scores)
+    horizons, correlations = horizon_charts(scores), residual_charts(model, flights or training)
+    coloured = [c.axis for c in correlations if np.mean(np.abs(c.lines[0].y) > c.levels[0][0]) > COLOURED]
     return {
         "horizons": {
             "velocity": panels(chart for chart in horizons if chart.kind == "horizon_velocity"),
@@ -242,7 +241,8 @@ def _evidence(
         "profiles": panels(profile_charts(model)),
         "modes": _mode_rows(model),
         "rivals": any(len(model.axes[axis].modes) > 1 for axis in AXES),
-        "correlations": panels(residual_charts(model, flights or training)),
+        "correlations": panels(correlations),
+        "coloured": coloured,
         "correlations_of": "validation" if flights else "training",
     }
 

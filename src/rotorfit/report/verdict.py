@@ -93,7 +93,7 @@ def _light(model: Model, axis: str, scores: Sequence[Score]) -> Light:
     planning = _planning(scores) if scores else None
     error = planning.velocity.get("model") if planning else None
     if planning is None or error is None:
-        told = "no validation flight tests this axis: how well it predicts is not known"
+        told = "no validation flight commands this axis for long enough: how well it predicts is not known"
         colour = "red" if forbidden else "yellow"
         return Light(axis, colour, WORDS[colour], None, (), _sentences([*forbidden, told, *doubts]))
     gain = _times(planning.velocity.get("hold"), error)
@@ -102,17 +102,11 @@ def _light(model: Model, axis: str, scores: Sequence[Score]) -> Light:
         forbidden.append(f"{planning.horizon:g} s ahead it predicts no better than holding the velocity")
     elif gain is not None and gain < USEFUL:
         weak.append("only a little better than holding the velocity on these flights: they may hardly move this axis")
-    reasons = [*forbidden, *weak, *doubts, *_unknown(known)]
+    reasons = [*forbidden, *weak, *doubts, *_unknown(known, model.method)]
     colour = "red" if forbidden else "yellow" if reasons else "green"
     unit, factor = SPEED[axis]
-    return Light(
-        axis,
-        colour,
-        WORDS[colour],
-        f"{figure(factor * error)} {unit}",
-        _said(axis, planning, scores),
-        _sentences(reasons),
-    )
+    said = _sentences([*_said(axis, planning, scores, model.method), *_answers(known)])
+    return Light(axis, colour, WORDS[colour], f"{figure(factor * error)} {unit}", said, _sentences(reasons))
 
 
 def _times(other: float | None, own: float) -> float | None:
@@ -120,16 +114,26 @@ def _times(other: float | None, own: float) -> float | None:
     return other / own if other is not None and own > 0 else None
 
 
-def _unknown(known: Axis) -> list[str]:
+def _unknown(known: Axis, method: str) -> list[str]:
     """Coefficients without numbers."""
-    return [
-        f"the {name} alone cannot be told: {STATUS.get(status, status)}"
-        for name, status in known.status.items()
-        if status != "ok"
-    ]
+    lacking = {name: status for name, status in known.status.items() if status != "ok"}
+    told = [f"the {name} alone cannot be told: {STATUS.get(status, status)}" for name, status in lacking.items()]
+    if method == "paper" and "delay" in lacking:
+        told[list(lacking).index("delay")] = (
+            "the paper's method knows no delay: it predicts as if commands acted at once"
+        )
+    return told
 
 
-def _said(axis: str, planning: Score, scores: Sequence[Score]) -> tuple[str, ...]:
+def _answers(known: Axis) -> list[str]:
+    """How late the vehicle answers, as far as it is known."""
+    if known.delay is not None:
+        return [f"a command acts after {known.delay:.2f} s"]
+    lag = known.combinations.get("total_lag")
+    return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
+
+
+def _said(axis: str, planning: Score, scores: Sequence[Score], method: str) -> list[str]:
     """How far off the predictions are, against the baselines, and at the longest horizon."""
     unit, factor = SPEED[axis]
     error = planning.velocity["model"]
@@ -137,7 +141,7 @@ def _said(axis: str, planning: Score, scores: Sequence[Score]) -> tuple[str, ...
     hold, paper = (_times(planning.velocity.get(name), error) for name in ("hold", "paper"))
     ahead, quantity = f"{planning.horizon:g} s ahead", "yaw rate" if axis == "yaw" else f"{axis} velocity"
     said = [f"{ahead} the {quantity} is off by {figure(factor * error)} {unit}{_better(hold, 'holding the velocity')}"]
-    if paper is not None:
+    if paper is not None and method != "paper":
         said.append(f"beside the paper's coefficients: {_ratio(paper)}")
     last = max(scores, key=lambda score: score.horizon)
     position = last.position.get("model")
@@ -147,7 +151,7 @@ def _said(axis: str, planning: Score, scores: Sequence[Score]) -> tuple[str, ...
         what = "heading" if axis == "yaw" else "position"
         off = f"the {what} is off by {figure(factor * position)} {unit}"
         said.append(f"{last.horizon:g} s ahead {off}{_better(other, 'holding the velocity')}")
-    return _sentences(said)
+    return said
 
 
 def _better(times: float | None, than: str) -> str:

@@ -30,7 +30,7 @@
       width, height: Math.max(150, Math.min(230, Math.round(width * 0.36))),
       padding: [8, 12, 0, 0],
       scales: {x: {time: false}},
-      cursor: {drag: {x: true, y: false}, sync: {key: "flight" + flight.number}, points: {size: 5}},
+      cursor: {y: false, drag: {x: true, y: false}, sync: {key: "flight" + flight.number}, points: {size: 5}},
       legend: {live: true},
       series: [{label: "t", value: (_, v) => v == null ? "–" : v.toFixed(2) + " s"},
         ...data.lines.map(line => ({label: line.name, stroke: colour(line.role), width: line.role === "measured" ? 2.4 : 1.4,
