@@ -28,11 +28,14 @@ RIVER = (
     "response",
     "disturbance",
     "prediction",
-    "model",
-    "likelihood",
-    "profile",
     "forecast",
+    "record",
+    "likelihood",
+    "maximum",
     "modes",
+    "estimate",
+    "model",
+    "profile",
     "fit",
     "validation",
     "advice",
@@ -42,7 +45,6 @@ RIVER = (
     "evidence",
     "excitation",
     "simulator",
-    "exports",
     "report",
     "demo",
     "terminal",
@@ -73,7 +75,8 @@ def imported_names(path: Path, package: tuple[str, ...]) -> Iterator[tuple[str, 
             parts = (*base, *(node.module.split(".") if node.module else ()))
             yield from ((*parts, alias.name) for alias in node.names)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (named := NAMED.fullmatch(node.value)):
-            yield tuple(named[1].split("."))
+            if (parts := tuple(named[1].split("."))) != package:  # a package may name itself, to find its own data
+                yield parts
 
 
 def imports_of(name: str, paths: dict[str, Path]) -> set[str]:

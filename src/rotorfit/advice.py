@@ -50,7 +50,7 @@ def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
 
 def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
     status = axis.status["input"]
-    if status == "not_excited" and moved:
+    if status == "not_excited" and moved and axis.noise:
         yield Finding(
             "not_excited",
             "warning",
@@ -103,7 +103,7 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "info",
             f"the damping of {name} lies anywhere between {_end(low)} and {_end(high)} 1/s (95 %)",
             f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
-            if high is None or high > 3.0
+            if None not in (*gain.ci95, *lag.ci95)
             else f"the input gain of {name} is known, how fast its speed fades is not",
             "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
             name,

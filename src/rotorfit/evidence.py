@@ -218,6 +218,7 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         for mode in axis.modes
     )
     low, high = axis.ci95.get("delay", (None, None))
+    fall = axis.profile_fall or FALL
     told = f"delay {axis.predictor.delay:.3f} s, " if axis.predictor else ""
     reached = f"; {chosen.starts} of {starts} starts reached this optimum" if chosen else ""
     others = len(axis.modes) - 1
@@ -231,11 +232,11 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         x=delay,
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
-        "stays above the dashed line (−1.92) lies the 95 % interval, shaded. Dots are optima that the search found; "
+        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval, shaded. Dots are optima that the search found; "
         "hollow ones lie beyond the picture.",
         summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}.",
         marks=marks,
-        levels=((-FALL, "−1.92"),),
+        levels=((-fall, f"−{fall:.2f}"),),
         span=(-np.inf if low is None else low, np.inf if high is None else high),
         y_range=(
             max(-PROFILE_REACH, float(value.min())),

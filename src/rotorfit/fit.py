@@ -25,8 +25,8 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import start_point, trim_variance
-from rotorfit.profile import height, hold, interval, quantile
+from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
+from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.regression import PaperFit, paper_regression
 
@@ -181,8 +181,8 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     K = optimum.point.gain.size
     variance = np.diag(inverted(optimum.score.information, optimum.free))
     index = {"input": k, "damping": K + k, "delay": 2 * K + k}
-    found = {name: interval(records, optimum, i) for name, i in index.items()}
-    ends: dict[str, Interval] = {name: where for name, (where, _) in found.items()}
+    profiles = {name: profile(records, optimum, i) for name, i in index.items()}
+    ends: dict[str, Interval] = {name: found.ci95 for name, found in profiles.items()}
     ends["damping"] = _exponential(ends["damping"])
     if _holds_zero(ends["input"]):
         return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
@@ -204,7 +204,8 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         status=status,
         predictor=point,
         combinations=_combinations(optimum, k),
-        profile=_drawn(records, optimum, index["delay"], found["delay"][1]),
+        profile=_drawn(records, optimum, index["delay"], profiles["delay"].points),
+        profile_fall=profiles["delay"].fall,
     )
 
 
@@ -285,19 +286,30 @@ def _joined(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
 
 
 def _modes(estimate: Estimate) -> tuple[Mode, ...]:
+    """The optima as this axis sees them; where two axes were searched together, those alike on this one are one."""
     k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
-    return tuple(
-        Mode(
-            delay=float(f.optimum.point.delay[k]),
-            damping=float(np.exp(f.optimum.point.log_damping[k])),
-            input=float(f.optimum.point.gain[k]),
+    modes: list[Mode] = []
+    for number, f in enumerate(estimate.found):
+        point, rmse = f.optimum.point, float(f.prediction[k])
+        mode = Mode(
+            delay=float(point.delay[k]),
+            damping=float(np.exp(point.log_damping[k])),
+            input=float(point.gain[k]),
             log_likelihood=f.optimum.score.log_likelihood - best,
             starts=f.starts,
-            prediction=float(f.prediction[k]) if np.isfinite(f.prediction[k]) else None,
+            prediction=rmse if np.isfinite(rmse) else None,
             chosen=number == 0,
         )
-        for number, f in enumerate(estimate.found)
-    )
+        alike = next((i for i, other in enumerate(modes) if _alike(mode, other)), None)
+        if alike is None:
+            modes.append(mode)
+        else:
+            modes[alike] = replace(modes[alike], starts=modes[alike].starts + mode.starts)
+    return tuple(modes)
+
+
+def _alike(one: Mode, other: Mode) -> bool:
+    return abs(one.delay - other.delay) < SAME_DELAY and abs(np.log(one.damping / other.damping)) < SAME_LOG_DAMPING
 
 
 def _drawn(

@@ -33,6 +33,9 @@ LONGEST_GAP = 1.0
 LEAST_SCORES = 5
 """Fewer predictions than this give no score."""
 
+LEAST_FILTER_DAMPING = 1e-3
+"""Damping below which the filter does not go, where a model is unstable [1/s]; the prediction itself does."""
+
 EDGE = 1e-9
 
 
@@ -159,7 +162,9 @@ def _predict_segment(
             np.ascontiguousarray(pose[:, pair]),
             yaw,
             *distinct_steps(t),
-            *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay", "levels")),
+            *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay")),
+            np.array([max(axis.damping, LEAST_FILTER_DAMPING) for axis in chosen]),
+            np.array([axis.levels for axis in chosen]),
             np.array([axis.trim_variance for axis in chosen]),
             first,
             last,

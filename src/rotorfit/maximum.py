@@ -9,6 +9,9 @@ from rotorfit.frames import Array, Mask
 from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
 from rotorfit.record import Record
 
+EDGE = 1e-9
+"""How close to a bound counts as at it."""
+
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
@@ -115,7 +118,7 @@ def _secant(inverse: Array, step: Array, change: Array) -> Array:
 def pressed(point: Point, gradient: Array) -> Mask:
     """True where a parameter stands at a bound of its range and the gradient pushes it outwards."""
     value, (low, high) = point.flat(), point.bounds()
-    return ((value <= low) & (gradient < 0)) | ((value >= high) & (gradient > 0))
+    return ((value <= low + EDGE) & (gradient < 0)) | ((value >= high - EDGE) & (gradient > 0))
 
 
 def limited(step: Array, K: int) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorfit import __version__
 from rotorfit.card import Card, card_from_mapping
+from rotorfit.disturbance import LEVELS
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
@@ -91,6 +92,7 @@ class Axis:
         combinations: `steady_gain` (g / b) and `total_lag` (delay + 1 / b) [s].
         modes: Optima of the likelihood, the chosen one first.
         profile: Delays [s] and the log-likelihood, less its maximum, re-maximised over everything else at each.
+        profile_fall: How far it falls to the ends of the delay's interval.
     """
 
     input: float | None
@@ -105,6 +107,7 @@ class Axis:
     combinations: Mapping[str, Combination] = field(default_factory=dict)
     modes: tuple[Mode, ...] = ()
     profile: tuple[tuple[float, float], ...] = ()
+    profile_fall: float | None = None
 
 
 def unknown_axis(status: str) -> Axis:
@@ -358,6 +361,8 @@ def from_mapping(raw: Any, where: str) -> Model:
 
 
 def _axis(raw: Mapping[str, Any]) -> Axis:
+    if raw["noise"] and set(raw["noise"]) != {*LEVELS, "trim_variance"}:
+        raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
     return Axis(
         **{
             **raw,

@@ -25,7 +25,7 @@ SAME_DELAY = 0.01
 SAME_LOG_DAMPING = 0.3
 """Optima closer than this in delay [s] and log damping are one."""
 
-ALIKE = 0.02
+ALIKE = 0.05
 """Optima whose prediction errors differ by less than this share predict alike."""
 
 JUDGE_HORIZON = 1.0

@@ -85,6 +85,7 @@ def predict(
     gain: Array,
     damping: Array,
     delay: Array,
+    filter_damping: Array,
     levels: Array,
     trim_variance: Array,
     first: Any,
@@ -104,6 +105,8 @@ def predict(
         gain: g, shape (2,).
         damping: b, shape (2,) [1/s].
         delay: tau, shape (2,) [s].
+        filter_damping: b while the filter tracks, shape (2,) [1/s]; not negative, because a driven response that grows
+            by itself cannot be told from the disturbance after a minute.
         levels: q, r, alpha, kappa, shape (2, 4).
         trim_variance: Prior variance of the trim, shape (2,).
         first: Index of the first pose after each start, shape (S,).
@@ -147,7 +150,7 @@ def predict(
                 command_time,
                 command,
                 gain,
-                damping,
+                filter_damping,
                 delay,
                 p,
                 v,

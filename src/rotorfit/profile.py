@@ -1,6 +1,7 @@
 """Profile likelihood: the best log-likelihood with one coefficient held, and intervals from it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,8 +49,23 @@ def quantile(optimum: Optimum, direction: Array) -> float:
     return float(stdtrit(degrees_of_freedom(optimum.score, optimum.free, direction), 0.975))
 
 
-def interval(records: Sequence[Record], optimum: Optimum, index: int) -> tuple[Interval, list[tuple[float, float]]]:
-    """95 % interval from the profile; an end that the searched range cuts off is None.
+@dataclass(frozen=True)
+class Profile:
+    """What holding one parameter showed.
+
+    Attributes:
+        ci95: The 95 % interval; an end that the searched range cuts off is None.
+        points: Values looked at, increasing, and the objective there, re-maximised, less its maximum.
+        fall: How far the objective falls to the ends of the interval.
+    """
+
+    ci95: Interval
+    points: tuple[tuple[float, float], ...]
+    fall: float
+
+
+def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
+    """95 % interval of a parameter from its profile.
 
     The signed root of twice the fall is compared with Student's t rather than with 1.96, because the levels of the
     disturbance are estimates too.
@@ -58,9 +74,6 @@ def interval(records: Sequence[Record], optimum: Optimum, index: int) -> tuple[I
         records: The flights.
         optimum: The free maximum.
         index: Of the parameter in the order of `Point.flat`.
-
-    Returns:
-        The interval, and the profile's points (value, objective less the maximum).
     """
     values = optimum.point.flat()
     direction = np.zeros(values.size - optimum.point.levels.size)
@@ -78,7 +91,7 @@ def interval(records: Sequence[Record], optimum: Optimum, index: int) -> tuple[I
             return float(np.sqrt(2 * fall))
 
         ends.append(_crossing(root, best, best + side * reach * error, bound, reach))
-    return (ends[0], ends[1]), sorted(points)
+    return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
 
 
 def _crossing(root: Callable[[float], float], best: float, guess: float, bound: float, reach: float) -> float | None:
