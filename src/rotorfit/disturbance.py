@@ -123,11 +123,11 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         levels: q, r, alpha, kappa, shape (4,).
 
     Returns:
-        Innovations over their standard deviation, shape (B, C), and the log of the innovation variance, shape (B,).
+        Innovations over their standard deviation, shape (B, C), and the innovation variance, shape (B,).
     """
     B, C = columns.shape
     out = np.empty((B, C))
-    log_variance = np.empty(B)
+    variance = np.empty(B)
     q, r = levels[0], levels[1]
     F, Q = step_tables(steps, levels[2], levels[3])
     state = np.zeros((C, 3))
@@ -158,7 +158,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         S = p00 + r / count[i]
         g0, g1, g2 = p00 / S, p01 / S, p02 / S
         root = 1.0 / np.sqrt(S)
-        log_variance[i] = np.log(S)
+        variance[i] = S
         for j in range(C):
             e = columns[i, j] - state[j, 0]
             out[i, j] = e * root
@@ -171,7 +171,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
         p02 -= g0 * p02
         p01 -= g0 * p01
         p00 -= g0 * p00
-    return out, log_variance
+    return out, variance
 
 
 @numba.njit(cache=True)
@@ -279,12 +279,12 @@ def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, 
         levels: q, r, alpha, kappa of x and y of the heading frame, shape (2, 4).
 
     Returns:
-        Innovations over their standard deviation, forward then left, shape (B, C, 2), and the logarithms of the
-        innovation variances, shape (B, 2).
+        Innovations over their standard deviation, forward then left, shape (B, C, 2), and the innovation
+        variances, shape (B, 2).
     """
     B, C, _ = columns.shape
     out = np.empty((B, C, 2))
-    log_variance = np.empty((B, 2))
+    variance = np.empty((B, 2))
     Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
     Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
     P = np.zeros((3, 3, 3))
@@ -307,11 +307,11 @@ def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, 
         for a in range(2):
             S = update_covariance(P, a, levels[a, 1] / count[i], gain)
             root = 1.0 / np.sqrt(S)
-            log_variance[i, a] = np.log(S)
+            variance[i, a] = S
             for j in range(C):
                 x, y = columns[i, j, 0], columns[i, j, 1]
                 e = (c * x + s * y if a == 0 else c * y - s * x) - state[j, 3 * a]
                 out[i, j, a] = e * root
                 for k in range(6):
                     state[j, k] += gain[k] * e
-    return out, log_variance
+    return out, variance

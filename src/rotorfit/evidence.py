@@ -232,7 +232,7 @@ def _profile_chart(name: str, axis: Axis) -> Chart:
         x=delay,
         lines=(Line("profile likelihood", "model", value),),
         reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
-        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval, shaded. Dots are optima that the search found; "
+        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval, shaded. Dots are optima that were found; "
         "hollow ones lie beyond the picture.",
         summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}.",
         marks=marks,

@@ -136,12 +136,12 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
 
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
-    """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, log variances (B, K)."""
+    """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, variances (B, K)."""
     values = np.exp(levels)
     if len(rec.axes) == 2:
         return whiten_plane(rec.steps, rec.step, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
-    rows, log_variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
-    return rows[:, :, None], log_variance[:, None]
+    rows, variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
+    return rows[:, :, None], variance[:, None]
 
 
 @dataclass(frozen=True)
@@ -221,29 +221,32 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         residual = (rec.position - mean)[:, None, :]
         fixed = [] if restricted is None else [restricted.sensitivities[j]]
         rows, log_variance = _rows(rec, np.concatenate([residual, sensitivity, *fixed], axis=1), point.levels)
-        e, J = rows[0], rows[1 : 1 + 5 * K]
-        own = [np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K, i : i + K] for i in _start_places(K, F, at)]
-        parts = _segment_parts(rec, K)
-        for where, part in zip(own, parts, strict=True):
-            information[np.ix_(where, where)] += J[:, part] @ J[:, part].T
-            gradient[where] += J[:, part] @ e[part]
-        log_likelihood -= 0.5 * float(e @ e + log_variance.sum() + e.size * np.log(2 * np.pi))
+        parts = [
+            (np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K, first : first + K], part)
+            for first, part in zip(_start_places(K, F, at), _segment_parts(rec, K), strict=True)
+        ]
+        products = [rows[part].T @ rows[part] for _, part in parts]
+        for (where, _), product in zip(parts, products, strict=True):
+            information[np.ix_(where, where)] += product[1 : 1 + 5 * K, 1 : 1 + 5 * K]
+            gradient[where] += product[1 : 1 + 5 * K, 0]
+            log_likelihood -= 0.5 * float(product[0, 0])
+        log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
+        e = rows[:, 0]
         innovations.append(e.reshape(-1, K))
         if restricted is None:
             continue
-        reference = rows[1 + 5 * K :]
         columns = np.concatenate([residual, *fixed], axis=1)
         d_innovation, d_log_variance = np.empty((4 * K, e.size)), np.empty((4 * K, e.size))
         for i in range(4 * K):
             levels = point.levels.copy()
             levels.ravel()[i] += LEVEL_STEP
             moved, moved_log_variance = _rows(rec, columns, levels)
-            d_innovation[i], d_log_variance[i] = moved[0] - e, moved_log_variance - log_variance
-            for where, part in zip(own, parts, strict=True):
-                change = moved[1:, part] @ moved[1:, part].T - reference[:, part] @ reference[:, part].T
+            d_innovation[i], d_log_variance[i] = moved[:, 0] - e, moved_log_variance - log_variance
+            for (where, part), product in zip(parts, products, strict=True):
+                change = moved[part, 1:].T @ moved[part, 1:] - product[1 + 5 * K :, 1 + 5 * K :]
                 slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
-        for where, part in zip(own, parts, strict=True):
-            projected[np.ix_(where, where)] += reference[:, part] @ reference[:, part].T
+        for (where, _), product in zip(parts, products, strict=True):
+            projected[np.ix_(where, where)] += product[1 + 5 * K :, 1 + 5 * K :]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
         raw = d_innovation + 0.5 * e * d_log_variance
@@ -269,9 +272,9 @@ def _segment_parts(rec: Record, K: int) -> list[slice]:
 
 
 def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
-    """Whitened columns (C, B K) and log variances (B K,)."""
-    rows, log_variance = whiten(rec, columns, levels)
-    return np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(columns.shape[1], -1), log_variance.ravel()
+    """Whitened columns (B K, C) and log variances (B K,)."""
+    rows, variance = whiten(rec, columns, levels)
+    return rows.transpose(0, 2, 1).reshape(-1, columns.shape[1]), np.log(variance).ravel()
 
 
 def _log_determinant(information: Array, active: Mask) -> float:

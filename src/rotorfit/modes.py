@@ -81,10 +81,10 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     starts: list[int] = []
     for number, (delay, damping) in enumerate(STARTS):
         point = start_point(records, delay, damping, levels)
-        climbed = maximise(records, point, held_levels, tolerance=0.1, most=30)
+        climbed = maximise(records, point, held_levels, tolerance=0.3, most=30)
         same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
-            climbed = maximise(records, climbed.point, free, tolerance=0.01)
+            climbed = maximise(records, climbed.point, free, tolerance=0.1)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
             optima.append(climbed)
