@@ -39,16 +39,17 @@ def climbed(records: tuple[Record, ...], start: Point, free: Array, tolerance: f
 
 @pytest.mark.parametrize("axes", [("z",), ("yaw",), ("x", "y")])
 def test_every_start_that_finds_the_delay_ends_at_the_same_top(axes: tuple[str, ...]) -> None:
+    """The objectives differ by hundredths, because each second go has a reference of its own; the point does not."""
     records = records_of(axes)
     free = free_of(records, [True] * len(axes))
     K = len(axes)
     ends = [climbed(records, start_of(records, delay, damping), free) for delay, damping in STARTS[:4]]
 
     top = max(objective for _, objective in ends)
-    assert sum(top - objective < 0.01 for _, objective in ends) >= 3
+    assert sum(top - objective < 0.1 for _, objective in ends) >= 3
     best = next(point for point, objective in ends if objective == top)
     for point, objective in ends:
-        if top - objective < 0.01:
+        if top - objective < 0.1:
             np.testing.assert_allclose(point.flat()[: 3 * K], best.flat()[: 3 * K], rtol=0, atol=2e-4)
 
 

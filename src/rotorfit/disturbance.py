@@ -110,7 +110,7 @@ def stationary(levels: Array) -> Any:
     return variance / (0.25 * levels[3] * levels[2] * levels[2]), variance
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
     """Passes columns of one axis through the filter's gains.
 
@@ -265,7 +265,7 @@ def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
     return S
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
     """Passes horizontal columns through one six-state filter that turns with the heading.
 

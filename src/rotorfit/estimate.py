@@ -9,7 +9,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.likelihood import START_LEVELS, Point, response, segments
 from rotorfit.maximum import Optimum, maximise
-from rotorfit.modes import Found, prediction_error, search, start_point, without_input
+from rotorfit.modes import Found, excerpt, prediction_error, search, start_point, without_input
 from rotorfit.record import Record, record
 
 EXPLAINS = 0.9
@@ -50,11 +50,20 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
         return Estimate(
             records, maximise(records, replace(point, gain=np.zeros(1)), free_of(records, [False])), 0, (), False
         )
-    found = search(records, serving, free_of(records, [True]))
-    best = found[0].optimum
-    if not _explains(serving, (axis,), records, found[0], 0):
-        return Estimate(records, without_input(records, best, [0]), 0, found, False)
-    return Estimate(records, maximise(records, best.point, best.free, best.inverse), 0, found, True)
+    parts = [excerpt(f, (axis,)) for f in serving]
+    short = [rec for f in parts if (rec := record(f, (axis,)))]
+    found = search(short, parts, free_of(short, [True]))
+    start = _moved_to(records, found[0].optimum.point)
+    if not _explains(parts, (axis,), short, found[0], 0):
+        idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
+        return Estimate(records, maximise(records, idle, free_of(records, [False])), 0, found, False)
+    return Estimate(records, maximise(records, start, free_of(records, [True])), 0, found, True)
+
+
+def _moved_to(records: Sequence[Record], point: Point) -> Point:
+    """A point found on excerpts, for the whole flights: their segments start at other velocities."""
+    whole = start_point(records, 0.0, 1.0, point.levels)
+    return replace(whole, gain=point.gain, log_damping=point.log_damping, delay=point.delay)
 
 
 def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -95,13 +104,19 @@ def together(
     serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
 ) -> list[Estimate]:
     """x and y of vehicles that turn, by one likelihood."""
-    found = search(records, serving, free_of(records, moving))
-    best = found[0].optimum
-    excited = [moves and _explains(serving, group, records, found[0], k) for k, moves in enumerate(moving)]
-    unexcited = [k for k, good in enumerate(excited) if not good]
-    if unexcited:
-        best = without_input(records, best, unexcited)
-    optimum = maximise(records, best.point, best.free, best.inverse)
+    parts = [excerpt(f, group) for f in serving]
+    short = [rec for f in parts if (rec := record(f, group))]
+    found = search(short, parts, free_of(short, moving))
+    excited = [moves and _explains(parts, group, short, found[0], k) for k, moves in enumerate(moving)]
+    start = _moved_to(records, found[0].optimum.point)
+    idle = np.array([not good for good in excited])
+    start = replace(
+        start,
+        gain=np.where(idle, 0.0, start.gain),
+        log_damping=np.where(idle, 0.0, start.log_damping),
+        delay=np.where(idle, 0.0, start.delay),
+    )
+    optimum = maximise(records, start, free_of(records, excited))
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 

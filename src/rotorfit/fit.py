@@ -1,7 +1,7 @@
 """Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or by the paper's method."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -27,7 +27,7 @@ from rotorfit.model import (
 )
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
 from rotorfit.profile import height, hold, profile, quantile
-from rotorfit.record import DELAY_RANGE, Record, record
+from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
 
 Method = Literal["ml", "paper"]
@@ -52,7 +52,7 @@ NORMAL = 1.959963984540054
 DIVERGED = 0.5
 """Expected gain in log-likelihood of one more step above which the climb has not ended."""
 
-PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 8)
+PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
 
 
@@ -64,11 +64,13 @@ class Fit:
         model: Coefficients, intervals, statuses.
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
+        estimates: Axis name to the maximum of its likelihood; none for the paper's method.
     """
 
     model: Model
     flights: tuple[Flight, ...]
     paper: PaperFit
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
 
 
 def fit(
@@ -98,10 +100,16 @@ def fit(
     paper = paper_regression(flights, wanted)
     results: dict[str, Axis] = {}
     covariances: Blocks = {}
+    estimates: dict[str, Estimate] = {}
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        found, covariance = _fit_group(flights, group) if method == "ml" else _paper_group(flights, group, paper)
+        if method == "ml":
+            estimated = _estimate_group(flights, group)
+            found, covariance = _group_axes(flights, group, estimated)
+            estimates |= estimated
+        else:
+            found, covariance = _paper_group(flights, group, paper)
         results |= {axis: found[axis] for axis in group if axis in wanted}
         covariances |= covariance
     report(1.0, "done")
@@ -119,7 +127,7 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    return Fit(model, tuple(flights), paper)
+    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted})
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -141,12 +149,17 @@ def _groups(flights: Sequence[Flight], wanted: Sequence[str]) -> list[tuple[str,
     return [plane, *groups] if plane else groups
 
 
-def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[str, Axis], Blocks]:
-    """Axes of one group by the likelihood, and their covariance."""
-    serving = [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
+def _serving(flights: Sequence[Flight], group: Sequence[str]) -> list[Flight]:
+    """The flights that move one of these axes and are long enough to be scored."""
+    return [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
+
+
+def _estimate_group(flights: Sequence[Flight], group: Sequence[str]) -> dict[str, Estimate]:
+    """The likelihood of the axes of one group; none where the flights are too short."""
+    serving = _serving(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
     if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
-        return {axis: unknown_axis("too_short") for axis in group}, {}
+        return {}
     moving = [any(_moves(f, axis) for f in serving) for axis in group]
     if all(rec.held for rec in records):
         estimates = [alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
@@ -154,9 +167,41 @@ def _fit_group(flights: Sequence[Flight], group: Sequence[str]) -> tuple[dict[st
             estimates = coupled(records, estimates)
     else:
         estimates = together(serving, records, group, moving)
+    return dict(zip(group, estimates, strict=True))
+
+
+def _group_axes(
+    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate]
+) -> tuple[dict[str, Axis], Blocks]:
+    """What is said of the axes of one group, and their covariance."""
+    if not estimates:
+        return {axis: unknown_axis("too_short") for axis in group}, {}
+    serving = _serving(flights, group)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
-    results = {axis: _axis(estimate, places) for axis, estimate in zip(group, estimates, strict=True)}
-    return results, _covariances(group, estimates, results)
+    results = {axis: _axis(estimates[axis], places) for axis in group}
+    return results, _covariances(group, [estimates[axis] for axis in group], results)
+
+
+def with_delay_profiles(fit: Fit) -> Fit:
+    """Draws the profile over the whole searched range of delays, besides what the intervals needed of it.
+
+    Everything else is re-maximised at each delay, walking outwards from the top.
+    """
+    axes = dict(fit.model.axes)
+    for name, estimate in fit.estimates.items():
+        if axes[name].predictor is None:
+            continue
+        index = 2 * estimate.optimum.point.gain.size + estimate.place
+        best = float(estimate.optimum.point.flat()[index])
+        drawn = list(axes[name].profile)
+        for side in (-1.0, 1.0):
+            here = estimate.optimum
+            beyond = PROFILE_DELAYS[side * (PROFILE_DELAYS - best) > 0]
+            for target in beyond[np.argsort(side * beyond)]:
+                here = hold(estimate.records, here, index, float(target))
+                drawn.append((float(target), height(here) - height(estimate.optimum)))
+        axes[name] = replace(axes[name], profile=tuple(sorted(drawn)))
+    return replace(fit, model=replace(fit.model, axes=axes))
 
 
 def _noise(optimum: Optimum, k: int) -> dict[str, float]:
@@ -204,7 +249,7 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         status=status,
         predictor=point,
         combinations=_combinations(optimum, k),
-        profile=_drawn(records, optimum, index["delay"], profiles["delay"].points),
+        profile=profiles["delay"].points,
         profile_fall=profiles["delay"].fall,
     )
 
@@ -310,20 +355,6 @@ def _modes(estimate: Estimate) -> tuple[Mode, ...]:
 
 def _alike(one: Mode, other: Mode) -> bool:
     return abs(one.delay - other.delay) < SAME_DELAY and abs(np.log(one.damping / other.damping)) < SAME_LOG_DAMPING
-
-
-def _drawn(
-    records: Sequence[Record], optimum: Optimum, index: int, points: Sequence[tuple[float, float]]
-) -> tuple[tuple[float, float], ...]:
-    """The profile over the delay: the interval's points and a walk over the searched range, outwards from the top."""
-    best = float(optimum.point.flat()[index])
-    out = [(float(x), float(y)) for x, y in points]
-    for side in (-1.0, 1.0):
-        here = optimum
-        for target in sorted((d for d in PROFILE_DELAYS if side * (d - best) > 0), key=lambda d: side * d):
-            here = hold(records, here, index, float(target))
-            out.append((float(target), height(here) - height(optimum)))
-    return tuple(sorted(out))
 
 
 def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> tuple[dict[str, Axis], Blocks]:

@@ -238,6 +238,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         columns = np.concatenate([residual, *fixed], axis=1)
         d_innovation, d_log_variance = np.empty((4 * K, e.size)), np.empty((4 * K, e.size))
         for i in range(4 * K):
+            if K == 1 and i == 0:
+                continue
             levels = point.levels.copy()
             levels.ravel()[i] += LEVEL_STEP
             moved, moved_log_variance = _rows(rec, columns, levels)
@@ -245,6 +247,11 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             for (where, part), product in zip(parts, products, strict=True):
                 change = moved[part, 1:].T @ moved[part, 1:] - product[1 + 5 * K :, 1 + 5 * K :]
                 slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
+        if K == 1:
+            # q and r together only scale every variance but that of the unknown start: one filter pass saved.
+            later = ~rec.fresh
+            d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
+            d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
             projected[np.ix_(where, where)] += product[1 + 5 * K :, 1 + 5 * K :]
         d_innovation /= LEVEL_STEP
@@ -254,6 +261,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
     adjustment = 0.0
     if restricted is not None:
+        if K == 1:
+            slopes[0] = -projected - slopes[1]
         gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
         adjustment = -0.5 * _log_determinant(projected, restricted.active)
     return Score(log_likelihood, adjustment, gradient, information, slopes, tuple(innovations))

@@ -11,22 +11,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.flight import Flight
+from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
-from rotorfit.frames import Array, Mask
+from rotorfit.frames import AXES, Array, Mask
 from rotorfit.likelihood import START_LEVELS, Point, inverted
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.record import BLOCK_RATE, Record
 
-STARTS = ((0.15, 1.0), (0.0, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
+STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
 """Delay [s] and damping [1/s] of the starts."""
 
 SAME_DELAY = 0.01
 SAME_LOG_DAMPING = 0.3
 """Optima closer than this in delay [s] and log damping are one."""
 
+START_BLOCKS = 6
+"""Blocks over which the velocity at a start is guessed."""
+
+FINISH = 15
+"""Passes that an optimum found from a later start gets for levels of its own: enough to judge it."""
+
 ALIKE = 0.05
 """Optima whose prediction errors differ by less than this share predict alike."""
+
+EXCERPT = 60.0
+"""Length of the stretch of a flight in which optima are searched [s]; the chosen one is then climbed on all of it."""
 
 JUDGE_HORIZON = 1.0
 """Horizon of the predictions that judge [s]."""
@@ -50,16 +59,24 @@ class Found:
 
 
 def start_point(records: Sequence[Record], delay: float, damping: float, levels: Array) -> Point:
-    """A point of the given delay and damping on every axis, with a gain of the right order."""
+    """A point of the given delay and damping on every axis, with a gain of the right order and measured velocities."""
     K = levels.shape[0]
     return Point(
         gain=np.full(K, 2.0 * max(damping, 1.0)),
         log_damping=np.full(K, np.log(damping)),
         delay=np.full(K, delay),
         trim=np.zeros((len(records), K)),
-        start=np.zeros((sum(rec.starts.size for rec in records), K)),
+        start=np.concatenate([_start_velocity(rec) for rec in records]),
         levels=levels,
     )
+
+
+def _start_velocity(rec: Record) -> Array:
+    """Mean velocity over the first blocks of each segment, shape (S, K)."""
+    first = np.flatnonzero(rec.fresh)
+    last = np.minimum(first + START_BLOCKS, np.append(first[1:], rec.count.size) - 1)
+    elapsed = np.maximum(rec.block_time[last] - rec.block_time[first], 1e-3)
+    return (rec.position[last] - rec.position[first]) / elapsed[:, None]  # type: ignore[no-any-return]
 
 
 def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[Found, ...]:
@@ -81,10 +98,11 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     starts: list[int] = []
     for number, (delay, damping) in enumerate(STARTS):
         point = start_point(records, delay, damping, levels)
-        climbed = maximise(records, point, held_levels, tolerance=0.3, most=30)
-        same = _same(climbed.point, [optimum.point for optimum in optima])
+        if number:
+            point = maximise(records, point, held_levels, tolerance=0.3, most=30).point
+        same = _same(point, [optimum.point for optimum in optima])
         if same is None:
-            climbed = maximise(records, climbed.point, free, tolerance=0.1)
+            climbed = maximise(records, point, free, tolerance=0.1, most=60 if number == 0 else FINISH)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
             optima.append(climbed)
@@ -138,6 +156,33 @@ def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Op
     with np.errstate(invalid="ignore", divide="ignore"):
         own, held = np.sqrt(squares / count)
     return own, held
+
+
+def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
+    """The stretch of a long flight in which the axes are commanded most: where the optima are, a minute tells."""
+    start, end = flight.segments[0].start, flight.segments[-1].end
+    if end - start <= EXCERPT:
+        return flight
+    t, u = flight.command_time, flight.command[:, [AXES.index(axis) for axis in axes]]
+    energy = np.concatenate([[0.0], np.cumsum(np.sum((u - u.mean(axis=0)) ** 2, axis=1))])
+    begins = np.arange(start, end - EXCERPT + 1e-9, EXCERPT / 6)
+    inside = energy[np.searchsorted(t, begins + EXCERPT)] - energy[np.searchsorted(t, begins)]
+    low = float(begins[int(np.argmax(inside))])
+    high = low + EXCERPT
+    commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
+    return replace(
+        flight,
+        command_time=t[commands],
+        command=flight.command[commands],
+        pose_time=flight.pose_time[poses],
+        position=flight.position[poses],
+        yaw=flight.yaw[poses],
+        segments=tuple(
+            Segment(max(part.start, low), min(part.end, high))
+            for part in flight.segments
+            if part.start < high and part.end > low
+        ),
+    )
 
 
 def _thinned(flight: Flight) -> Flight:

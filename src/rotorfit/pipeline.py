@@ -1,14 +1,14 @@
 """Log -> Flight -> Fit -> Validation: the compositions that the command line and the report share."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
 from rotorfit.errors import LogError, ModelError, RotorfitError
-from rotorfit.fit import Fit, Method, fit
+from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
@@ -71,8 +71,8 @@ def fit_logs(
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed."""
     flights = [load_flight(log, card) for log in logs]
-    result = fit(flights, method, axes, progress)
-    return Fit(with_findings(result.model, findings_of_fit(result)), result.flights, result.paper)
+    result = with_delay_profiles(fit(flights, method, axes, progress))
+    return replace(result, model=with_findings(result.model, findings_of_fit(result)))
 
 
 def validate_logs(

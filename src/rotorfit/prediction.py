@@ -73,7 +73,7 @@ def _drive_until(
             k[switch] += 1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def predict(
     command_time: Array,
     command: Array,

@@ -25,7 +25,14 @@ AXIS_COLUMNS = ("gain", "trim", "damping", "delay", "start")
 def transition(b: float, dt: float) -> Any:
     """Transition over dt at damping b and its derivative with respect to b: f, k, h, df, dk, dh."""
     x = b * dt
-    if x < 0.5:
+    if x < 0.02:
+        h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x / 720)))
+        dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 - x / 1008)))
+        h *= dt * dt
+        dh *= dt * dt * dt
+        k = dt - b * h
+        f = 1.0 - b * k
+    elif x < 0.5:
         h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x * (1 / 720 + x * (-1 / 5040 + x / 40320)))))
         dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 + x * (-1 / 1008 + x * (1 / 6720 - x / 51840)))))
         h *= dt * dt
@@ -42,7 +49,7 @@ def transition(b: float, dt: float) -> Any:
     return f, k, h, df, dk, dh
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def axis_response(
     starts: Array,
     pose_range: Any,
@@ -120,7 +127,7 @@ def axis_response(
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def plane_response(
     starts: Array,
     pose_range: Any,
