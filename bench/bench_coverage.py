@@ -54,9 +54,7 @@ def bound(axis: str, flight: Flight) -> Array:
     truth, k, (g, b, tau) = Truth(), AXES.index(axis), truth_of(axis)
     rate, parts = 1 / truth.wind_time[k], rec.starts.size
     levels = [2 * truth.wind_sigma[k] ** 2 * rate, truth.mocap_noise[k] ** 2, b + rate, 4 * b * rate / (b + rate) ** 2]
-    point = Point(
-        np.array([g]), np.log([b]), np.array([tau]), np.zeros((1, 1)), np.zeros((parts, 1)), np.log([levels])
-    )
+    point = Point(np.array([g]), np.log([b]), np.array([tau]), np.zeros((1, 1)), np.zeros((parts, 1)), np.log([levels]))
     information = score([rec], point).information[: point.n, : point.n]
     errors = np.sqrt(np.diag(inverted(information, free_of([rec], [True])[: point.n])))[:3]
     return errors * np.array([1.0, b, 1.0])

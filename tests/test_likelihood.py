@@ -208,8 +208,8 @@ def test_the_objective_judges_the_coefficients_by_the_plain_likelihood() -> None
 
 def whitening(rec: Record, levels: Array) -> tuple[Array, Array]:
     """The matrix that whitens one axis, (B, B), and the log variances, (B,)."""
-    rows, log_variance = whiten(rec, np.eye(rec.count.size)[:, :, None], levels)
-    return rows[:, :, 0], log_variance[:, 0]
+    rows, variance = whiten(rec, np.eye(rec.count.size)[:, :, None], levels)
+    return rows[:, :, 0], np.log(variance[:, 0])
 
 
 def test_the_information_of_the_levels_is_in_the_mean_that_of_a_gaussian() -> None:

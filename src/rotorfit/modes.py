@@ -99,10 +99,10 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     for number, (delay, damping) in enumerate(STARTS):
         point = start_point(records, delay, damping, levels)
         if number:
-            point = maximise(records, point, held_levels, tolerance=0.3, most=30).point
+            point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
         if same is None:
-            climbed = maximise(records, point, free, tolerance=0.1, most=60 if number == 0 else FINISH)
+            climbed = maximise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
             optima.append(climbed)

@@ -34,7 +34,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.restricted, tolerance=0.02)
+    return maximise(records, point, free, inverse, optimum.restricted, tolerance=0.1)
 
 
 def height(optimum: Optimum) -> float:

@@ -19,10 +19,10 @@ from rotorfit.forecast import (
     predict_flight,
     score_predictions,
 )
-from rotorfit.frames import AXES, Array
+from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.likelihood import response
 from rotorfit.maximum import maximise
-from rotorfit.model import Model
+from rotorfit.model import Model, predictor_of
 from rotorfit.modes import start_point
 from rotorfit.record import record
 
@@ -156,22 +156,38 @@ class Residuals:
     response: Array
 
 
-def _levels(noise: Mapping[str, float]) -> Array:
-    """Logarithms of the disturbance levels, shape (1, 4)."""
-    return np.log([[noise[level] for level in LEVELS]])
-
-
 def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
     """Innovations of every axis with a predictor, with the flight's own trim and start."""
-    out = {}
-    for axis in AXES:
-        known, rec = model.axes[axis], record(flight, (axis,))
-        if known.predictor is None or rec is None:
-            continue
-        start = start_point([rec], known.predictor.delay, max(known.predictor.damping, 1e-3), _levels(known.noise))
-        free = np.zeros(start.flat().size, bool)
-        free[3 : start.n] = True
-        best = maximise([rec], replace(start, gain=np.array([known.predictor.input])), free)
-        explained = response(rec, best.point, 0, best.point.start)[0][:, 0]
-        out[axis] = Residuals(axis, rec.block_time, best.score.innovations[0][:, 0], explained)
+    known = [axis for axis in AXES if model.axes[axis].predictor]
+    plane = tuple(axis for axis in known if axis in ("x", "y"))
+    together = len(plane) == 2 and (rec := record(flight, plane)) is not None and not rec.held
+    groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
+    out: dict[str, Residuals] = {}
+    for group in groups:
+        out |= _group_residuals(model, flight, group)
     return out
+
+
+def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> dict[str, Residuals]:
+    """Of one axis, or of x and y where the vehicle turns."""
+    rec = record(flight, group)
+    if rec is None:
+        return {}
+    points = [predictor_of(model, axis) for axis in group]
+    levels = np.log([[model.axes[axis].noise[level] for level in LEVELS] for axis in group])
+    start = replace(
+        start_point([rec], 0.0, 1.0, levels),
+        gain=np.array([point.input for point in points]),
+        log_damping=np.log([max(point.damping, 1e-3) for point in points]),
+        delay=np.array([point.delay for point in points]),
+    )
+    free = np.zeros(start.flat().size, bool)
+    free[3 * len(group) : start.n] = True
+    best = maximise([rec], start, free)
+    explained = response(rec, best.point, 0, best.point.start)[0]
+    if len(group) == 2:
+        explained = heading_from_world(explained, rec.block_yaw)
+    return {
+        axis: Residuals(axis, rec.block_time, best.score.innovations[0][:, k], explained[:, k])
+        for k, axis in enumerate(group)
+    }
