@@ -4,8 +4,9 @@
 
 Each repetition is the demo's three training flights with seeds of its own (xy 100 s, z 60 s at three times the paper's
 amplitude, yaw 60 s; set B, 0.15 s delay, light wind, mocap noise, stale frames). Per coefficient: the mean against the
-truth (t of the mean, rejected beyond 3.34: a family-wise 1 % over 12 coefficients), the share of 95 % intervals that hold
-the truth (a status other than `ok` is a miss), and the mean half-width over 1.96 times the Cramer-Rao bound at the truth.
+truth (t of the mean, rejected beyond 3.34: a family-wise 1 % over 12 coefficients), the share of 95 % intervals that
+hold the truth (a status other than `ok` is a miss), and the mean half-width over 1.96 times the Cramer-Rao bound at the
+truth.
 """
 
 import functools

@@ -6,10 +6,6 @@ One thread; both after import and compilation; the best of several runs, and the
 """
 
 import os
-
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import subprocess
 import sys
 import time
@@ -17,8 +13,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 RUNS = 5
 DEFAULT = Path(__file__).resolve().parents[2] / "shared/data/bebop2-wsu/Training_CT_TestDay_X.mat"
 
@@ -37,8 +32,10 @@ def main() -> None:
     if not path.exists():
         print(f"skipped: {path} is not there; give the path of the X flight of bebop2-wsu")
         return
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # read when numpy is first imported, below
     start = time.perf_counter()
-    import pandas
+    import numpy as np
+    import pandas as pd
     from nfoursid.nfoursid import NFourSID
 
     from rotorfit.card import load_card
@@ -55,7 +52,7 @@ def main() -> None:
     grid = np.arange(flight.pose_time[0], flight.pose_time[-1], 1 / 20)
     held = np.clip(np.searchsorted(flight.command_time, grid, side="right") - 1, 0, None)
     position = np.interp(grid, flight.pose_time, flight.position[:, 0])
-    table = pandas.DataFrame({"u": flight.command[held, 0], "y": position})
+    table = pd.DataFrame({"u": flight.command[held, 0], "y": position})
 
     def n4sid() -> None:
         with warnings.catch_warnings():

@@ -55,7 +55,8 @@ def test_in_open_loop_the_search_finds_the_vehicle_and_believes_it(axes: tuple[s
 
 
 def test_the_optima_are_told_apart_and_ordered_by_prediction_behind_the_believed_one() -> None:
-    _, _, found = searched(flown(Truth(), steps(("z",), 0.1), 60.0, 1, controller=Controller()), ("z",))
+    truth = replace(Truth(), wind_sigma=(0.1,) * 4)
+    _, found = searched(flown(truth, steps(("z",), 0.1), 60.0, 1, controller=Controller()), ("z",))
 
     assert len(found) > 1
     for i, one in enumerate(found):
@@ -104,7 +105,7 @@ def test_the_prior_of_a_new_flights_trim_is_the_mean_square_of_the_known_ones() 
 
     spread = np.diag(inverted(optimum.score.information, optimum.free))[3:5]
     assert trim_variance(optimum)[0] == pytest.approx(np.mean(optimum.point.trim[:, 0] ** 2 + spread), rel=1e-9)
-    assert np.sqrt(trim_variance(optimum)[0]) == pytest.approx(np.sqrt(np.mean([0.05**2, 0.1**2])), rel=0.4)
+    np.testing.assert_allclose(optimum.point.trim[:, 0], [0.05, -0.1], atol=0.02)
     assert dynamics_of(("z",), optimum)["z"].trim_variance == trim_variance(optimum)[0]
 
 
@@ -138,7 +139,7 @@ def test_an_excerpt_keeps_the_holes_between_segments() -> None:
 
 def test_where_commands_are_rare_the_excerpt_begins_with_one_of_its_own() -> None:
     """Which command acts at the start of a segment must be known there: its first one is at its start."""
-    truth = replace(Truth(), command_rate=0.9, command_jitter=0.0)
+    truth = replace(Truth(), command_rate=0.87, command_jitter=0.0)
     flight = flown(truth, lambda t: steps(("z",), every=2.0)(t) * (t > 75)[:, None], 150.0)
 
     part = excerpt(flight, ("z",))
