@@ -95,7 +95,7 @@ def test_the_covariance_is_that_of_a_random_walk_with_the_stated_power(levels: A
     np.testing.assert_allclose(np.diag(Q), [dt**5 / 20, dt**3 / 3, dt], rtol=2e-3)
 
 
-@pytest.mark.parametrize("levels", [LEVELS_X, LEVELS_Y, np.array([1.0, 1e-6, 0.01, 0.01])])
+@pytest.mark.parametrize("levels", [LEVELS_X, LEVELS_Y, np.array([1.0, 1e-6, 0.5, 0.1])])
 def test_the_stationary_state_solves_the_lyapunov_equation(levels: Array) -> None:
     A = drift(levels[2], stiffness_of(levels))[1:, 1:]
 
@@ -302,7 +302,7 @@ def test_at_heading_zero_the_plane_is_two_axes() -> None:
     for a, level in enumerate(levels):
         alone, alone_variance = whitened_axis(time, count, first_only(time.size), columns[:, :, a], level)
         np.testing.assert_allclose(out[:, :, a], alone, rtol=0, atol=1e-10 * np.abs(alone).max())
-        np.testing.assert_allclose(np.log(variance[:, a]), np.log(alone_variance), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(np.log(variance[:, a]), np.log(alone_variance), rtol=0, atol=1e-10)
 
 
 def test_with_the_same_levels_on_both_axes_no_turn_of_the_heading_changes_the_likelihood() -> None:

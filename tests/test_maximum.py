@@ -11,7 +11,7 @@ from flights import flown, steps
 from rotorfit.estimate import free_of
 from rotorfit.excitation import two_sines
 from rotorfit.likelihood import START_LEVELS, Point, restriction, score
-from rotorfit.maximum import limited, maximise, pressed
+from rotorfit.maximum import climb, limited, maximise, pressed
 from rotorfit.modes import STARTS, start_point
 from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.simulator import Truth
@@ -62,7 +62,7 @@ def test_the_climb_does_not_end_where_the_levels_lie_flat(axis: str, seed: int) 
     assert rec is not None
     free = free_of([rec], [True])
 
-    end = maximise([rec], maximise([rec], start_of((rec,)), free, tolerance=0.01).point, free)
+    end = climb([rec], start_of((rec,)), free)
     levels = end.point.levels.copy()
     levels[0, 3] = START_LEVELS[3]
     again = maximise([rec], replace(end.point, levels=levels), free, restricted=end.restricted)

@@ -43,7 +43,7 @@ def test_a_held_parameter_stays_and_the_others_are_at_their_top() -> None:
 
     held = hold(records, optimum, 2, 0.17)
     assert held.point.delay[0] == 0.17
-    assert held.gain < 0.02
+    assert held.gain < 0.1  # what is left is added to the height, not walked
     again = hold(records, held, 2, 0.17)
     assert abs(height(again) - height(held)) < 0.02
 

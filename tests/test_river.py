@@ -75,8 +75,8 @@ def imported_names(path: Path, package: tuple[str, ...]) -> Iterator[tuple[str, 
             parts = (*base, *(node.module.split(".") if node.module else ()))
             yield from ((*parts, alias.name) for alias in node.names)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and (named := NAMED.fullmatch(node.value)):
-            if (parts := tuple(named[1].split("."))) != package:  # a package may name itself, to find its own data
-                yield parts
+            parts = tuple(named[1].split("."))
+            yield from [] if parts == package else [parts]  # a package may name itself, to find its own data
 
 
 def imports_of(name: str, paths: dict[str, Path]) -> set[str]:

@@ -24,6 +24,9 @@ STEP_GRAIN = 1e-5
 """Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
 to the commands is not rounded."""
 
+LARGEST_SPEED = 10.0
+"""Bound on the standard deviation of s at a start [m/s]: poles near 0 would lose the filter's precision."""
+
 START_POSITION_VARIANCE = 1.0
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -105,9 +108,9 @@ def step_tables(steps: Array, damping: float, overlap: float) -> Any:
 
 @numba.njit(cache=True)
 def stationary(levels: Array) -> Any:
-    """Variances of s and of s', which are uncorrelated, in the stationary state of levels (4,)."""
+    """Variances of s, never beyond what flies, and of s', uncorrelated, in the stationary state of levels (4,)."""
     variance = levels[0] / (2 * levels[2])
-    return variance / (0.25 * levels[3] * levels[2] * levels[2]), variance
+    return min(variance / (0.25 * levels[3] * levels[2] * levels[2]), LARGEST_SPEED**2), variance
 
 
 @numba.njit(cache=True, fastmath={"contract"})

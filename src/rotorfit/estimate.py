@@ -8,8 +8,8 @@ import numpy as np
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.likelihood import START_LEVELS, Point, response, segments
-from rotorfit.maximum import Optimum, maximise
-from rotorfit.modes import Found, excerpt, prediction_error, search, start_point, without_input
+from rotorfit.maximum import Optimum, climb, maximise
+from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, search, start_point, without_input
 from rotorfit.record import Record, record
 
 EXPLAINS = 0.9
@@ -56,8 +56,8 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
     start = _moved_to(records, found[0].optimum.point)
     if not _explains(parts, (axis,), short, found[0], 0):
         idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
-        return Estimate(records, maximise(records, idle, free_of(records, [False])), 0, found, False)
-    return Estimate(records, maximise(records, start, free_of(records, [True])), 0, found, True)
+        return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
+    return Estimate(records, climb(records, start, free_of(records, [True])), 0, found, True)
 
 
 def _moved_to(records: Sequence[Record], point: Point) -> Point:
@@ -116,13 +116,15 @@ def together(
         log_damping=np.where(idle, 0.0, start.log_damping),
         delay=np.where(idle, 0.0, start.delay),
     )
-    optimum = maximise(records, start, free_of(records, excited))
+    optimum = climb(records, start, free_of(records, excited))
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 
 def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int) -> bool:
     """Whether the commands of an axis explain its motion; flights too short to predict get the benefit of the doubt."""
     error = found.prediction[k]
+    if reads_backwards(found.optimum, k):
+        return False
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True
     idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))

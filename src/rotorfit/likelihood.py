@@ -20,7 +20,7 @@ from rotorfit.response import axis_response, plane_response
 DAMPING_RANGE = (1e-3, 100.0)
 """Damping that is searched [1/s]."""
 
-LEVEL_RANGE = np.log(np.array([[1e-10, 1e6], [1e-13, 1e-2], [1e-2, 200.0], [1e-5, 1.0]]))
+LEVEL_RANGE = np.log(np.array([[1e-9, 1e4], [1e-12, 1e-2], [0.05, 200.0], [1e-3, 1.0]]))
 """Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
 
 START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))

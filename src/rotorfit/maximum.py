@@ -1,16 +1,19 @@
 """Climbing the likelihood: Fisher scoring with a secant correction, inside the searched ranges."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
+from rotorfit.likelihood import START_LEVELS, Point, Restriction, Score, inverted, restriction, score
 from rotorfit.record import Record
 
 EDGE = 1e-9
 """How close to a bound counts as at it."""
+
+FLAT_OVERLAP = np.log(0.05)
+"""Logarithm of the overlap below which the likelihood hardly depends on it."""
 
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
@@ -90,6 +93,21 @@ def maximise(
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
     return Optimum(point, best, free, restricted, inverse, gain, passes)
+
+
+def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float = 1e-3, most: int = 80) -> Optimum:
+    """Maximises, and again from a middling overlap where the first climb ended at a small one.
+
+    Far below one the overlap leaves no trace in the likelihood, and a climb that was thrown there stays.
+    """
+    first = maximise(records, point, free, tolerance=tolerance, most=most)
+    stranded = first.point.levels[:, 3] < FLAT_OVERLAP
+    if not stranded.any():
+        return first
+    levels = first.point.levels.copy()
+    levels[stranded, 3] = START_LEVELS[3]
+    again = maximise(records, replace(first.point, levels=levels), free, tolerance=tolerance, most=most)
+    return again if again.score.log_likelihood > first.score.log_likelihood else first
 
 
 def _line_search(

@@ -10,7 +10,6 @@ import numpy as np
 
 from rotorfit import __version__
 from rotorfit.card import Card, card_from_mapping
-from rotorfit.disturbance import LEVELS
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
@@ -361,6 +360,8 @@ def from_mapping(raw: Any, where: str) -> Model:
 
 
 def _axis(raw: Mapping[str, Any]) -> Axis:
+    from rotorfit.disturbance import LEVELS  # on use: numba takes longer than naming a model may
+
     if raw["noise"] and set(raw["noise"]) != {*LEVELS, "trim_variance"}:
         raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
     return Axis(

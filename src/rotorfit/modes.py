@@ -15,7 +15,7 @@ from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.frames import AXES, Array, Mask
 from rotorfit.likelihood import START_LEVELS, Point, inverted
-from rotorfit.maximum import Optimum, maximise
+from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.record import BLOCK_RATE, Record
 
 STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
@@ -102,7 +102,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
         if same is None:
-            climbed = maximise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
+            climbed = climb(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
             optima.append(climbed)
@@ -125,10 +125,20 @@ def _same(point: Point, others: Sequence[Point]) -> int | None:
     return None
 
 
+def reads_backwards(optimum: Optimum, k: int) -> bool:
+    """Whether an optimum is a feedback loop read backwards: the command, with its sign turned, follows the motion.
+
+    Such a model knows the future from the commands that answer it, so it explains and even predicts; never believe it.
+    """
+    return bool(optimum.point.gain[k] < 0 and optimum.point.delay[k] < 0)
+
+
 def _ranked(found: Sequence[Found]) -> tuple[Found, ...]:
     """The believed optimum first: among those that predict alike, the likeliest; the others by prediction."""
     error = np.array([np.sqrt(np.mean((f.prediction / np.maximum(found[0].prediction, 1e-12)) ** 2)) for f in found])
     error[~np.isfinite(error)] = np.inf
+    backwards = np.array([any(reads_backwards(f.optimum, k) for k in range(f.prediction.size)) for f in found])
+    error[backwards] = np.inf
     alike = error <= np.min(error) * (1 + ALIKE) if np.isfinite(error).any() else np.ones(len(found), bool)
     likelihood = np.array([f.optimum.score.log_likelihood for f in found])
     best = int(np.argmax(np.where(alike, likelihood, -np.inf)))
@@ -167,8 +177,8 @@ def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
     energy = np.concatenate([[0.0], np.cumsum(np.sum((u - u.mean(axis=0)) ** 2, axis=1))])
     begins = np.arange(start, end - EXCERPT + 1e-9, EXCERPT / 6)
     inside = energy[np.searchsorted(t, begins + EXCERPT)] - energy[np.searchsorted(t, begins)]
-    low = float(begins[int(np.argmax(inside))])
-    high = low + EXCERPT
+    best = float(begins[int(np.argmax(inside))])
+    low, high = float(t[np.searchsorted(t, best, side="right") - 1]), best + EXCERPT  # from a command that acts
     commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
     return replace(
         flight,
