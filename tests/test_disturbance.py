@@ -95,7 +95,7 @@ def test_the_covariance_is_that_of_a_random_walk_with_the_stated_power(levels: A
     np.testing.assert_allclose(np.diag(Q), [dt**5 / 20, dt**3 / 3, dt], rtol=2e-3)
 
 
-@pytest.mark.parametrize("levels", [LEVELS_X, LEVELS_Y, np.array([1.0, 1e-6, 0.5, 0.1])])
+@pytest.mark.parametrize("levels", [LEVELS_X, LEVELS_Y, np.array([1.0, 1e-6, 0.5, 0.5])])
 def test_the_stationary_state_solves_the_lyapunov_equation(levels: Array) -> None:
     A = drift(levels[2], stiffness_of(levels))[1:, 1:]
 

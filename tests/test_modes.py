@@ -20,6 +20,7 @@ from rotorfit.modes import (
     dynamics_of,
     excerpt,
     prediction_error,
+    reads_backwards,
     search,
     trim_variance,
     without_input,

@@ -92,7 +92,8 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
             name,
         )
     if point.damping < 0:
-        yield _unstable(name, point.input, point.damping)
+        _, high = axis.ci95["damping"]
+        yield _unstable(name, point.input, point.damping, high is not None and high < 0)
     if "delay" in axis.status and axis.profile:
         yield from _delay_findings(name, axis, point.delay)
     if axis.status["damping"] == "not_identifiable":
@@ -225,10 +226,10 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     )
 
 
-def _unstable(name: str, gain: float, damping: float) -> Finding:
+def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
     return Finding(
         "damping_unstable",
-        "error",
+        "error" if certain else "warning",
         f"the regression gives {name} a damping of {damping:.2g} 1/s and a gain of {gain:.3g}: speed grows by itself",
         "a multirotor does not do that: the delay between command and motion is left out and the damping pays for it, "
         "feedback and noisy derivatives add to it",
