@@ -74,6 +74,46 @@ def _drive_until(
 
 
 @numba.njit(cache=True, fastmath={"contract"})
+def _run_free(
+    command_time: Array,
+    command: Array,
+    pose_time: Array,
+    before: int,
+    last: int,
+    yaw: float,
+    future_yaw: Array,
+    gain: Array,
+    damping: Array,
+    delay: Array,
+    k: Any,
+    p: Array,
+    v: Array,
+    drive: Array,
+    z: Array,
+    Fx: Array,
+    Fy: Array,
+    step: Any,
+    out: Array,
+) -> None:
+    """Predicts the poses after `before` up to `last` from the driven state p, v (1, 2) and the disturbance z (6,)."""
+    t, psi = pose_time[before], yaw
+    for m in range(before + 1, last):
+        t_next, psi_next = pose_time[m], future_yaw[m - before - 1]
+        _drive_until(t, t_next, psi, psi_next, k, command_time, command, gain, damping, delay, p, v, drive)
+        half = 0.5 * (psi_next - psi)
+        c, s = np.cos(half), np.sin(half)
+        rotate(z, c, s)
+        propagate(z, Fx[step[m]], Fy[step[m]])
+        rotate(z, c, s)
+        c, s = np.cos(psi_next), np.sin(psi_next)
+        out[m - before - 1, 0] = p[0, 0] + c * z[0] - s * z[3]
+        out[m - before - 1, 1] = p[0, 1] + s * z[0] + c * z[3]
+        out[m - before - 1, 2] = v[0, 0] + c * z[1] - s * z[4]
+        out[m - before - 1, 3] = v[0, 1] + s * z[1] + c * z[4]
+        t, psi = t_next, psi_next
+
+
+@numba.njit(cache=True, fastmath={"contract"})
 def predict(
     command_time: Array,
     command: Array,
@@ -193,21 +233,10 @@ def predict(
                     w[0, 1] + sn * z[1] + c * z[4],
                 ]
             )
-            t, psi = pose_time[i], yaw[i]
-            for m in range(first[s], last[s]):
-                t_next, psi_next = pose_time[m], future_yaw[s, m - first[s]]
-                _drive_until(t, t_next, psi, psi_next, kk, command_time, command, gain, damping, delay, q, w, d)
-                half = 0.5 * (psi_next - psi)
-                c, sn = np.cos(half), np.sin(half)
-                rotate(z, c, sn)
-                propagate(z, Fx[step[m]], Fy[step[m]])
-                rotate(z, c, sn)
-                c, sn = np.cos(psi_next), np.sin(psi_next)
-                out[s, m - first[s], 0] = q[0, 0] + c * z[0] - sn * z[3]
-                out[s, m - first[s], 1] = q[0, 1] + sn * z[0] + c * z[3]
-                out[s, m - first[s], 2] = w[0, 0] + c * z[1] - sn * z[4]
-                out[s, m - first[s], 3] = w[0, 1] + sn * z[1] + c * z[4]
-                t, psi = t_next, psi_next
+            _run_free(
+                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w, d, z,
+                Fx, Fy, step, out[s],
+            )  # fmt: skip
             s += 1
     return out, begin
 

@@ -17,9 +17,6 @@ import numpy as np
 
 from rotorfit.frames import Array
 
-AXIS_COLUMNS = ("gain", "trim", "damping", "delay", "start")
-"""Order of the columns of `axis_response`; `plane_response` has each pair x, y in turn."""
-
 
 @numba.njit(cache=True, inline="always")
 def transition(b: float, dt: float) -> Any:
