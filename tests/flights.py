@@ -83,3 +83,12 @@ def turned(flight: Flight, angle: float) -> Flight:
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     return replace(flight, position=flight.position @ turn.T, yaw=flight.yaw + angle)
+
+
+def muddled(flight: Flight, *axes: str) -> Flight:
+    """The flight with commands on these axes that the vehicle never got."""
+    command = flight.command.copy()
+    for axis in axes:
+        k = AXES.index(axis)
+        command[:, k] = steps((axis,), float(np.abs(command[:, k]).max()), seed=51)(flight.command_time)[:, k]
+    return replace(flight, command=command)

@@ -69,6 +69,27 @@ def test_the_climb_does_not_end_where_the_levels_lie_flat(axis: str, seed: int) 
     assert again.score.objective - end.score.objective < 0.5
 
 
+@pytest.mark.parametrize(
+    "levels",
+    [(270.0, 4.6e-6, 150.0, 0.15), (700.0, 4e-6, 130.0, 0.017), (1e-6, 1e-10, 1.0, 0.5)],
+)
+@pytest.mark.parametrize("pose_rate", [15.0, 120.0])
+def test_from_levels_far_from_the_data_the_climb_ends_at_the_top_all_the_same(
+    pose_rate: float, levels: tuple[float, float, float, float]
+) -> None:
+    """The information is nearly singular there: a step that is cut part by part need not lead upwards."""
+    truth = replace(Truth(), pose_rate=pose_rate, pose_jitter=0.002)
+    rec = record(flown(truth, steps(("z",)), 30.0, 3), ("z",))
+    assert rec is not None
+    free = free_of([rec], [True])
+    top, objective = climbed((rec,), start_of((rec,)), free)
+
+    far = maximise([rec], replace(top, levels=np.log([levels])), free)
+    assert far.gain < 0.01
+    again = maximise([rec], far.point, free)
+    assert objective - again.score.objective < 0.5
+
+
 def test_at_the_top_the_gradient_is_gone_and_no_step_helps() -> None:
     records = records_of(("x", "y"))
     free = free_of(records, [True, True])

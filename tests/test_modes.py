@@ -201,6 +201,20 @@ def test_in_a_feedback_loop_without_much_excitation_the_controller_is_not_publis
     assert published_and_false(fit([flight], axes=("x", "z")).model, truth, ("x", "z")) == []
 
 
+@pytest.mark.parametrize(("axis", "seed"), [("z", 1), ("z", 3), ("x", 1), ("x", 4)])
+def test_the_mode_that_is_called_chosen_is_the_model(axis: str, seed: int) -> None:
+    """Searched on a minute, climbed on the whole flight: the numbers differ by their errors, not by half a second."""
+    truth = replace(Truth(), wind_sigma=(STRONG,) * 4, stale_share=0.0)
+    flight = flown(truth, steps((axis,), 0.02, seed=seed), 100.0, seed, controller=Controller())
+
+    known = fit([flight], axes=(axis,)).model.axes[axis]
+    chosen = [mode for mode in known.modes if mode.chosen]
+    assert len(chosen) == 1
+    if known.predictor is not None:
+        assert chosen[0].delay == pytest.approx(known.predictor.delay, abs=0.08)
+        assert chosen[0].input * known.predictor.input > 0
+
+
 def test_the_block_rate_of_the_search_is_that_of_the_records() -> None:
     flight, records, _ = open_loop(("z",))
 

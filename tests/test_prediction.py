@@ -1,6 +1,7 @@
 """The causal filter and the motion that follows from it: exactness, causality, agreement with a dense smoother."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -55,20 +56,21 @@ def predicted(
     return out, begin, first, last
 
 
-@pytest.mark.parametrize("pair", [(0, 1), (2, 3)])
-def test_without_noise_the_prediction_is_the_flight(pair: tuple[int, int]) -> None:
-    """5 s ahead; x and y turn through radians on the way."""
+@pytest.mark.parametrize(("pair", "tolerance"), [((0, 1), 2e-3), ((2, 3), 5e-6)])
+def test_without_noise_the_prediction_is_the_flight(pair: tuple[int, int], tolerance: float) -> None:
+    """5 s ahead; x and y turn through radians on the way, and forget the velocity at the first pose slowly."""
     flight = flown(STILL, steps(), 20.0, initial_yaw=0.5)
-    t = flight.pose_time[flight.pose_time >= 0.15]
-    pose = np.column_stack([flight.position, flight.yaw])[flight.pose_time >= 0.15]
+    seen = flight.pose_time >= 0.15
+    pose = np.column_stack([flight.position, flight.yaw])[seen][:, list(pair)]
 
-    out, begin, first, last = predicted(flight, [4.0, 7.3, 12.0], 5.0, pair)
+    quiet = np.array([[1e-6, 1e-10, 2.0, 0.5]] * 2)
+    out, begin, first, last = predicted(flight, [4.0, 7.3, 12.0], 5.0, pair, quiet, trim_variance=1e-12)
     for s in range(3):
-        measured = pose[first[s] : last[s]][:, list(pair)]
-        np.testing.assert_allclose(out[s, : last[s] - first[s], :2], measured, rtol=0, atol=3e-5)
-        np.testing.assert_allclose(begin[s, :2], pose[first[s] - 1][list(pair)], rtol=0, atol=1e-6)
-        velocity = np.gradient(out[s, : last[s] - first[s], :2], t[first[s] : last[s]], axis=0)
-        np.testing.assert_allclose(out[s, 5 : last[s] - first[s] - 5, 2:], velocity[5:-5], rtol=0, atol=0.02)
+        run = out[s, : last[s] - first[s]]
+        np.testing.assert_allclose(run[:, :2], pose[first[s] : last[s]], rtol=0, atol=tolerance)
+        np.testing.assert_allclose(begin[s, :2], pose[first[s] - 1], rtol=0, atol=1e-6)
+        velocity = np.gradient(run[:, :2], flight.pose_time[seen][first[s] : last[s]], axis=0)
+        np.testing.assert_allclose(run[5:-5, 2:], velocity[5:-5], rtol=0, atol=0.02)
 
 
 def test_beyond_the_horizon_nothing_is_predicted() -> None:
@@ -170,7 +172,7 @@ def integrated(damping: Array, time: Array, yaw_rate: float) -> Array:
     events = np.unique(np.concatenate([time, sent + 0.2, sent + 0.05]))
     events = events[(events >= time[0]) & (events <= time[-1])]
     state, out = np.array([1.0, -2.0, 0.3, 0.1]), [[1.0, -2.0, 0.3, 0.1]]
-    for low, high in zip(events[:-1], events[1:], strict=True):
+    for low, high in pairwise(events.tolist()):
         middle = 0.5 * (low + high)
         acting = np.array([u[max(np.searchsorted(sent + d, middle) - 1, 0), k] for k, d in enumerate((0.2, 0.05))])
 

@@ -11,7 +11,8 @@ from flights import flown, recorded, steps
 from rotorfit.estimate import alone
 from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
-from rotorfit.maximum import Optimum
+from rotorfit.likelihood import degrees_of_freedom, inverted, score
+from rotorfit.maximum import Optimum, maximise
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, Record
 from rotorfit.simulator import Truth, simulate_flight
@@ -118,6 +119,37 @@ def test_quantiles_are_students_and_never_below_the_normal() -> None:
 
     for i in range(optimum.point.n):
         assert 1.959 < quantile(optimum, np.eye(optimum.point.n)[i]) < 3.2
+
+
+@pytest.mark.parametrize("duration", [30.0, 150.0])
+def test_degrees_of_freedom_are_those_at_the_optimum_wherever_the_climb_began(duration: float) -> None:
+    """The slopes of the information must be of the same information: a reference elsewhere makes 3 out of 66."""
+    flight = flown(Truth(), partial(two_sines, axes=("x",)), duration, 5)
+    estimate = alone([flight], "x", True)
+    own = maximise(estimate.records, estimate.optimum.point, estimate.optimum.free)
+
+    for i in range(3):
+        direction = np.eye(own.point.n)[i]
+        found, expected = (degrees_of_freedom(o.score, o.free, direction) for o in (estimate.optimum, own))
+        assert found == pytest.approx(expected, rel=0.1)
+
+
+def test_the_slopes_behind_the_degrees_of_freedom_are_those_of_the_variance() -> None:
+    records, optimum = climbed()
+    score_, n = optimum.score, optimum.point.n
+    C = inverted(score_.information[:n, :n], optimum.free[:n])
+
+    for i in range(3):
+        along = C[:, i]
+        found = -np.einsum("i,kij,j->k", along, score_.slopes, along) / along[i]
+        for k in range(4):
+            logs = []
+            for sign in (1.0, -1.0):
+                step = np.zeros(optimum.point.flat().size)
+                step[n + k] = sign * 1e-3
+                moved = score(records, optimum.point.with_flat(optimum.point.flat() + step))
+                logs.append(np.log(inverted(moved.information[:n, :n], optimum.free[:n])[i, i]))
+            assert found[k] == pytest.approx((logs[0] - logs[1]) / 2e-3, abs=0.05)
 
 
 # Coverage

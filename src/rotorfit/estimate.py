@@ -13,11 +13,20 @@ from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, se
 from rotorfit.record import Record, record
 
 EXPLAINS = 0.9
-"""The commands must bring the 1 s prediction error on the training flights below this share of what it is without them;
-else the axis was not excited, whatever the likelihood of a feedback loop says."""
+"""In a feedback loop the commands must bring the 1 s prediction error on the training flights below this share of what
+it is without them; else the axis was not excited, whatever the likelihood says."""
+
+HELPS = 0.99
+"""The same in an open loop, where the likelihood can be believed."""
 
 PLAINLY = 0.5
 """Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
+
+LOOP_BLOCKS = 15
+"""Blocks after an innovation in which a feedback loop is looked for."""
+
+LOOP_SIGMAS = 4.5
+"""Standard deviations beyond which a correlation is a feedback loop's."""
 
 COUPLING_ROUNDS = 2
 """Rounds in which x and y under a held heading take each other into account."""
@@ -120,15 +129,40 @@ def together(
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 
+def answers_motion(records: Sequence[Record], optimum: Optimum, k: int) -> bool:
+    """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop.
+
+    Innovations are white, so their correlation with what an open loop commands later has a standard deviation of one over
+    the root of their number, however the commands are correlated among themselves.
+    """
+    products, number = np.zeros(LOOP_BLOCKS), 0
+    for rec, innovation in zip(records, optimum.score.innovations, strict=True):
+        place = np.searchsorted(rec.command_time, rec.block_time, side="right") - 1
+        change = np.diff(rec.command[place, k], prepend=rec.command[place[0], k])
+        spread = float(change.std())
+        if spread == 0:
+            continue
+        e = innovation[:, k] / max(float(innovation[:, k].std()), 1e-12)
+        products += [float(e[:-lag] @ change[lag:]) / spread for lag in range(1, LOOP_BLOCKS + 1)]
+        number += e.size
+    return bool(number and np.abs(products).max() > LOOP_SIGMAS * np.sqrt(number))
+
+
 def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int) -> bool:
-    """Whether the commands of an axis explain its motion; flights too short to predict get the benefit of the doubt."""
+    """Whether the commands of an axis explain its motion.
+
+    In an open loop the interval of the gain decides, and prediction must only not deny it. In a feedback loop the
+    likelihood can be sure of what is not so, and the commands must show their worth in prediction. Flights too short to
+    predict get the benefit of the doubt.
+    """
     error = found.prediction[k]
     if reads_backwards(found.optimum, k):
         return False
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True
     idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
-    return bool(error < EXPLAINS * idle[k])
+    limit = EXPLAINS if answers_motion(records, found.optimum, k) else HELPS
+    return bool(error < limit * idle[k])
 
 
 def free_of(records: Sequence[Record], moving: Sequence[bool]) -> Mask:

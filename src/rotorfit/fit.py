@@ -221,7 +221,7 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         modes=_modes(estimate),
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
     )
-    if not estimate.excited or optimum.gain > DIVERGED:
+    if not estimate.excited or _unfinished(optimum, k):
         return nothing
     K = optimum.point.gain.size
     variance = np.diag(inverted(optimum.score.information, optimum.free))
@@ -252,6 +252,13 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         profile=profiles["delay"].points,
         profile_fall=profiles["delay"].fall,
     )
+
+
+def _unfinished(optimum: Optimum, k: int) -> bool:
+    """Whether one more step would still gain, and by moving the coefficients of an axis by more than a thousandth."""
+    K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
+    moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
+    return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
 
 
 def _exponential(ends: Interval) -> Interval:

@@ -9,6 +9,9 @@ from rotorfit.frames import Array, Mask
 from rotorfit.likelihood import START_LEVELS, Point, Restriction, Score, inverted, restriction, score
 from rotorfit.record import Record
 
+LEVEL_DAMPING = 0.1
+"""Added to the information of each level for the step: where levels together make no difference it stays small."""
+
 EDGE = 1e-9
 """How close to a bound counts as at it."""
 
@@ -69,12 +72,12 @@ def maximise(
     while True:
         movable = free & ~pressed(point, best.gradient)
         if inverse is None or fresh or not np.array_equal(movable, active):
-            inverse, active, fresh = inverted(best.information, movable), movable, True
+            inverse, active, fresh = inverted(_damped(best.information, point.n), movable), movable, True
         step = inverse @ best.gradient
         stuck = pressed(point, step) & active
         if stuck.any():  # at a bound, pushed outwards not by the gradient but by the others
             active = active & ~stuck
-            inverse, fresh = inverted(best.information, active), True
+            inverse, fresh = inverted(_damped(best.information, point.n), active), True
             step = inverse @ best.gradient
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
@@ -124,6 +127,11 @@ def _line_search(
         step = 0.3 * step
 
 
+def _damped(information: Array, n: int) -> Array:
+    """The information with a little more of every level."""
+    return information + np.diag(np.r_[np.zeros(n), np.full(len(information) - n, LEVEL_DAMPING)])
+
+
 def _secant(inverse: Array, step: Array, change: Array) -> Array:
     """BFGS update of an inverse information by a step and the fall of the gradient along it."""
     curvature = float(step @ change)
@@ -142,5 +150,4 @@ def pressed(point: Point, gradient: Array) -> Mask:
 def limited(step: Array, K: int) -> Array:
     """Shortens a step that moves log b by more than 1.5, the delay by more than 0.08 s or a level by more than e^2."""
     parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (step[-4 * K :], 2.0))
-    longest = max(float(np.abs(part).max()) / most for part, most in parts)
-    return step / max(longest, 1.0)
+    return step / max(*(float(np.abs(part).max()) / most for part, most in parts), 1.0)

@@ -31,6 +31,9 @@ START_BLOCKS = 6
 FINISH = 15
 """Passes that an optimum found from a later start gets for levels of its own: enough to judge it."""
 
+BACKWARDS = np.log(8.0)
+"""Logarithm of the damping beyond which a model has no memory: it reads the velocity off the command."""
+
 ALIKE = 0.05
 """Optima whose prediction errors differ by less than this share predict alike."""
 
@@ -98,6 +101,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     starts: list[int] = []
     for number, (delay, damping) in enumerate(STARTS):
         point = start_point(records, delay, damping, levels)
+        point = _still(point, free)
         if number:
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
@@ -116,6 +120,17 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     return _ranked(found)
 
 
+def _still(point: Point, free: Mask) -> Point:
+    """The point with no gain, damping 1 and no delay on the axes whose coefficients may not move."""
+    fixed = ~free[: point.gain.size]
+    return replace(
+        point,
+        gain=np.where(fixed, 0.0, point.gain),
+        log_damping=np.where(fixed, 0.0, point.log_damping),
+        delay=np.where(fixed, 0.0, point.delay),
+    )
+
+
 def _same(point: Point, others: Sequence[Point]) -> int | None:
     for i, other in enumerate(others):
         if (np.abs(point.delay - other.delay) < SAME_DELAY).all() and (
@@ -126,11 +141,12 @@ def _same(point: Point, others: Sequence[Point]) -> int | None:
 
 
 def reads_backwards(optimum: Optimum, k: int) -> bool:
-    """Whether an optimum is a feedback loop read backwards: the command, with its sign turned, follows the motion.
+    """Whether an optimum is a feedback loop read backwards: no memory, sign turned, the command behind the motion.
 
     Such a model knows the future from the commands that answer it, so it explains and even predicts; never believe it.
     """
-    return bool(optimum.point.gain[k] < 0 and optimum.point.delay[k] < 0)
+    point = optimum.point
+    return bool(point.gain[k] < 0 and point.delay[k] < 0 and point.log_damping[k] > BACKWARDS)
 
 
 def _ranked(found: Sequence[Found]) -> tuple[Found, ...]:

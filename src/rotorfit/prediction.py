@@ -234,8 +234,8 @@ def predict(
                 ]
             )
             _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w, d, z,
-                Fx, Fy, step, out[s],
+                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w, d,
+                z, Fx, Fy, step, out[s],
             )  # fmt: skip
             s += 1
     return out, begin

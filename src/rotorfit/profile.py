@@ -11,6 +11,9 @@ from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Interval
 from rotorfit.record import Record
 
+NOT_WALKED = 0.1
+"""Expected gain in log-likelihood that a re-maximisation leaves to be added rather than walked."""
+
 
 def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float) -> Optimum:
     """Re-maximises over everything else with one parameter held at a target.
@@ -34,12 +37,12 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.restricted, tolerance=0.1)
+    return maximise(records, point, free, inverse, optimum.restricted, tolerance=NOT_WALKED)
 
 
 def height(optimum: Optimum) -> float:
     """Objective of an optimum with the expected gain of the step that was not worth walking."""
-    return optimum.score.objective + optimum.gain
+    return optimum.score.objective + min(optimum.gain, NOT_WALKED)
 
 
 def quantile(optimum: Optimum, direction: Array) -> float:

@@ -22,14 +22,14 @@ from rotorfit.frames import Array
 def transition(b: float, dt: float) -> Any:
     """Transition over dt at damping b and its derivative with respect to b: f, k, h, df, dk, dh."""
     x = b * dt
-    if x < 0.02:
+    if abs(x) < 0.02:
         h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x / 720)))
         dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 - x / 1008)))
         h *= dt * dt
         dh *= dt * dt * dt
         k = dt - b * h
         f = 1.0 - b * k
-    elif x < 0.5:
+    elif abs(x) < 0.5:
         h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x * (1 / 720 + x * (-1 / 5040 + x / 40320)))))
         dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 + x * (-1 / 1008 + x * (1 / 6720 - x / 51840)))))
         h *= dt * dt

@@ -1,0 +1,347 @@
+"""The documents say what is: their blocks run, and what they list is what the code knows."""
+
+import ast
+import csv
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from types import FunctionType
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mypy import api as mypy
+
+import rotorfit
+from rotorfit import advice, card, estimate, forecast, likelihood, modes, record, regression
+from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.cli import main
+from rotorfit.excitation import two_sines
+from rotorfit.fit import DIVERGED, LEAST_TIME, WIDEST_DAMPING, WIDEST_DELAY, WIDEST_INPUT, fit
+from rotorfit.frames import AXES, UNIT_SCALE
+from rotorfit.simulator import Controller, SimulatedFlight, Truth, simulate_flight
+from rotorfit.sources import FORMATS
+from test_river import RIVER
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+CARDS, FINDINGS, METHOD, ARCHITECTURE = (
+    (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    for name in ("cards", "findings", "method", "architecture")
+)
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PUBLIC = (
+    "RotorfitError", "__version__", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
+    "validate",
+)  # fmt: skip
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Contents of the fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def section(text: str, title: str) -> str:
+    """What stands under a heading of the second level."""
+    return re.split(r"^## ", text.split(f"\n## {title}\n")[1], maxsplit=1, flags=re.MULTILINE)[0]
+
+
+def commands(text: str) -> list[list[str]]:
+    """The lines of the shell blocks as words."""
+    lines = (line for block in blocks(text, "sh") for line in block.splitlines())
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def codes_in(path: str, name: str) -> set[str]:
+    """First arguments, written out, of all calls of a name in a module."""
+    tree = ast.parse((ROOT / "src" / "rotorfit" / path).read_text(encoding="utf-8"))
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name))
+    firsts = (call.args[0] for call in calls if call.func.id == name and call.args)  # type: ignore[attr-defined]
+    return {first.value for first in firsts if isinstance(first, ast.Constant) and isinstance(first.value, str)}
+
+
+def write_csv(flight: SimulatedFlight, path: Path) -> None:
+    """One table, a row a sample: poses (yaw in degrees, wrapped) and commands, blank where the row has none."""
+    yaw = np.degrees(np.angle(np.exp(1j * flight.pose[:, 3])))
+    poses = [
+        (t, [*(f"{value:.5f}" for value in pose[:3]), f"{heading:.3f}", "", "", "", ""])
+        for t, pose, heading in zip(flight.pose_stamp, flight.pose, yaw, strict=True)
+    ]
+    sent = [
+        (t, ["", "", "", "", *(f"{value:.4f}" for value in values)])
+        for t, values in zip(flight.command_stamp, flight.command, strict=True)
+    ]
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["time", "x", "y", "z", "yaw", "cmd_x", "cmd_y", "cmd_z", "cmd_yaw"])
+        table.writerows([f"{1e-9 * t:.6f}", *cells] for t, cells in sorted(poses + sent, key=lambda row: row[0]))
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
+    """A folder with a user's two logs after the shell blocks of the README were run in it, and what they printed."""
+    folder = tmp_path_factory.mktemp("user")
+    for name, duration, seed in (("flight1.csv", 40.0, 11), ("flight2.csv", 20.0, 12)):
+        write_csv(simulate_flight(Truth(), two_sines, duration, seed, controller=Controller(0.3, 0.5)), folder / name)
+    printed = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for program, *words in commands(section(README, "Your own log in five minutes")):
+            assert program == "rotorfit"
+            result = CliRunner().invoke(main, words)
+            assert result.exit_code == 0, result.output
+            printed[words[0]] = result.output
+        yield folder, printed
+
+
+def test_the_five_minutes_of_the_readme_run_and_leave_a_model_a_report_and_figures(
+    walked: tuple[Path, dict[str, str]],
+) -> None:
+    folder, printed = walked
+
+    assert list(printed) == ["info", "fit", "validate", "report"]
+    assert "Known: input gain, damping and delay of " in printed["fit"]
+    assert {path.name for path in folder.iterdir()} == {
+        "flight1.csv", "flight2.csv", "my-drone.toml", "model.json", "report.html", "figures",
+    }  # fmt: skip
+
+
+def test_the_card_that_the_readme_shows_is_the_one_that_is_drafted(walked: tuple[Path, dict[str, str]]) -> None:
+    (shown,) = blocks(section(README, "Your own log in five minutes"), "toml")
+
+    assert load_card(str(walked[0] / "my-drone.toml")).raw == tomllib.loads(shown)
+
+
+def test_the_csv_that_the_readme_shows_has_the_columns_of_the_one_that_was_fitted(
+    walked: tuple[Path, dict[str, str]],
+) -> None:
+    first_line = (walked[0] / "flight1.csv").read_text().splitlines()[0]
+
+    assert first_line in README
+
+
+def test_the_library_example_is_ten_lines_and_runs_as_printed(
+    walked: tuple[Path, dict[str, str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    example, use = blocks(section(README, "As a library"), "python")
+    (walked[0] / "model.json").unlink()
+
+    exec(compile(example, "README.md", "exec"), {})
+    exec(compile(use, "README.md", "exec"), {})
+
+    assert sum(bool(line.strip()) for line in example.splitlines()) == 10
+    x = rotorfit.load(walked[0] / "model.json").axes["x"]
+    assert x.status == {"input": "ok", "damping": "ok", "delay": "ok"}
+    assert x.input == pytest.approx(Truth().gamma[0], rel=0.1)
+    printed = capsys.readouterr().out
+    assert str(x.input) in printed
+    assert "nan" not in printed
+    assert "None" not in printed
+
+
+def test_the_examples_pass_mypy_strict_so_that_users_see_the_real_signatures(tmp_path: Path) -> None:
+    for number, example in enumerate(blocks(README, "python")):
+        (tmp_path / f"example{number}.py").write_text(example)
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text("import rotorfit\n\nrotorfit.fit(3)\nrotorfit.no_such_name\n")
+    options = ["--strict", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(ROOT / ".mypy_cache")]
+
+    said, _, code = mypy.run([*options, *map(str, sorted(tmp_path.glob("example*.py")))])
+    assert code == 0, said
+    said, _, code = mypy.run([*options, str(wrong)])
+    assert code == 1
+    assert "[arg-type]" in said
+
+
+def test_every_command_of_the_documents_is_one_of_the_command_line() -> None:
+    spoken = [
+        shlex.split(code)
+        for document in DOCUMENTS
+        for code in re.findall(r"`(rotorfit [^`\n]+)`", document.read_text(encoding="utf-8"))
+    ]
+    for program, *words in [*commands(README), *spoken]:
+        if program != "rotorfit" or words[0] in ("VERB", "--help", "--version"):
+            continue
+        verb = main.commands[words[0]]
+        known = {
+            option for parameter in verb.params if isinstance(parameter, click.Option) for option in parameter.opts
+        }
+        asked = {word for word in words[1:] if re.fullmatch(r"--?[a-z][a-z-]*", word)}
+        assert asked <= {*known, "--help"}, " ".join(words)
+
+
+def test_every_make_target_of_the_readme_is_in_the_makefile() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+    assert {words[1] for words in commands(README) if words[0] == "make"} == {"demo", "test"}
+    assert targets >= {"demo", "test"}
+
+
+def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> None:
+    formats = section(README, "Formats and vehicles")
+
+    assert set(re.findall(r"^\| `(\w+)` \|", formats, re.MULTILINE)) == set(FORMATS)
+    assert {name for name in builtin_cards() if f"`{name}`" not in formats} == set()
+    assert {verb for verb in main.commands if f"rotorfit {verb}" not in README} <= {"compare", "demo"}
+
+
+def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
+    described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
+
+    assert sorted(described) == sorted(codes_in("advice.py", "Finding"))
+
+
+def test_every_note_of_the_code_is_in_the_documents() -> None:
+    notes = section(FINDINGS, "Notes")
+    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note")
+
+    assert len(codes) >= 7
+    assert {code for code in codes if f"`{code}`" not in notes} == set()
+
+
+def test_every_status_that_a_coefficient_can_have_is_in_the_documents() -> None:
+    statuses = re.findall(r"^\| `(\w+)` \|", section(FINDINGS, "Statuses"), re.MULTILINE)
+
+    assert sorted(statuses) == ["diverged", "not_excited", "not_identifiable", "ok", "too_short"]
+    assert {status for status in statuses if f"`{status}`" not in METHOD} == set()
+
+
+def test_the_figures_of_the_method_are_those_of_the_code() -> None:
+    low, high = record.DELAY_RANGE
+    told = (
+        f"blocks of 1/{record.BLOCK_RATE:g} s",
+        f"tau from {low:g} to {high:g} s",
+        f"scored from {high:g} s on",
+        f"b from {likelihood.DAMPING_RANGE[0]:g} to {likelihood.DAMPING_RANGE[1]:g} 1/s",
+        f"within {np.degrees(record.HELD_HEADING):g} degrees",
+        f"within {100 * modes.ALIKE:g} % of it",
+        f"a damping above {np.exp(modes.BACKWARDS):g} 1/s",
+        f"that share is {estimate.HELPS:g}",
+        f"feedback loop it is {estimate.EXPLAINS:g}",
+        f"more than {estimate.LOOP_SIGMAS:g} standard deviations",
+        f"below {estimate.PLAINLY:g} of that of holding",
+        f"wider than {WIDEST_DELAY:g} s",
+        f"more than a factor of {WIDEST_DAMPING:g}, the input's a factor of {WIDEST_INPUT:g}",
+        f"less than {LEAST_TIME:g} s can be scored",
+        f"gain more than {DIVERGED:g}",
+        f"gives {forecast.SETTLING:g} s to the model's own causal filter",
+        f"every {forecast.START_EVERY:g} s",
+        f"fewer than {forecast.LEAST_SCORES} give no score",
+        f"a hole of {forecast.LONGEST_GAP:g} s",
+        f"degree {regression.DEGREE} over +-{regression.HALF_WIDTH:g} s, at least {regression.LEAST} poses",
+        {6: "six starts"}[len(modes.STARTS)],
+        {60.0: "the minute"}[modes.EXCERPT],
+    )
+
+    assert [phrase for phrase in told if phrase not in METHOD] == []
+
+
+def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
+    low, high = record.DELAY_RANGE
+    told = (
+        f"{low:g} or {high:g} s",
+        f"less than {LEAST_TIME:g} s of the flights",
+        f"delay wider than {WIDEST_DELAY:g} s",
+        f"more than a factor of {WIDEST_DAMPING:g} apart; of the input gain, a factor of {WIDEST_INPUT:g}",
+        f"is wider than {WIDEST_DELAY:g} s or open",
+        f"spans more than a factor of {WIDEST_DAMPING:g}",
+        f"more than {100 * advice.WEAK_GAIN:g} % of it",
+        f"less than {advice.SHORT_TIME:g} s together",
+        f"more than {100 * advice.SATURATED_SHARE:g} % of its samples",
+        f"More than {100 * advice.STALE_SHARE:g} % of the poses",
+    )
+
+    assert [phrase for phrase in told if phrase not in FINDINGS] == []
+
+
+def test_the_complete_card_of_the_documents_loads_and_holds_every_key() -> None:
+    (text,) = blocks(CARDS, "toml")
+    complete = card_from_mapping(tomllib.loads(text), "docs/cards.md")
+    keys = set(re.findall(r"^#? ?(\w+) = ", text, re.MULTILINE)) | set(re.findall(r"[{,] (\w+) = ", text))
+
+    assert set(complete.command) == set(AXES)
+    assert set(complete.velocity) == set(complete.reference) == set(AXES)
+    assert keys == known_keys()
+
+
+def test_every_key_and_every_unit_of_a_card_is_explained() -> None:
+    tables = section(CARDS, "Every key")
+    explained = {name for cell in re.findall(r"`([^`]+)`", tables) for name in cell.split()}
+
+    assert known_keys() - explained == set()
+    assert set(UNIT_SCALE) - explained == set()
+
+
+def known_keys() -> set[str]:
+    """Every key that `card.py` lets pass: those of its sections, and those written out where keys are checked."""
+    tree = ast.parse((ROOT / "src" / "rotorfit" / "card.py").read_text(encoding="utf-8"))
+    checks = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "_check_keys"
+    ]
+    constants = (node for check in checks for node in ast.walk(check.args[1]) if isinstance(node, ast.Constant))
+    written = {node.value for node in constants if isinstance(node.value, str)}
+    assert written >= {"name", "from", "scale"}
+    return written | {key for keys in card._SECTIONS.values() for key in keys}
+
+
+def test_the_architecture_lists_the_modules_in_the_order_of_the_river() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", section(ARCHITECTURE, "The river"), re.MULTILINE)
+
+    assert tuple(listed) == RIVER
+
+
+def test_links_and_pictures_of_the_documents_lead_somewhere() -> None:
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)]+)\)", text):
+            if target.startswith("https://"):
+                continue
+            path, _, anchor = target.partition("#")
+            page = document.parent / path if path else document
+            assert page.exists(), f"{document.name}: {target}"
+            assert not anchor or anchor in anchors(page), f"{document.name}: {target}"
+
+
+def anchors(page: Path) -> set[str]:
+    """What the headings of a page can be linked by."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_the_changelog_has_an_entry_of_this_version() -> None:
+    assert f"## [{rotorfit.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_public_names_are_these_and_each_is_there() -> None:
+    assert tuple(rotorfit.__all__) == PUBLIC
+    assert {name for name in PUBLIC if getattr(rotorfit, name, None) is None} == set()
+    assert set(PUBLIC) <= set(dir(rotorfit))
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+        rotorfit.no_such_name  # noqa: B018
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    heavy = "{'numpy', 'numba', 'scipy', 'polars', 'rosbags', 'matplotlib', 'rich'}"
+    code = f"import sys, rotorfit, rotorfit.cli; print(sorted({heavy} & set(sys.modules)))"
+
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_fit_is_the_function_also_after_the_module_of_that_name_was_imported() -> None:
+    code = "import rotorfit.fit, rotorfit.pipeline; print(type(rotorfit.fit).__name__)"
+
+    assert isinstance(rotorfit.fit, FunctionType)
+    assert rotorfit.fit is fit
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "function\n"
+    )
