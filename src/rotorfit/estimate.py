@@ -132,8 +132,8 @@ def together(
 def answers_motion(records: Sequence[Record], optimum: Optimum, k: int) -> bool:
     """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop.
 
-    Innovations are white, so their correlation with what an open loop commands later has a standard deviation of one over
-    the root of their number, however the commands are correlated among themselves.
+    Innovations are white, so their correlation with what an open loop commands later has a standard deviation of one
+    over the root of their number, however the commands are correlated among themselves.
     """
     products, number = np.zeros(LOOP_BLOCKS), 0
     for rec, innovation in zip(records, optimum.score.innovations, strict=True):
