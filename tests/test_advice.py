@@ -1,0 +1,229 @@
+"""Findings: each of them where it belongs, with numbers in it, and none where all is well."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+from flights import flown, muddled, steps
+from rotorfit.advice import findings_of_fit
+from rotorfit.excitation import two_sines
+from rotorfit.finding import Finding
+from rotorfit.fit import Fit, fit
+from rotorfit.flight import Flight, Note, Segment
+from rotorfit.model import Mode, Predictor
+from rotorfit.record import DELAY_RANGE
+from rotorfit.simulator import GAMMA_B, Truth
+
+NO_STALE = replace(Truth(), stale_share=0.0)
+
+
+@cache
+def well() -> Fit:
+    """One axis, one minute, steps of a fifth of full scale: nothing to complain of."""
+    return fit([flown(NO_STALE, steps(("z",), seed=2), 60.0, 2)], axes=("z",))
+
+
+def found(result: Fit) -> dict[tuple[str, str | None], Finding]:
+    return {(finding.code, finding.axis): finding for finding in findings_of_fit(result)}
+
+
+def changed(result: Fit, name: str = "z", **parts: object) -> Fit:
+    """The fit with other facts about one axis."""
+    axes = {**result.model.axes, name: replace(result.model.axes[name], **parts)}  # type: ignore[arg-type]
+    return replace(result, model=replace(result.model, axes=axes))
+
+
+def with_commands(result: Fit, change: Callable[[np.ndarray], np.ndarray]) -> Fit:
+    (flight,) = result.flights
+    return replace(result, flights=(replace(flight, command=change(flight.command)),))
+
+
+def test_where_all_is_well_nothing_is_said() -> None:
+    assert findings_of_fit(well()) == ()
+
+
+def test_every_finding_is_whole_sentences_in_one_line_each() -> None:
+    flight = flown(Truth(), steps(("x", "z"), seed=3), 12.0, 3)
+    short = fit([muddled(flight, "x")])
+
+    findings = findings_of_fit(short)
+    assert findings
+    for finding in findings:
+        for text in (finding.evidence, finding.effect, finding.remedy):
+            assert text
+            assert "\n" not in text
+            assert "nan" not in text
+            assert "None" not in text
+
+
+def test_the_gravest_come_first() -> None:
+    flight = flown(Truth(), partial(two_sines, axes=("x",)), 15.0, 3)
+    slow = replace(Truth(), gamma=(GAMMA_B[0], 0.02, *GAMMA_B[2:]), delay=(0.25,) * 4)
+    results = [fit([flight]), fit([flown(slow, partial(two_sines, axes=("x",)), 60.0, 1)], "paper")]
+
+    for result in results:
+        ranks = [("error", "warning", "info").index(f.severity) for f in findings_of_fit(result)]
+        assert ranks == sorted(ranks)
+
+
+# Statuses
+
+
+def test_a_commanded_axis_that_explains_nothing_is_named_and_one_that_is_not_commanded_is_not() -> None:
+    result = fit([muddled(flown(Truth(), steps(("z", "yaw"), seed=1), 60.0, 1), "z")])
+
+    assert ("not_excited", "z") in found(result)
+    assert not any(code == "not_excited" and axis != "z" for code, axis in found(result))
+
+
+def test_a_flight_too_short_is_named() -> None:
+    assert ("too_short", "z") in found(fit([flown(Truth(), steps(("z",)), 5.0)]))
+
+
+def test_a_climb_that_did_not_end_is_an_error() -> None:
+    diverged = changed(well(), predictor=None, status=dict.fromkeys(("input", "damping", "delay"), "diverged"))
+
+    assert found(diverged)["diverged", "z"].severity == "error"
+
+
+# Coefficients
+
+
+def test_a_wrong_sign_is_told_with_the_remedy_for_the_card() -> None:
+    flight = flown(NO_STALE, steps(("z",), seed=2), 40.0, 2)
+
+    told = found(fit([replace(flight, command=-flight.command)], axes=("z",)))["sign_flipped", "z"]
+    assert told.severity == "warning"
+    assert "scale = -1" in told.remedy
+    assert "-2.4" in told.evidence or "-2.5" in told.evidence
+
+
+def test_an_unstable_damping_of_the_papers_method_is_an_error_that_says_why() -> None:
+    slow = replace(NO_STALE, gamma=(GAMMA_B[0], 0.05, *GAMMA_B[2:]), delay=(0.2,) * 4)
+    flight = flown(slow, partial(two_sines, axes=("x",)), 60.0, 1)
+
+    told = found(fit([flight], "paper", axes=("x",)))["damping_unstable", "x"]
+    assert told.severity == "error"
+    assert "delay" in told.effect
+    assert "ml" in told.remedy
+    beside = found(fit([flight], "ml", axes=("x",)))
+    assert beside["paper_damping_negative", "x"].severity == "info"
+    assert ("damping_unstable", "x") not in beside
+
+
+def test_a_negative_delay_beyond_its_interval_is_about_clocks() -> None:
+    flight = flown(replace(NO_STALE, delay=(0.0,) * 4), steps(("z",), seed=2), 40.0, 2)
+    late = replace(flight, command_time=flight.command_time + 0.05, segments=(Segment(0.05, flight.segments[0].end),))
+
+    told = found(fit([late], axes=("z",)))["delay_negative", "z"]
+    assert "clock" in told.effect
+    assert ("delay_negative", "z") not in found(fit([flight], axes=("z",)))
+
+
+def test_commands_stamped_later_than_any_searched_delay_are_a_matter_of_clocks_not_of_excitation() -> None:
+    """Two computers, 0.25 s apart: a frequent mistake. The finding must lead to it."""
+    flight = flown(NO_STALE, steps(seed=2), 40.0, 2)
+    late = replace(flight, command_time=flight.command_time + 0.3, segments=(Segment(0.3, flight.segments[0].end),))
+
+    told = findings_of_fit(fit([late]))
+    assert any("clock" in f"{f.evidence} {f.effect} {f.remedy}" for f in told)
+
+
+def test_a_delay_at_the_end_of_its_range_is_an_error() -> None:
+    point = well().model.axes["z"].predictor
+    assert point is not None
+    for bound in DELAY_RANGE:
+        at_bound = changed(well(), predictor=Predictor(point.input, point.damping, bound))
+        assert found(at_bound)["delay_at_bound", "z"].severity == "error"
+
+
+def test_what_is_not_identifiable_is_told_with_what_is_known_instead() -> None:
+    result = fit([flown(NO_STALE, partial(two_sines, axes=("z",), amplitude=0.5), 60.0, 3)], axes=("z",))
+    axis = result.model.axes["z"]
+
+    for name in ("damping", "delay"):
+        assert ((f"{name}_not_identifiable", "z") in found(result)) == (axis.status[name] == "not_identifiable")
+    assert ("damping_not_identifiable", "z") in found(result)
+
+
+def test_of_a_servo_faster_than_its_poses_the_gain_and_lag_are_in_the_finding() -> None:
+    fast = replace(
+        NO_STALE,
+        gamma=(*GAMMA_B[:4], 20.0, 20.0, *GAMMA_B[6:]),
+        pose_rate=10.0,
+        command_rate=10.0,
+        mocap_noise=(0.05,) * 4,
+        wind_sigma=(3.0,) * 4,
+    )
+    result = fit([flown(fast, steps(("z",), 0.4, seed=3), 50.0, 3)], axes=("z",))
+
+    told = found(result)["damping_not_identifiable", "z"]
+    combinations = result.model.axes["z"].combinations
+    assert f"{combinations['steady_gain'].value:.3g}" in told.effect
+    assert f"{combinations['total_lag'].value:.3g}" in told.effect
+    assert "faster" in told.remedy
+
+
+# Modes
+
+
+def test_a_likelier_mode_that_predicts_worse_is_told_with_both_numbers() -> None:
+    (chosen,) = (mode for mode in well().model.axes["z"].modes if mode.chosen)
+    assert chosen.prediction is not None
+    rival = Mode(0.008, 90.0, 5.0, 0.0, 1, 2 * chosen.prediction, False)
+    doubt = changed(well(), modes=(replace(chosen, log_likelihood=-61.0), rival))
+
+    told = found(doubt)["likelihood_and_prediction_disagree", "z"]
+    assert "61" in told.evidence
+    assert "2.0" in told.evidence
+    believed = changed(well(), modes=(chosen, replace(rival, log_likelihood=-61.0)))
+    assert ("likelihood_and_prediction_disagree", "z") not in found(believed)
+
+
+# Excitation
+
+
+def test_little_time_is_told() -> None:
+    told = found(fit([flown(NO_STALE, steps(("z",), seed=2), 15.0, 2)], axes=("z",)))
+
+    assert "15" in told["short_data", "z"].evidence
+
+
+def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
+    axis = well().model.axes["z"]
+    assert axis.input is not None
+    weak = changed(well(), stderr={**axis.stderr, "input": 0.3 * axis.input})
+
+    assert "30 %" in found(weak)["weak_excitation", "z"].evidence
+
+
+def test_commands_that_stand_at_their_limit_are_told_and_those_of_two_levels_are_not() -> None:
+    def clipped(command: np.ndarray) -> np.ndarray:
+        rng = np.random.default_rng(0)
+        out: np.ndarray = np.clip(rng.standard_normal(command.shape), -1.0, 1.0)
+        return out
+
+    assert ("saturated_commands", "z") in found(with_commands(well(), clipped))
+    assert ("saturated_commands", "z") not in found(with_commands(well(), lambda c: np.sign(c) * 0.2))
+    smooth = np.random.default_rng(0).standard_normal(well().flights[0].command.shape)
+    assert ("saturated_commands", "z") not in found(with_commands(well(), lambda _c: smooth))
+
+
+def test_stale_poses_are_counted_per_flight() -> None:
+    flight: Flight = flown(Truth(), steps(("z",), seed=2), 30.0, 2)
+    counts = {note.code: note.count for note in flight.notes}
+
+    result = fit([flight], axes=("z",))
+    assert str(counts["stale_poses"]) in found(result)["stale_poses", None].evidence
+    few = replace(flight, notes=(Note("stale_poses", "1 of 1000", 1),))
+    assert ("stale_poses", None) not in found(replace(result, flights=(few,)))
+
+
+@pytest.mark.parametrize("method", ["ml", "paper"])
+def test_findings_of_both_methods_are_made_without_error(method: str) -> None:
+    result = fit([flown(Truth(), two_sines, 30.0, 4)], method)  # type: ignore[arg-type]
+
+    assert all(isinstance(finding, Finding) for finding in findings_of_fit(result))
