@@ -66,7 +66,13 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
     if not _explains(parts, (axis,), short, found[0], 0):
         idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
         return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
-    return Estimate(records, climb(records, start, free_of(records, [True])), 0, found, True)
+    return Estimate(records, _finished(records, start, [True]), 0, found, True)
+
+
+def _finished(records: Sequence[Record], start: Point, moving: Sequence[bool]) -> Optimum:
+    """The top, with itself as the reference of the restricted likelihood."""
+    first = climb(records, start, free_of(records, moving))
+    return maximise(records, first.point, first.free, first.inverse)
 
 
 def _moved_to(records: Sequence[Record], point: Point) -> Point:
@@ -125,7 +131,7 @@ def together(
         log_damping=np.where(idle, 0.0, start.log_damping),
         delay=np.where(idle, 0.0, start.delay),
     )
-    optimum = climb(records, start, free_of(records, excited))
+    optimum = _finished(records, start, excited)
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 

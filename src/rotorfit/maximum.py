@@ -129,7 +129,9 @@ def _line_search(
 
 def _damped(information: Array, n: int) -> Array:
     """The information with a little more of every level."""
-    return information + np.diag(np.r_[np.zeros(n), np.full(len(information) - n, LEVEL_DAMPING)])
+    out = information.copy()
+    out[np.arange(n, len(out)), np.arange(n, len(out))] += LEVEL_DAMPING
+    return out
 
 
 def _secant(inverse: Array, step: Array, change: Array) -> Array:

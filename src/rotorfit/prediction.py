@@ -20,7 +20,7 @@ from rotorfit.frames import Array
 from rotorfit.response import transition
 
 START_VELOCITY_VARIANCE = 10.0
-"""Of the vehicle's unknown velocity at the first pose [m^2/s^2], left to the filter."""
+"""Prior variance of the vehicle's velocity at the first pose, which decays with its own damping [m^2/s^2]."""
 
 
 @numba.njit(cache=True)
@@ -160,8 +160,8 @@ def predict(
     S, E = future_yaw.shape
     out = np.full((S, E, 4), np.nan)
     begin = np.empty((S, 4))
-    p, v, drive = np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2))
-    drive[1, 0] = drive[2, 1] = 1.0
+    p, v, drive = np.zeros((5, 2)), np.zeros((5, 2)), np.zeros((5, 2))
+    drive[1, 0] = drive[2, 1] = v[3, 0] = v[4, 1] = 1.0
     k = np.zeros(2, np.int64)
     for j in range(2):
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= pose_time[0]:
@@ -171,12 +171,10 @@ def predict(
     Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
     P = np.zeros((3, 3, 3))
     start_covariance(P, levels)
-    for a in range(2):
-        P[a, 1, 1] += START_VELOCITY_VARIANCE
-    state = np.zeros((3, 6))  # of the data less the driven response, and of the two unit trims
-    information = np.diag(1 / trim_variance)
-    weighted = np.zeros(2)
-    e = np.empty(3)
+    state = np.zeros((5, 6))  # of the data less the driven response, of two unit trims, of two unit start velocities
+    information = np.diag(1 / np.append(trim_variance, np.full(2, START_VELOCITY_VARIANCE)))
+    weighted = np.zeros(4)
+    e = np.empty(5)
     step_gain = np.empty(6)
     s = 0
     for i in range(pose_time.size):
@@ -200,31 +198,36 @@ def predict(
             half = 0.5 * (yaw[i] - yaw[i - 1])
             c, sn = np.cos(half), np.sin(half)
             predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, sn)
-            for j in range(3):
+            for j in range(5):
                 rotate(state[j], c, sn)
                 propagate(state[j], fx, fy)
                 rotate(state[j], c, sn)
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
             variance = update_covariance(P, a, levels[a, 1], step_gain)
-            for j in range(3):
+            for j in range(5):
                 x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
                 y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
                 e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, 3 * a]
                 for m in range(6):
                     state[j, m] += step_gain[m] * e[j]
-            for j in range(2):
+            for j in range(4):
                 weighted[j] += e[1 + j] * e[0] / variance
-                for m in range(2):
+                for m in range(4):
                     information[j, m] += e[1 + j] * e[1 + m] / variance
         while s < S and first[s] == i + 1:
-            trim = np.linalg.solve(information, weighted)
-            z = state[0] - trim[0] * state[1] - trim[1] * state[2]
+            known = np.linalg.solve(information, weighted)  # trims and start velocities, as far as the data tell
+            z = state[0].copy()
             q, w, d, kk = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), k.copy()
             for a in range(2):
-                q[0, a] = pose[0, a] + p[0, a] + trim[0] * p[1, a] + trim[1] * p[2, a]
-                w[0, a] = v[0, a] + trim[0] * v[1, a] + trim[1] * v[2, a]
-                d[0, a] = drive[0, a] + trim[a]
+                q[0, a] = pose[0, a] + p[0, a]
+                w[0, a] = v[0, a]
+                d[0, a] = drive[0, a] + known[a]
+            for j in range(4):
+                z -= known[j] * state[1 + j]
+                for a in range(2):
+                    q[0, a] += known[j] * p[1 + j, a]
+                    w[0, a] += known[j] * v[1 + j, a]
             begin[s] = np.array(
                 [
                     q[0, 0] + c * z[0] - sn * z[3],

@@ -22,7 +22,7 @@ from rotorfit.forecast import (
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.likelihood import response
 from rotorfit.maximum import maximise
-from rotorfit.model import Model, predictor_of
+from rotorfit.model import Model, Predictor
 from rotorfit.modes import start_point
 from rotorfit.record import record
 
@@ -159,8 +159,9 @@ class Residuals:
 def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
     """Innovations of every axis with a predictor, with the flight's own trim and start."""
     known = [axis for axis in AXES if model.axes[axis].predictor]
-    plane = tuple(axis for axis in known if axis in ("x", "y"))
-    together = len(plane) == 2 and (rec := record(flight, plane)) is not None and not rec.held
+    plane = ("x", "y")
+    rec = record(flight, plane) if any(axis in known for axis in plane) else None
+    together = rec is not None and not rec.held and all(model.axes[axis].noise for axis in plane)
     groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
     out: dict[str, Residuals] = {}
     for group in groups:
@@ -173,7 +174,7 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
     rec = record(flight, group)
     if rec is None:
         return {}
-    points = [predictor_of(model, axis) for axis in group]
+    points = [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in group]
     levels = np.log([[model.axes[axis].noise[level] for level in LEVELS] for axis in group])
     start = replace(
         start_point([rec], 0.0, 1.0, levels),
@@ -190,4 +191,5 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
     return {
         axis: Residuals(axis, rec.block_time, best.score.innovations[0][:, k], explained[:, k])
         for k, axis in enumerate(group)
+        if model.axes[axis].predictor
     }
