@@ -201,6 +201,20 @@ def test_in_a_feedback_loop_without_much_excitation_the_controller_is_not_publis
     assert published_and_false(fit([flight], axes=("x", "z")).model, truth, ("x", "z")) == []
 
 
+@pytest.mark.xfail(reason="open: where the delay is not known in a loop, the input is published all the same")
+@pytest.mark.parametrize(
+    ("wind", "amplitude", "seed"),
+    [(LIGHT, 0.0, 13), (STRONG, 0.0, 11), (STRONG, 0.02, 16)],
+)
+def test_in_a_feedback_loop_whose_delay_is_not_known_the_input_is_not_either(
+    wind: float, amplitude: float, seed: int
+) -> None:
+    """What is left of the loop without excitation: a slow response to old commands, its delay anywhere."""
+    flight, truth = in_loop(wind, steps(("x", "z"), amplitude, seed=seed), seed)
+
+    assert published_and_false(fit([flight], axes=("x", "z")).model, truth, ("x", "z")) == []
+
+
 @pytest.mark.parametrize(("axis", "seed"), [("z", 1), ("z", 3), ("x", 1), ("x", 4)])
 def test_the_mode_that_is_called_chosen_is_the_model(axis: str, seed: int) -> None:
     """Searched on a minute, climbed on the whole flight: the numbers differ by their errors, not by half a second."""

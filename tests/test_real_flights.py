@@ -296,7 +296,7 @@ def test_two_second_steps_of_the_ardrone_do_not_tell_the_damping_of_x_and_y(real
 # Every flight
 
 
-@pytest.mark.parametrize("name", [X, Z, DJI[0], "bebop2-joystick/record_velocity.csv"])
+@pytest.mark.parametrize("name", [X, Z, "bebop2-joystick/record_velocity.csv"])
 def test_what_is_published_is_finite_ordered_and_inside_its_interval(real_flights: Path, name: str) -> None:
     result = first_half(real_flights, name) if name in HALF else fitted(real_flights, (name,))
 

@@ -159,7 +159,7 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
         return
     rival = max(rivals, key=lambda mode: mode.log_likelihood)
     above = rival.log_likelihood - chosen.log_likelihood
-    if above > LIKELIHOOD_DOUBT and rival.prediction and chosen.prediction:
+    if above > LIKELIHOOD_DOUBT and rival.prediction and chosen.prediction and rival.prediction > chosen.prediction:
         yield Finding(
             "likelihood_and_prediction_disagree",
             "warning",
@@ -241,7 +241,8 @@ def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
 def _flight_findings(flights: Sequence[Flight]) -> Iterator[Finding]:
     for flight in flights:
         stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
-        share = stale / max(stale + flight.pose_time.size, 1)
+        outside = sum(note.count for note in flight.notes if note.code == "poses_outside")
+        share = stale / max(stale + outside + flight.pose_time.size, 1)
         if share > STALE_SHARE:
             yield Finding(
                 "stale_poses",

@@ -342,7 +342,8 @@ def _modes(estimate: Estimate) -> tuple[Mode, ...]:
     k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
     modes: list[Mode] = []
     for number, f in enumerate(estimate.found):
-        point, rmse = f.optimum.point, float(f.prediction[k])
+        final = number == 0 and estimate.excited
+        point, rmse = (estimate.optimum if final else f.optimum).point, float(f.prediction[k])
         mode = Mode(
             delay=float(point.delay[k]),
             damping=float(np.exp(point.log_damping[k])),
