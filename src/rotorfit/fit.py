@@ -229,6 +229,7 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     profiles = {name: profile(records, optimum, i) for name, i in index.items()}
     ends: dict[str, Interval] = {name: found.ci95 for name, found in profiles.items()}
     ends["damping"] = _exponential(ends["damping"])
+    ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
     if _holds_zero(ends["input"]):
         return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     status = _status(ends)
@@ -259,6 +260,17 @@ def _unfinished(optimum: Optimum, k: int) -> bool:
     K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
     moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
     return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
+
+
+def _uncut(gain: Interval, damping: Interval, value: float) -> Interval:
+    """The input gain's interval, open where it only ends because the searched range of the damping does.
+
+    Gain and damping of a fast vehicle grow together, so an open upper end of the one opens the other.
+    """
+    low, high = gain
+    if damping[1] is not None:
+        return gain
+    return (low, None) if value > 0 else (None, high)
 
 
 def _exponential(ends: Interval) -> Interval:
