@@ -121,7 +121,7 @@ def command_unit(model: Model, axis: str) -> str:
 
 
 def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[Score, ...]:
-    """Scores pooled over the flights that command the axis, weighted by the number of predictions.
+    """Scores pooled over the flights that command the axis and were not fitted, weighted by the number of predictions.
 
     Args:
         validation: Scores, flight by flight.
@@ -131,7 +131,8 @@ def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[Score,
     by_name = {"model": validation.flights, **validation.baselines}
     out = []
     for axis in AXES:
-        used = [i for i in range(len(validation.flights)) if not known or axis in moved_axes(flights[i])]
+        fresh = [i for i, scores in enumerate(validation.flights) if not scores.fitted]
+        used = [i for i in fresh if not known or axis in moved_axes(flights[i])]
         horizons = validation.flights[used[0]].axes[axis].horizons if used else {}
         for key in horizons:
             chosen = {name: [every[i] for i in used] for name, every in by_name.items() if every}

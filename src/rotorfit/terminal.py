@@ -248,6 +248,9 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
             some = horizons[first : first + _AT_ONCE]
             if shown:
                 yield _score_table(rows, shown, some)
+        seen = [name for name in models if rows[name].fitted]
+        if seen:
+            yield _indented(f"No proof: {', '.join(seen)} was fitted to this stretch. Give a flight that was not.")
         missing = [axis for axis in AXES if axis not in shown]
         if missing:
             yield _indented(f"No scores of {', '.join(missing)}: no model of the axis, or fewer than 5 predictions.")

@@ -38,12 +38,14 @@ class FlightScores:
         span: Seconds of its common window.
         axes: Axis name to errors; None in place of every number of an axis that has no model.
         heading: `predicted` by the model's own yaw, or `measured` where it has none.
+        fitted: Whether the model was fitted to part of this very stretch: then the scores prove nothing.
     """
 
     path: str
     span: tuple[float, float]
     axes: Mapping[str, AxisScore]
     heading: str
+    fitted: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,13 +122,22 @@ def _score_flight(model: Model, flight: Flight, horizons: Sequence[float]) -> di
     def scored(predicted: Sequence[Array], wanted: Mapping[str, bool]) -> FlightScores:
         axes = score_predictions(parts, predicted, horizons)
         empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
-        return FlightScores(flight.path, flight.span, {a: axes[a] if wanted[a] else empty for a in AXES}, heading)
+        scores = {a: axes[a] if wanted[a] else empty for a in AXES}
+        return FlightScores(flight.path, flight.span, scores, heading, _was_fitted(model, flight))
 
     return {
         "model": scored([part.predicted for part in parts], known),
         "hold": scored([hold_velocity(part) for part in parts], dict.fromkeys(AXES, True)),
         "paper": scored(coasted, papered),
     }
+
+
+def _was_fitted(model: Model, flight: Flight) -> bool:
+    """Whether the same log, over a stretch that overlaps, served the fit."""
+    return any(
+        source.sha256 == flight.sha256 and min(source.span[1], flight.span[1]) > max(source.span[0], flight.span[0])
+        for source in model.flights
+    )
 
 
 def to_mapping(validation: Validation) -> dict[str, Any]:
