@@ -26,6 +26,7 @@ class _Verbs(click.Group):
         return list(self.commands)
 
     def invoke(self, ctx: click.Context) -> Any:
+        """Runs the verb; what the user can act on becomes one line."""
         try:
             return super().invoke(ctx)
         except RotorfitError as error:

@@ -294,6 +294,10 @@ def _log_determinant(information: Array, active: Mask) -> float:
     return float(np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
 
 
+LEAST_FREEDOM = 3.0
+"""Degrees of freedom below which the approximation has no finite variance and says nothing."""
+
+
 def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:
     """How many the levels leave for the variance of a combination of coefficients.
 
@@ -309,7 +313,7 @@ def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:
     along = inverted(score_.information[:n, :n], free[:n]) @ direction
     slope = -np.einsum("i,kij,j->k", along, score_.slopes, along) / float(direction @ along)
     spread = float(slope @ inverted(score_.information[n:, n:], free[n:]) @ slope)
-    return max(2.0 / max(spread, 1e-9), 3.0)
+    return max(2.0 / max(spread, 1e-9), LEAST_FREEDOM)
 
 
 def inverted(information: Array, active: Mask) -> Array:

@@ -29,7 +29,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     free = optimum.free.copy()
     free[index] = False
     values = optimum.point.flat()
-    inverse = optimum.inverse
+    inverse = optimum.inverse.copy()
     if inverse[index, index] > 0:
         along = inverse[:, index] / inverse[index, index]
         values = values + along * (target - values[index])
