@@ -201,7 +201,6 @@ def test_in_a_feedback_loop_without_much_excitation_the_controller_is_not_publis
     assert published_and_false(fit([flight], axes=("x", "z")).model, truth, ("x", "z")) == []
 
 
-@pytest.mark.xfail(reason="open: where the delay is not known in a loop, the input is published all the same")
 @pytest.mark.parametrize(
     ("wind", "amplitude", "seed"),
     [(LIGHT, 0.0, 13), (STRONG, 0.0, 11), (STRONG, 0.02, 16)],
