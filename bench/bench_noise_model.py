@@ -109,9 +109,8 @@ def main() -> None:
     with ProcessPoolExecutor() as pool:
         for loop, closed in (("open loop", False), ("closed loop", True)):
             rows = [r for part in pool.map(rows_of, designs(count, closed, seed=7), chunksize=4) for r in part]
-            print(
-                f"\n{loop}, {count} flights, truth tied\n{'form':6}{'coefficient':14}{'bias':>7}{'rmse':>7}{'covered':>9}{'width':>7}"
-            )
+            print(f"\n{loop}, {count} flights, truth tied")
+            print(f"{'form':6}{'coefficient':14}{'bias':>7}{'rmse':>7}{'covered':>9}{'width':>7}")
             for form in ("own", "tied"):
                 names = [f"{axis}.{name}" for axis in AXES[2:] for name in COEFFICIENTS]
                 for name in names:
