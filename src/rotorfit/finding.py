@@ -25,3 +25,8 @@ class Finding:
     effect: str
     remedy: str
     axis: str | None = None
+
+
+def gravity(finding: Finding) -> int:
+    """Place of a finding in a list that starts with the gravest."""
+    return ("error", "warning", "info").index(finding.severity)
