@@ -13,11 +13,11 @@ from click.testing import CliRunner, Result
 from flights import steps
 from models import VEHICLE, demo_card, model_of
 from rotorfit.cli import main
-from rotorfit.convert import convert
+from rotorfit.convert import convert, scaled
 from rotorfit.errors import CardError, ModelError
 from rotorfit.excitation import two_sines
 from rotorfit.frames import AXES
-from rotorfit.model import Model, load, save, simulate, to_mapping
+from rotorfit.model import Combination, Model, load, save, simulate, to_mapping
 from rotorfit.physics import with_physics
 from rotorfit.pipeline import training_flights
 from rotorfit.plausibility import findings_of_settings
@@ -88,6 +88,19 @@ def test_the_covariance_goes_with_the_gains_so_that_correlations_stay() -> None:
     np.testing.assert_allclose(correlation(other.covariance), correlation(model.covariance), rtol=1e-13)
     place = model.covariance_names.index("yaw.input")
     assert np.sqrt(other.covariance[place, place]) == pytest.approx(other.axes["yaw"].stderr["input"])
+
+
+def test_what_is_per_command_or_in_commands_goes_by_its_name_wherever_it_stands() -> None:
+    model = model_of()
+    axis = replace(model.axes["z"], combinations={"input_up": Combination(2.0, (1.0, None))})
+    names = ("z.input", "z.dead_zone", "z.damping", "yaw.level")
+    model = replace(model, axes={**model.axes, "z": axis}, covariance_names=names, covariance=np.ones((4, 4)))
+    other = convert(model, OTHER)
+
+    assert other.axes["z"].combinations["input_up"] == Combination(5.0, (2.5, None))
+    scale = np.array([2.5, 1 / 2.5, 1.0, 1 / 0.4])
+    np.testing.assert_allclose(other.covariance, np.outer(scale, scale))
+    assert scaled({"status": {"input": "ok"}, "input": True}, 2.0) == {"status": {"input": "ok"}, "input": True}
 
 
 def test_there_and_back_the_file_has_the_same_numbers_and_no_conversion() -> None:

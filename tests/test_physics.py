@@ -5,13 +5,17 @@ import math
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from models import VEHICLE, demo_card, model_of, without
 from rotorfit.frames import AXES
 from rotorfit.model import Model, from_mapping, to_mapping
 from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, physics_rows, with_physics
+from rotorfit.report.page import page
 from rotorfit.report.physics import physics_text
 from rotorfit.settings import Figure, Quantity
+from rotorfit.terminal import model_view
+from rotorfit.validation import Validation
 
 
 def ends(figure: Figure | None) -> tuple[float, float]:
@@ -180,3 +184,41 @@ def test_the_report_prints_values_with_the_digits_that_their_intervals_earn() ->
     assert text.lines == ()
     assert physics_text(model_of(card=demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'"))).rows == ()
     assert len(physics_text(model_of(card=demo_card(""))).lines) == 4
+
+
+def shown(model: Model, width: int = 80) -> str:
+    """What the terminal shows of the model, so wide."""
+    console = Console(width=width, markup=False, highlight=False)
+    with console.capture() as captured:
+        for part in model_view(model, AXES):
+            console.print(part)
+    return captured.get()
+
+
+def test_the_terminal_shows_the_table_in_80_columns_only_where_commands_have_a_meaning() -> None:
+    text = shown(model_of())
+    narrow, wide = (shown(model_of(card=demo_card("", x="{ from = 'a', unit = 'rad' }")), width) for width in (80, 200))
+    table = text.partition("in physics")[2].partition("\n\n")[0]
+
+    assert ["x", "acceleration", "3.70", "3.55", "to", "3.85", "m/s^2", "3.57", "1.04", "(0.99", "to", "1.08)"] in [
+        line.split() for line in table.splitlines()
+    ]
+    assert sum("time constant" in line for line in table.splitlines()) == 4
+    tables = [part.partition("in physics")[2].partition("  - ")[0] for part in (narrow, wide)]
+    assert tables[0].split() == tables[1].split()
+    assert len({len([line for line in part.splitlines() if line.strip()]) for part in tables}) == 1
+    assert "m/s^2/rad" in wide
+    assert "y: equals a tilt limit of 21.4 deg" in wide
+    assert "in physics" not in shown(model_of(card=demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'")))
+
+
+def test_the_report_has_the_table_only_where_commands_have_a_meaning() -> None:
+    nothing = Validation((), {"hold": (), "paper": ()})
+    with_meaning, without_meaning = (
+        page(model_of({"x": VEHICLE["x"]}, card), (), nothing, ())
+        for card in (demo_card(""), demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'"))
+    )
+
+    assert "In physics" in with_meaning
+    assert "x: equals a tilt limit of 20.7 deg (19.9 to 21.4)" in with_meaning
+    assert "In physics" not in without_meaning

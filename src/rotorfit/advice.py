@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rotorfit.finding import Finding, gravity
+from rotorfit.finding import Finding
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
@@ -44,7 +44,8 @@ def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
             found += _excitation_findings(name, k, axis, flights)
         found += _paper_findings(fit, k)
     found += _flight_findings(fit.flights)
-    return tuple(sorted(found, key=gravity))
+    rank = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
 
 
 def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:

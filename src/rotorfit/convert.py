@@ -5,7 +5,7 @@ damping, delay, disturbance and trim are the vehicle's and the air's, and stay.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,16 +13,26 @@ import numpy as np
 from rotorfit.card import Card, card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
-from rotorfit.frames import AXES
-from rotorfit.model import Axis, Combination, Interval, Model, with_findings
+from rotorfit.frames import AXES, Array
+from rotorfit.model import Model, with_findings
 from rotorfit.physics import with_physics
 from rotorfit.settings import Conversion, Meaning, gain_factor, limit_text, meaning_of
 
-PER_COMMAND: Mapping[str, int] = {"input": 1, "steady_gain": 1}
-"""Parameter or combination of an axis to the power of the command's unit in its denominator.
+PER_COMMAND: Mapping[str, int] = {
+    "input": 1,
+    "steady_gain": 1,
+    "input_up": 1,
+    "input_down": 1,
+    "cross_input": 1,
+    "level": -1,
+    "dead_zone": -1,
+}
+"""Name of a parameter or combination to the power of the factor that it is multiplied by: 1 for what is per command,
+-1 for what is in commands. What is not named goes with the noun that holds it; outside of any it stays.
 
-A parameter of a richer structure that is per command, or in commands (-1), gets a line here; all others stay as they
-are. Coefficients, intervals, combinations, optima and the covariance go by this table.
+Whoever adds a parameter in the unit of the command to a structure adds its line here: coefficients, errors, intervals,
+combinations, optima, predictor and covariance all go by this table. `cross_input` is per command of the other
+horizontal axis, which has the same limit.
 """
 
 
@@ -103,31 +113,27 @@ def _fraction(meaning: Meaning) -> str:
     return f"a fraction of {meaning.limit}" if meaning.limit else f"{meaning.asked} in SI units"
 
 
-def scaled(axis: Axis, factor: float) -> Axis:
-    """An axis with all that is per command multiplied by a factor."""
+def scaled(value: Any, factor: float, power: int = 0) -> Any:
+    """A noun, mapping or tuple of numbers with all that is per command multiplied by a factor, by `PER_COMMAND`.
 
-    def times(name: str, value: float | None) -> float | None:
-        return None if value is None else float(value * factor ** PER_COMMAND.get(name, 0))
-
-    def ends(name: str, interval: Interval) -> Interval:
-        return times(name, interval[0]), times(name, interval[1])
-
-    point = axis.predictor
-    return replace(
-        axis,
-        input=times("input", axis.input),
-        stderr={name: times(name, value) for name, value in axis.stderr.items()},
-        ci95={name: ends(name, interval) for name, interval in axis.ci95.items()},
-        predictor=replace(point, input=point.input * factor) if point else None,
-        combinations={
-            name: Combination(part.value * factor ** PER_COMMAND.get(name, 0), ends(name, part.ci95))
-            for name, part in axis.combinations.items()
-        },
-        modes=tuple(replace(mode, input=mode.input * factor) for mode in axis.modes),
-    )
+    Args:
+        value: What it is; texts, None and truth values stay as they are.
+        factor: Of the gains.
+        power: Of the factor, for numbers that no name inside decides.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value * factor**power if power else value
+    if isinstance(value, tuple):
+        return tuple(scaled(part, factor, power) for part in value)
+    if isinstance(value, Mapping):
+        return {name: scaled(part, factor, PER_COMMAND.get(name, power)) for name, part in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {each.name: getattr(value, each.name) for each in fields(value)}
+        return replace(value, **scaled(parts, factor, power))
+    return value
 
 
-def _covariance(model: Model, factors: Mapping[str, float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _covariance(model: Model, factors: Mapping[str, float]) -> Array:
     parts = (name.split(".", 1) for name in model.covariance_names)
     scale = np.array([factors[axis] ** PER_COMMAND.get(name, 0) for axis, name in parts])
     return model.covariance * np.outer(scale, scale)

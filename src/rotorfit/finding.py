@@ -1,5 +1,6 @@
 """Finding: one thing that the user should know about a flight or a fit, with its evidence."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,6 +28,7 @@ class Finding:
     axis: str | None = None
 
 
-def gravity(finding: Finding) -> int:
-    """Place of a finding in a list that starts with the gravest."""
-    return ("error", "warning", "info").index(finding.severity)
+def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings in the order error, warning, info; else as they come."""
+    rank = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(findings, key=lambda finding: rank[finding.severity]))

@@ -165,8 +165,11 @@ def physics_rows(model: Model) -> tuple[PhysicsRow, ...]:
 
 
 def _for_people(unit: str) -> tuple[str, float]:
-    """Unit without `per` its own kind, yaw rates in degrees; and the factor."""
-    return ("deg/s", 180 / math.pi) if unit == "rad/s" else (unit, 1.0)
+    """A shorter unit, rates of yaw in degrees, speeds per speed without one; and the factor."""
+    if unit == "rad/s":
+        return "deg/s", 180 / math.pi
+    over, per, under = unit.partition(" per ")
+    return ("" if over == under else f"{over}/{under}" if per else unit), 1.0
 
 
 def _scaled(figure: Figure, factor: float) -> Figure:

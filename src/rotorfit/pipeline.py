@@ -8,7 +8,7 @@ from typing import Any
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
 from rotorfit.errors import LogError, ModelError, RotorfitError
-from rotorfit.finding import gravity
+from rotorfit.finding import by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
@@ -76,7 +76,7 @@ def fit_logs(
     flights = [load_flight(log, card) for log in logs]
     result = with_delay_profiles(fit(flights, method, axes, progress))
     model = with_physics(result.model)
-    findings = sorted((*findings_of_fit(result), *findings_of_settings(model)), key=gravity)
+    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(model)))
     return replace(result, model=with_findings(model, findings))
 
 

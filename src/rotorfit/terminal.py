@@ -218,7 +218,7 @@ def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
             row.unit,
             "" if row.expected is None else f"{row.expected:.3g}",
             "" if ratio is None or ratio.value is None
-            else f"{_number(ratio.value, ratio.ci95)} ({_interval(ratio.ci95)})",
+            else f"{ratio.value:.2f} ({ratio.ci95[0]:.2f} to {ratio.ci95[1]:.2f})",
         )  # fmt: skip
         shown = row.axis
     return table
