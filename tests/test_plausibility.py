@@ -82,6 +82,14 @@ def test_the_whole_interval_must_lie_outside_the_margin() -> None:
     assert not found(model_of({"x": (g, b, tau)}))
 
 
+def test_where_a_tilt_does_too_little_the_lag_of_the_attitude_loop_is_named_as_a_cause() -> None:
+    _, b, tau = VEHICLE["x"]
+    low, high = (found(model_of({"x": (g, b, tau)}))["gain_contradicts_limit", "x"] for g in (2.0, 6.0))
+
+    assert "a structure with a lag" in low.remedy
+    assert "lag" not in high.remedy
+
+
 def test_a_flipped_sign_or_an_open_interval_is_no_matter_of_limits() -> None:
     g, b, tau = VEHICLE["x"]
 

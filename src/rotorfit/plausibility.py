@@ -24,6 +24,12 @@ DAMPING_SYMMETRY = 2.5
 ALIKE = 1.25
 """Ratio up to which two sets of coefficients are called alike."""
 
+LAGGING = (
+    "; if they are right, the gain is too small because a pure delay stands for the lag of the attitude loop: "
+    "compare a structure with a lag"
+)
+"""The usual cause of a tilt that does less than it should, where the card is right."""
+
 NORMAL = 1.96
 """97.5 % point of the normal distribution."""
 
@@ -54,8 +60,8 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
         f"({quantity.expected:.3g}); {_explained(meaning, quantity)}",
         f"gains of {axis} that are converted to other limits or compared with other flights are off by this factor; "
         "predictions under the settings of these flights are not",
-        "check [limits] of the card against the vehicle's settings in these flights, and unit and scale of the "
-        f"{axis} command; steps shorter than the attitude loop takes to tilt lower it too: fly longer ones",
+        f"check [limits] of the card against the settings in these flights, unit and scale of the {axis} command"
+        + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else ""),
         axis,
     )
 

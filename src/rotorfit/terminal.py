@@ -203,9 +203,7 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
 
 def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
     """Coefficients in physics, at full command, beside what the card makes one expect."""
-    table = _table(
-        "axis", "in physics", "estimate", "95 % interval", "unit", "expect", "ratio", left=(0, 1, 4), gap=1
-    )
+    table = _table("axis", "in physics", "estimate", "95 % interval", "unit", "expect", "ratio", left=(0, 1, 4), gap=1)
     shown = ""
     for row in rows:
         value, ends = row.measured.value, row.measured.ci95
