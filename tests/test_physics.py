@@ -7,13 +7,16 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from flights import flown, steps
 from models import VEHICLE, demo_card, model_of, without
+from rotorfit.fit import fit
 from rotorfit.frames import AXES
 from rotorfit.model import Model, from_mapping, to_mapping
 from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, physics_rows, with_physics
 from rotorfit.report.page import page
 from rotorfit.report.physics import physics_text
 from rotorfit.settings import Figure, Quantity
+from rotorfit.simulator import GAMMA_B, Truth
 from rotorfit.terminal import model_view
 from rotorfit.validation import Validation
 
@@ -222,3 +225,12 @@ def test_the_report_has_the_table_only_where_commands_have_a_meaning() -> None:
     assert "In physics" in with_meaning
     assert "x: equals a tilt limit of 20.7 deg (19.9 to 21.4)" in with_meaning
     assert "In physics" not in without_meaning
+
+
+def test_a_fit_carries_its_physics_whoever_called_it() -> None:
+    model = fit([flown(Truth(), steps(("z",), 0.4, seed=2), 20.0, 2)], axes=("z",)).model
+
+    assert model.physics == physics(model)
+    ratio = model.physics["z"]["steady_speed"].ratio
+    assert ratio is not None
+    assert ratio.value == pytest.approx(GAMMA_B[4] / GAMMA_B[5] / 1.2, rel=0.05)

@@ -14,7 +14,6 @@ from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.model import Model, is_model_file, load, with_findings
-from rotorfit.physics import with_physics
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
 from rotorfit.validation import Validation, to_mapping, validate
@@ -75,9 +74,8 @@ def fit_logs(
     """Reads logs, fits them together, and says what was noticed."""
     flights = [load_flight(log, card) for log in logs]
     result = with_delay_profiles(fit(flights, method, axes, progress))
-    model = with_physics(result.model)
-    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(model)))
-    return replace(result, model=with_findings(model, findings))
+    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(result.model)))
+    return replace(result, model=with_findings(result.model, findings))
 
 
 def validate_logs(
