@@ -70,6 +70,21 @@ def test_wrong_limits_a_wrong_scale_and_a_known_vehicle_are_told_from_a_log(bag:
     assert "is B (configuration of jrsbenevides/drone_dev; Vicon, 2019-09-18)" in told["published_sets_disagree", None]
 
 
+def test_of_recorded_flights_under_known_limits_the_climb_agrees_and_the_tilt_shows_its_lag(real_flights: Path) -> None:
+    told = {}
+    for name, axis in (("vert", "z"), ("pitch", "x")):
+        log = real_flights / "bebop2-optitrack" / f"monster_{name}_trn.bag"
+        result = json.loads(CliRunner().invoke(main, ["fit", str(log), "--axes", axis, "--json"]).stdout)
+        told[name] = {finding["code"] for finding in result["findings"]}
+        if name == "vert":
+            low, high = result["physics"]["z"]["steady_speed"]["ratio"]["ci95"]
+            assert low < 1 < high
+
+    assert "gain_contradicts_limit" not in told["vert"]
+    assert "gain_contradicts_limit" in told["pitch"]
+    assert "published_sets_disagree" in told["pitch"]
+
+
 # Limits
 
 
