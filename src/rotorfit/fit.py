@@ -26,6 +26,7 @@ from rotorfit.model import (
     unknown_axis,
 )
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
+from rotorfit.physics import with_physics
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
@@ -130,7 +131,7 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted})
+    return Fit(with_physics(model), tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted})
 
 
 def _moves(flight: Flight, axis: str) -> bool:
