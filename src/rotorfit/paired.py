@@ -1,0 +1,215 @@
+"""Is the difference real? Two predictors on the same starts of the same flights, compared with a standard error.
+
+Predictions start 0.5 s apart and reach up to 5 s, so neighbours share their data, and wind outlasts both. The variance
+of a mean is therefore taken from the lowest frequencies of its series, which gives a Student t with as many degrees of
+freedom as frequencies were used: few on a short flight, and honestly so.
+
+Source: F. X. Diebold, R. S. Mariano, J. Bus. Econ. Stat. 13 (1995), pp. 253-263, for the test; D. Harvey, S. Leybourne,
+P. Newbold, Int. J. Forecasting 13 (1997), pp. 281-291, for Student's t; `long_run` for the variance.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rotorfit.forecast import LEAST_SCORES, START_EVERY, StartErrors
+from rotorfit.frames import AXES, Array
+from rotorfit.long_run import frequencies, two_sided, variance_of_mean
+
+Verdict = Literal["better", "worse", "no_difference_shown", "too_short"]
+Quantity = Literal["velocity", "position"]
+QUANTITIES: tuple[Quantity, Quantity] = ("velocity", "position")
+Errors = Sequence[Mapping[str, StartErrors]]
+"""Of one predictor: one mapping a flight, from a horizon [s] as `%g` to its errors."""
+
+LEVEL = 0.05
+"""A difference is called real below this p-value."""
+
+LEAST_FREEDOM = 2
+"""Degrees of freedom below which there is no standard error."""
+
+SAME = 1e-9
+"""Relative difference of the mean squares below which two predictors are one but for rounding."""
+
+LESS = np.array([1.0, -1.0])
+"""The first less the second."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Errors of a first predictor less those of a second on the same starts; None where there is no number.
+
+    Attributes:
+        n: Pairs of predictions.
+        rmse: Difference of the RMSE [m/s, m; rad/s, rad]: negative where the first is better.
+        rmse_stderr: Its standard error, by the delta method.
+        mse: Difference of the mean squares, in the same units squared.
+        mse_stderr: Its standard error.
+        freedom: Degrees of freedom of the standard errors.
+        p: Two-sided, of the difference of the mean squares.
+        verdict: Of the first: `better`, `worse`, `no_difference_shown` at 95 %, or `too_short` for a standard error.
+    """
+
+    n: int
+    rmse: float
+    rmse_stderr: float | None
+    mse: float
+    mse_stderr: float | None
+    freedom: float | None
+    p: float | None
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Paired:
+    """One axis and quantity at one horizon.
+
+    Attributes:
+        flights: One each; None where one of the two predicts nothing, or fewer than five starts are common.
+        pooled: Those that count together, weighted by their predictions; None where none does.
+        agreement: p-value of the difference being the same on all that count; None for fewer than two.
+    """
+
+    flights: tuple[Difference | None, ...]
+    pooled: Difference | None
+    agreement: float | None
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Two predictors on the same flights.
+
+    Attributes:
+        first: Name of the one that is judged.
+        second: Name of the one that it is judged against.
+        axes: Axis name to horizon [s] as `%g` to `velocity` and `position`.
+    """
+
+    first: str
+    second: str
+    axes: Mapping[str, Mapping[str, Mapping[Quantity, Paired]]]
+
+
+@dataclass(frozen=True)
+class _Loss:
+    """Mean squares of two predictors on one flight (2,), their covariance (2, 2), its freedom, weight and pairs."""
+
+    mean: Array
+    covariance: Array
+    freedom: int
+    weight: float
+    n: int
+
+
+def paired_test(
+    names: tuple[str, str], first: Errors, second: Errors, counted: Sequence[Collection[str]]
+) -> PairedTest:
+    """Tests on every axis and at every horizon whether two predictors differ, flight by flight and pooled.
+
+    Args:
+        names: Of the two.
+        first: Errors of the one that is judged.
+        second: Of the other, on the same flights.
+        counted: The axes of each flight that go into the pool: those that it commands and that no model was fitted to.
+    """
+    horizons = first[0].keys() & second[0].keys() if first else ()
+    return PairedTest(
+        *names,
+        {
+            axis: {
+                key: {what: _compared(first, second, counted, axis, key, what) for what in QUANTITIES}
+                for key in sorted(horizons, key=float)
+            }
+            for axis in AXES
+        },
+    )
+
+
+def _compared(
+    first: Errors, second: Errors, counted: Sequence[Collection[str]], axis: str, key: str, what: Quantity
+) -> Paired:
+    k, horizon = AXES.index(axis), float(key)
+    losses = [_loss(a[key], b[key], k, what, horizon) for a, b in zip(first, second, strict=True)]
+    pool = [loss for loss, axes in zip(losses, counted, strict=True) if loss is not None and axis in axes]
+    return Paired(
+        tuple(None if loss is None else _difference([loss]) for loss in losses),
+        _difference(pool) if pool else None,
+        _agreement(pool),
+    )
+
+
+def _loss(a: StartErrors, b: StartErrors, k: int, what: Quantity, horizon: float) -> _Loss | None:
+    """What one flight says on the starts that both have; None for fewer than five."""
+    _, at_a, at_b = np.intersect1d(np.round(a.start, 6), np.round(b.start, 6), return_indices=True)
+    ones = np.ones((at_a.size, 4))
+    pairs = [(e.velocity[at], e.steps[at]) if what == "velocity" else (e.position[at], ones)
+             for e, at in ((a, at_a), (b, at_b))]  # fmt: skip
+    sums, counts = (np.stack([pair[i][:, k] for pair in pairs], axis=1) for i in (0, 1))
+    if at_a.size < LEAST_SCORES or not np.isfinite(sums).all() or not counts.any(axis=0).all():
+        return None
+    mean = sums.sum(axis=0) / counts.sum(axis=0)
+    influence = (sums - mean * counts) / counts.mean(axis=0)
+    freedom = degrees_of_freedom(at_a.size, horizon)
+    covariance = variance_of_mean(influence, max(freedom, 1))
+    return _Loss(mean, covariance, freedom, float(counts[:, 0].sum()), int(at_a.size))
+
+
+def degrees_of_freedom(n: int, horizon: float) -> int:
+    """How many low frequencies of n starts may serve the variance, and so its degrees of freedom.
+
+    At most one for every two horizons that fit into the flight: above that frequency the overlap of the predictions
+    smooths the series, and its variance would come out too small.
+    """
+    overlap = max(1.0, horizon / START_EVERY)
+    return min(frequencies(n), int(n / (2 * overlap) + 1e-9))
+
+
+def _difference(losses: Sequence[_Loss]) -> Difference:
+    """First less second over one or several flights.
+
+    The standard error is that of these flights under other wind. What flights of another kind would say, it does not
+    know.
+
+    Source: degrees of freedom of a sum of variances: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114.
+    """
+    weight = np.array([loss.weight for loss in losses])
+    weight /= weight.sum()
+    n, mean = sum(loss.n for loss in losses), weight @ np.array([loss.mean for loss in losses])
+    root = np.sqrt(mean)
+    mse, rmse = float(mean @ LESS), float(root @ LESS)
+    parts = weight**2 * [_along(loss, LESS) for loss in losses]
+    slope = LESS * np.divide(0.5, root, out=np.zeros(2), where=root > 0)
+    variance, rmse_variance = float(parts.sum()), float(weight**2 @ [_along(loss, slope) for loss in losses])
+    each = np.array([loss.freedom for loss in losses], float)
+    freedom = variance**2 / float(np.sum(parts**2 / np.maximum(each, 1))) if variance > 0 else float(each.sum())
+    if each.min() < 1 or freedom < LEAST_FREEDOM:
+        return Difference(n, rmse, None, mse, None, None, None, "too_short")
+    p = 1.0
+    if abs(mse) > SAME * float(mean.max()) and variance > 0:
+        p = two_sided(mse / variance**0.5, freedom)
+    verdict: Verdict = "no_difference_shown" if p >= LEVEL else "better" if mse < 0 else "worse"
+    return Difference(n, rmse, rmse_variance**0.5, mse, variance**0.5, freedom, p, verdict)
+
+
+def _along(loss: _Loss, direction: Array) -> float:
+    return float(direction @ loss.covariance @ direction)
+
+
+def _agreement(losses: Sequence[_Loss]) -> float | None:
+    """p-value of equal differences of the mean squares on several flights.
+
+    Source: B. L. Welch, Biometrika 38 (1951), pp. 330-336.
+    """
+    from scipy.special import fdtrc
+
+    F = len(losses)
+    variances = np.array([_along(loss, LESS) for loss in losses])
+    if F < 2 or variances.min() <= 0 or min(loss.freedom for loss in losses) < LEAST_FREEDOM:
+        return None
+    means, freedom = np.array([loss.mean @ LESS for loss in losses]), np.array([loss.freedom for loss in losses])
+    w = 1 / variances
+    spread = float(w @ (means - w @ means / w.sum()) ** 2) / (F - 1)
+    loose = float(np.sum((1 - w / w.sum()) ** 2 / freedom))
+    return float(fdtrc(F - 1, (F**2 - 1) / (3 * loose), spread / (1 + 2 * (F - 2) / (F**2 - 1) * loose)))
