@@ -156,6 +156,8 @@ class Model:
         findings: What the user should know.
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
+        leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
+            asked for. See `leave_one_out.LeaveOneOut`.
     """
 
     card: Card
@@ -168,6 +170,7 @@ class Model:
     findings: tuple[Finding, ...]
     flights: tuple[Source, ...]
     rotorfit: str = __version__
+    leave_one_out: Mapping[str, Any] | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -327,6 +330,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "paper": {"gamma": list(model.paper)},
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
+        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
     }
 
 
@@ -354,6 +358,7 @@ def from_mapping(raw: Any, where: str) -> Model:
             findings=tuple(Finding(**finding) for finding in raw["findings"]),
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
+            leave_one_out=raw.get("leave_one_out"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None

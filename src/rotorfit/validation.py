@@ -25,11 +25,11 @@ from rotorfit.forecast import (
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.likelihood import response, whiten
 from rotorfit.maximum import maximise
-from rotorfit.model import COEFFICIENTS, Model, Predictor
+from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.modes import start_point
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.record import Record, record
-from rotorfit.whiteness import REACH, ResidualTests, findings_of_residuals, residual_tests
+from rotorfit.whiteness import REACH, Innovations, ResidualTests, findings_of_residuals, residual_tests
 
 Progress = Callable[[float, str], None]
 
@@ -180,12 +180,29 @@ def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
 
 def _tests(model: Model, flight: Flight) -> dict[str, ResidualTests]:
     """Tests of the innovations of the axes that the flight commands and the model knows."""
-    found = {
-        axis: residual_tests(each.time, each.innovation, each.past, each.influence)
-        for axis, each in residuals(model, flight).items()
-        if axis in flight.axes and np.any(flight.command[:, AXES.index(axis)])
-    }
-    return {axis: tests for axis, tests in found.items() if tests is not None}
+    at_fitted = residuals(model, flight)
+    found: dict[str, ResidualTests] = {}
+    for axis, own in residuals(model, flight, own_levels=True).items():
+        if axis in flight.axes and np.any(flight.command[:, AXES.index(axis)]):
+            fitted = _was_fitted(model, flight)
+            covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
+            training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
+            share = flight.duration / training if training > 0 and not fitted else 0.0
+            tests = residual_tests(own.innovations, at_fitted[axis].innovation, covariance, share)
+            found |= {axis: tests} if tests else {}
+    return found
+
+
+def coefficient_covariance(model: Model, axis: str) -> Array:
+    """Covariance of input, log damping and delay of an axis, shape (3, 3); zero where the model has none."""
+    out, names = np.zeros((3, 3)), list(model.covariance_names)
+    point = predictor_of(model, axis)
+    known = [(i, names.index(name)) for i, c in enumerate(COEFFICIENTS) if (name := f"{axis}.{c}") in names]
+    for i, at in known:
+        for j, beside in known:
+            out[i, j] = model.covariance[at, beside]
+    scale = np.array([1.0, 1 / max(point.damping, 1e-3), 1.0])
+    return out * np.outer(scale, scale)
 
 
 def _was_fitted(model: Model, flight: Flight) -> bool:
@@ -221,8 +238,8 @@ class Residuals:
         time: Block times, shape (B,) [s].
         innovation: Shape (B,).
         response: Position as the commands explain it, less its start, in the frame of the axis, shape (B,) [m or rad].
-        past: The command of the axis k blocks before, for k = 1 ... L, up to a second back, shape (B, L).
-        influence: Coefficient name to the weight of each innovation in its estimate from this flight, shape (B,).
+        past: See `Innovations`.
+        sensitivity: See `Innovations`.
     """
 
     axis: str
@@ -230,11 +247,22 @@ class Residuals:
     innovation: Array
     response: Array
     past: Array
-    influence: Mapping[str, Array]
+    sensitivity: Array
+
+    @property
+    def innovations(self) -> Innovations:
+        """What the tests need."""
+        return Innovations(self.time, self.innovation, self.past, self.sensitivity)
 
 
-def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
-    """Innovations of every axis with a predictor, with the flight's own trim and start."""
+def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[str, Residuals]:
+    """Innovations of every axis with a predictor, with the flight's own trim and start.
+
+    Args:
+        model: The model.
+        flight: Any flight of the vehicle.
+        own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
+    """
     known = [axis for axis in AXES if model.axes[axis].predictor]
     plane = ("x", "y")
     rec = record(flight, plane) if any(axis in known for axis in plane) else None
@@ -242,11 +270,11 @@ def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
     groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
     out: dict[str, Residuals] = {}
     for group in groups:
-        out |= _group_residuals(model, flight, group)
+        out |= _group_residuals(model, flight, group, own_levels)
     return out
 
 
-def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> dict[str, Residuals]:
+def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_levels: bool) -> dict[str, Residuals]:
     """Of one axis, or of x and y where the vehicle turns."""
     rec = record(flight, group)
     if rec is None:
@@ -260,7 +288,7 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
         delay=np.array([point.delay for point in points]),
     )
     free = np.zeros(start.flat().size, bool)
-    free[3 * len(group) : start.n] = True
+    free[3 * len(group) : None if own_levels else start.n] = True
     best = maximise([rec], start, free)
     explained, sensitivity = response(rec, best.point, 0, best.point.start)
     rows = whiten(rec, sensitivity, best.point.levels)[0]
@@ -273,7 +301,7 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
             best.score.innovations[0][:, k],
             explained[:, k],
             _past(flight, AXES.index(axis), rec.block_time),
-            _influence(rec, rows[:, :, k], k),
+            _sensitivity(rec, rows[:, :, k], k),
         )
         for k, axis in enumerate(group)
         if model.axes[axis].predictor
@@ -290,8 +318,8 @@ def _past(flight: Flight, k: int, time: Array) -> Array:
     return np.asarray(flight.command[np.maximum(held, first[:, None]), k])
 
 
-def _influence(rec: Record, rows: Array, k: int) -> dict[str, Array]:
-    """Weight of each innovation in the estimate of input, log damping and delay, trim and start being fitted as well.
+def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
+    """Whitened sensitivities to input, log damping and delay, less what trim and start make up for, shape (B, 3).
 
     Args:
         rec: The flight.
@@ -301,6 +329,4 @@ def _influence(rec: Record, rows: Array, k: int) -> dict[str, Array]:
     K, segment = len(rec.axes), np.cumsum(rec.fresh)
     starts = [rows[:, 4 * K :] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
     own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, 3 * K : 4 * K], *starts])
-    own = own - others @ np.linalg.lstsq(others, own)[0]
-    weight = own @ np.linalg.pinv(own.T @ own, hermitian=True)
-    return dict(zip(COEFFICIENTS, weight.T, strict=True))
+    return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])

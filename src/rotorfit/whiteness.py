@@ -2,7 +2,9 @@
 
 An innovation is what a block of poses brings that the model did not foresee. In a feedback loop the commands that come
 after it answer it, so only commands from before it may be asked about; those it must not follow, loop or no loop.
-All three tests allow for a variance that changes during a flight, as it does in gusts.
+All three tests allow for a variance that changes during a flight, as it does in gusts. Whiteness and independence are
+judged with the levels of the disturbance that the flight itself has: other wind is no fault of the model. How much
+other, the variance ratio tells.
 
 Source: L. Ljung, System Identification, 2nd ed., 1999, chapter 16; T. Soderstrom, P. Stoica, System Identification,
 1989, chapter 11; G. M. Ljung, G. E. P. Box, Biometrika 65 (1978), pp. 297-303.
@@ -42,6 +44,28 @@ DISTINCT = 1e-3
 """Share of the largest variance below which a combination of past commands is left out: it is a copy of the others."""
 
 
+COEFFICIENTS = ("input", "damping", "delay")
+"""Columns of the sensitivities."""
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """One-step innovations of an axis on one flight, standardised. B blocks of poses.
+
+    Attributes:
+        time: Shape (B,) [s].
+        innovation: Shape (B,): white and of unit variance where the model is right.
+        past: The command of the axis k blocks before, for k = 1 ... L, up to a second back, shape (B, L).
+        sensitivity: Change of the innovations by -1 times a change of input, log damping and delay, as far as trim and
+            start cannot make up for it, shape (B, 3).
+    """
+
+    time: Array
+    innovation: Array
+    past: Array
+    sensitivity: Array
+
+
 @dataclass(frozen=True)
 class Correlogram:
     """Correlations over the lag with 95 % bands of their own.
@@ -71,8 +95,9 @@ class ResidualTests:
         command_p: p-value of the innovations not following them; None where the axis was not commanded.
         command_peak: Largest correlation with a past command, in units of its 95 % band.
         command_peak_lag: Its lag [s].
-        variance_ratio: Mean square of the innovations; 1 if disturbance and noise are those of the fit.
-        variance_ci95: Its 95 % interval.
+        variance_ratio: Mean square of the innovations with the levels of the fit; 1 if wind and noise are those of
+            the fit.
+        variance_ci95: Its 95 % interval, what the fit knows of its levels included.
         optimism: Coefficient name to the factor by which its interval would be too narrow for innovations like these.
         white: Whether nothing speaks against whiteness at 95 %.
         follows_command: Whether they follow the past commands, at 95 %; None where there were none.
@@ -116,48 +141,53 @@ def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Cor
     return Correlogram(np.asarray(step * lags, float), value, band)
 
 
-def cross_correlation(time: Array, innovation: Array, past: Array) -> Correlogram:
+def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogram:
     """Correlation of innovations with commands from before them, with bands that hold for coloured innovations too.
 
     Args:
-        time: Shape (B,) [s].
-        innovation: Shape (B,).
-        past: The command that was held k blocks before, for k = 1 ... L, shape (B, L).
+        innovations: Of one axis.
+        covariance: Of the coefficients, as for `residual_tests`.
 
     Source: Ljung 1999, section 16.6: the variance is the sum of the products of both autocovariances, here estimated
     from the products themselves (W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708).
     """
-    e, u = innovation - innovation.mean(), past - past.mean(axis=0)
+    u = innovations.past - innovations.past.mean(axis=0)
+    e = innovations.innovation - innovations.innovation.mean()
     size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
-    deviation = np.sqrt([_newey_west(column[:, None] * e[:, None])[0, 0] for column in u.T])
-    lag = _step(time) * np.arange(1, past.shape[1] + 1)
-    none = np.zeros(lag.size)
-    value = np.divide(e @ u, size, out=none.copy(), where=size > 0)
-    return Correlogram(lag, value, BAND * np.divide(deviation, size, out=none, where=size > 0))
+    value, band = np.zeros(size.size), np.zeros(size.size)
+    for i in np.flatnonzero(size > 0):
+        total, spread = _with_command(innovations, u[:, i : i + 1], covariance)
+        value[i], band[i] = total[0] / size[i], BAND * np.sqrt(spread[0, 0]) / size[i]
+    lag = _step(innovations.time) * np.arange(1, size.size + 1)
+    return Correlogram(np.asarray(lag, float), value, band)
 
 
-def residual_tests(time: Array, innovation: Array, past: Array, influence: Mapping[str, Array]) -> ResidualTests | None:
+def residual_tests(
+    innovations: Innovations, at_fitted_levels: Array, covariance: Array, training_share: float
+) -> ResidualTests | None:
     """All tests of one axis on one flight; None for fewer than 100 innovations.
 
     Args:
-        time: Shape (B,) [s].
-        innovation: Standardised, shape (B,).
-        past: The command that was held k blocks before, for k = 1 ... L, shape (B, L).
-        influence: Coefficient name to the weight of each innovation in its estimate, shape (B,).
+        innovations: With the levels of the disturbance that this flight has.
+        at_fitted_levels: Innovations with the levels of the fit, shape (B,).
+        covariance: Of input, log damping and delay, shape (3, 3): how far a model from other flights may be off; zeros
+            where it was fitted to this one.
+        training_share: Time of this flight over that of the flights of the fit, for what the fit knows of its levels.
     """
-    if innovation.size < LEAST_BLOCKS:
+    e = innovations.innovation
+    if e.size < LEAST_BLOCKS:
         return None
-    found = autocorrelation(time, innovation)
-    n, lags = innovation.size, found.lag.size
+    found = autocorrelation(innovations.time, e)
+    n, lags = e.size, found.lag.size
     classic = float(n * (n + 2) * np.sum(found.value**2 / (n - np.arange(1, lags + 1))))
     robust = float(np.sum((BAND * found.value / found.band) ** 2))
-    command_p, freedom = _independence(time, innovation, past)
-    with_command = cross_correlation(time, innovation, past)
-    peak = int(np.argmax(np.abs(with_command.value) - with_command.band)) if freedom else 0
+    command_p, freedom = _independence(innovations, covariance)
+    with_command = cross_correlation(innovations, covariance)
+    peak = int(np.argmax(np.abs(with_command.value) - with_command.band))
     white_p = _chi_squared(robust, lags)
-    count = frequencies(n)
-    ratio = float(np.mean(innovation**2))
-    half = quantile(count) * float(variance_of_mean(innovation[:, None] ** 2, count)[0, 0]) ** 0.5
+    count, ratio = frequencies(n), float(np.mean(at_fitted_levels**2))
+    spread = float(variance_of_mean(at_fitted_levels[:, None] ** 2, count)[0, 0]) * (1 + training_share)
+    half = quantile(count) * spread**0.5
     return ResidualTests(
         n=n,
         lags=lags,
@@ -170,32 +200,41 @@ def residual_tests(time: Array, innovation: Array, past: Array, influence: Mappi
         command_peak_lag=float(with_command.lag[peak]) if freedom else None,
         variance_ratio=ratio,
         variance_ci95=(max(0.0, ratio - half), ratio + half),
-        optimism={name: _optimism(time, innovation, column) for name, column in influence.items()},
+        optimism=_optimism(innovations, found.value),
         white=white_p >= LEVEL,
         follows_command=None if command_p is None else command_p < LEVEL,
     )
 
 
-def _independence(time: Array, innovation: Array, past: Array) -> tuple[float | None, int]:
+def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
     """p-value of no correlation with any of the past commands, all at once, and how many of these are independent."""
-    every = max(1, round(COMMAND_EVERY / _step(time)))
-    u = past[:, ::every] - past[:, ::every].mean(axis=0)
+    every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
+    u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
     size, directions = np.linalg.eigh(u.T @ u)
     if size[-1] <= 0:
         return None, 0
     distinct = u @ directions[:, size > DISTINCT * size[-1]]
-    scores = distinct * (innovation - innovation.mean())[:, None]
-    total = scores.sum(axis=0)
-    statistic = float(total @ np.linalg.solve(_newey_west(scores), total))
-    return _chi_squared(statistic, total.size), total.size
+    total, spread = _with_command(innovations, distinct, covariance)
+    return _chi_squared(float(total @ np.linalg.solve(spread, total)), total.size), total.size
+
+
+def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tuple[Array, Array]:
+    """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
+
+    To what the innovations scatter comes what the model's own coefficients may be off by.
+    """
+    scores = u * (innovations.innovation - innovations.innovation.mean())[:, None]
+    through = u.T @ innovations.sensitivity
+    return scores.sum(axis=0), _newey_west(scores) + through @ covariance @ through.T
 
 
 def _newey_west(scores: Array) -> Array:
-    """Covariance of the sum of scores (B, m), Bartlett weights.
+    """Covariance of the sum of scores (B, m) about their mean, Bartlett weights.
 
     Source: W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9) lags.
     """
     reach = int(4 * (len(scores) / 100) ** (2 / 9))
+    scores = scores - scores.mean(axis=0)
     out = scores.T @ scores
     for k in range(1, reach + 1):
         part = scores[k:].T @ scores[:-k]
@@ -203,16 +242,19 @@ def _newey_west(scores: Array) -> Array:
     return np.asarray(out)
 
 
-def _optimism(time: Array, innovation: Array, influence: Array) -> float:
-    """Root of the variance that an estimate has with innovations of this colour over that with white ones.
+def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
+    """Root of the variance that each estimate has with innovations of this colour over that with white ones.
 
-    Source: Bartlett's formula: the sum over the lags of both autocorrelations, up to the reach of the tests.
+    Source: Bartlett's formula: the sum over the lags of the products of both autocorrelations, here of the innovations
+    and of their weights in the estimate, up to the reach of the tests.
     """
-    colour = autocorrelation(time, innovation).value
-    power = float(influence @ influence)
-    own = np.array([float(influence[k:] @ influence[:-k]) / power for k in range(1, colour.size + 1)])
-    fading = 1 - np.arange(1, colour.size + 1) / (colour.size + 1)
-    return float(np.sqrt(max(0.0, 1 + 2 * float(np.sum(fading * colour * own)))))
+    X = innovations.sensitivity
+    out, fading = {}, 1 - np.arange(1, colour.size + 1) / (colour.size + 1)
+    for name, weight in zip(COEFFICIENTS, (X @ np.linalg.pinv(X.T @ X, hermitian=True)).T, strict=True):
+        power = float(weight @ weight)
+        own = np.array([float(weight[k:] @ weight[:-k]) / power for k in range(1, colour.size + 1)])
+        out[name] = float(np.sqrt(max(0.0, 1 + 2 * float(np.sum(fading * colour * own)))))
+    return out
 
 
 def _step(time: Array) -> float:
