@@ -88,16 +88,19 @@ def _two_digits(value: float) -> str:
 
 
 def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
-    """Where the pooled difference hides that flights differ."""
-    lines = [
-        f"{axis}, {test.first} vs {test.second}: the flights differ by more than chance in the {what} at {key} s "
-        f"(p = {agreement:.2g}): believe them one by one"
-        for test in tests
-        for axis in AXES
-        for what, key in columns
-        if (agreement := test.axes[axis][key][what].agreement) is not None and agreement < 0.05
-    ]
-    yield from bullets(lines)
+    """Where the pooled difference hides that the first is better on one flight and worse on another."""
+    for test in tests:
+        for axis in AXES:
+            for what, key in columns:
+                paired = test.axes[axis][key][what]
+                verdicts = {found.verdict for found in paired.flights if found}
+                if paired.agreement is not None and paired.agreement < 0.05 and {"better", "worse"} <= verdicts:
+                    yield from bullets(
+                        [
+                            f"{axis}, {test.first} vs {test.second}: better on some flights and worse on others in the "
+                            f"{what} at {key} s (p = {paired.agreement:.2g} of no more than chance): read them apart"
+                        ]
+                    )
 
 
 def residuals_view(validation: "Validation") -> View:

@@ -232,7 +232,17 @@ def left_out_view(result: "LeaveOneOut", model: Model) -> View:
     yield ""
     yield from _scores_view({"model": result.flights, **result.baselines}, ("model",))
     yield ""
-    yield from leave_one_out_view(result, {axis: known.stderr for axis, known in model.axes.items()})
+    stated = {
+        name: {**axis.stderr, **{key: _quarter(part.ci95) for key, part in axis.combinations.items()}}
+        for name, axis in model.axes.items()
+    }
+    yield from leave_one_out_view(result, stated)
+
+
+def _quarter(interval: Interval) -> float | None:
+    """About the standard error behind a 95 % interval."""
+    low, high = interval
+    return None if low is None or high is None else (high - low) / 4
 
 
 def comparison_view(comparison: "Comparison") -> View:
