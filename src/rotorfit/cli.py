@@ -246,6 +246,7 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @_json
 def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof."""
+    from rotorfit.forecast import CURVE
     from rotorfit.model import load
     from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
     from rotorfit.report import write_figures, write_report
@@ -253,7 +254,7 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
     check_destination(output, REPORT_MARK)
     model = load(model_path)
     with _progress() as progress:
-        validation, flights = validate_logs(model, [parse_log(log) for log in logs], progress=progress)
+        validation, flights = validate_logs(model, [parse_log(log) for log in logs], horizons=CURVE, progress=progress)
     training, left_out = training_flights(model)
     write_report(model, training, validation, flights, output)
     drawn = write_figures(model, training, validation, flights, figures) if figures else []

@@ -24,6 +24,9 @@ START_EVERY = 0.5
 HORIZONS = (0.5, 1.0, 2.0, 5.0)
 """Default horizons [s]."""
 
+CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
+"""Horizons of the report's curves [s]."""
+
 FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""
 

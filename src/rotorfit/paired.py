@@ -184,7 +184,7 @@ def _difference(losses: Sequence[_Loss]) -> Difference:
     variance, mse_variance = float(parts.sum()), float(weight**2 @ [_along(loss, LESS) for loss in losses])
     each = np.array([loss.freedom for loss in losses], float)
     freedom = variance**2 / float(np.sum(parts**2 / np.maximum(each, 1))) if variance > 0 else float(each.sum())
-    if each.min() < 1 or freedom < LEAST_FREEDOM:
+    if each.min() < 1 or freedom < LEAST_FREEDOM - 1e-9:
         return Difference(n, rmse, None, None, None, mse, None, "too_short")
     p = 1.0
     if abs(mse) > SAME * float(mean.max()) and variance > 0:

@@ -276,6 +276,11 @@ def _chi_squared(statistic: float, freedom: int) -> float:
     return float(chdtrc(freedom, statistic))
 
 
+def narrows_intervals(tests: ResidualTests) -> bool:
+    """Whether the innovations' colour makes intervals too narrow beyond doubt."""
+    return tests.white_p < FINDING_LEVEL and max(tests.optimism.values(), default=1.0) >= OPTIMISTIC
+
+
 def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterator[Finding]:
     """What the tests of one axis on one flight mean to a user.
 
@@ -286,7 +291,7 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
     """
     factor = max(tests.optimism.values(), default=1.0)
     if tests.white_p < FINDING_LEVEL:
-        narrow = factor >= OPTIMISTIC
+        narrow = narrows_intervals(tests)
         yield Finding(
             "residuals_not_white",
             "warning" if narrow else "info",
