@@ -302,11 +302,11 @@ def _pooled_lags(parts: Sequence[Correlogram]) -> Correlogram:
     return Correlogram(lag[known], value[known] / total[known], 1 / np.sqrt(total[known]))
 
 
-def _correlogram_chart(axis: str, found: Correlogram, kind: str, title: str, label: str, reading: str) -> Chart:
+def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, reading: str) -> Chart:
     outside, n = int(np.sum(np.abs(found.value) > found.band)), found.lag.size
     size = f"of about ±{float(np.median(found.band)):.3f} " if n else ""
     return Chart(
-        kind=kind,
+        kind="correlation",
         axis=axis,
         title=f"{axis}: {title}",
         x_label="lag [s]",
@@ -327,7 +327,7 @@ def _colour_chart(axis: str, found: Correlogram) -> Chart:
         "Bars inside the band: the model has used up what the past can tell. Bars that stand out: something regular is "
         "left, and the table says by how much the stated intervals are then too narrow."
     )
-    return _correlogram_chart(axis, found, "correlation", "what the residuals say", "autocorrelation", reading)
+    return _correlogram_chart(axis, found, "what the residuals say", "autocorrelation", reading)
 
 
 def _command_chart(axis: str, found: Correlogram) -> Chart:
@@ -335,4 +335,4 @@ def _command_chart(axis: str, found: Correlogram) -> Chart:
         "Residuals against commands from before them: bars that stand out mean that the model leaves out part of the "
         "answer. Commands from after them are not asked, for a controller answers residuals."
     )
-    return _correlogram_chart(axis, found, "correlation", "residuals and past commands", "correlation", reading)
+    return _correlogram_chart(axis, found, "residuals and past commands", "correlation", reading)

@@ -199,7 +199,8 @@ def _slope(mean: Array) -> Array:
 
 
 def _along(loss: _Loss, direction: Array) -> float:
-    return float(direction @ loss.covariance @ direction)
+    """Variance of a combination; of two predictors that are one, rounding may leave less than nothing."""
+    return max(0.0, float(direction @ loss.covariance @ direction))
 
 
 def _agreement(losses: Sequence[_Loss]) -> float | None:

@@ -122,7 +122,7 @@ def validate(
         for name, (score, by_horizon) in _score_flight(model, flight, horizons).items():
             scores[name].append(score)
             errors[name].append(by_horizon)
-        tests.append(tests_of_flight(model, flight))
+        tests.append(residual_tests_of_flight(model, flight))
     counted = tuple(() if each.fitted else each.moved for each in scores["model"])
     found = (
         finding
@@ -178,7 +178,7 @@ def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
     return replace(errors, velocity=velocity, position=position)
 
 
-def tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
+def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
     """Tests of the innovations of the axes that a flight commands and the model knows."""
     at_fitted = residuals(model, flight)
     found: dict[str, ResidualTests] = {}

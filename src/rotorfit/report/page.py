@@ -29,7 +29,7 @@ from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.rows import paired_rows, pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of
 from rotorfit.report.words import AXIS, COEFFICIENT, TERMS, rounded
-from rotorfit.validation import Validation, tests_of_flight
+from rotorfit.validation import Validation, residual_tests_of_flight
 from rotorfit.views import MOST_POINTS, READING, Chart, FlightView, flight_view, moved_axes
 from rotorfit.whiteness import narrows_intervals
 
@@ -234,7 +234,8 @@ def _evidence(
 
     horizons = horizon_charts(scores, validation.paired)
     shown = flights or training
-    tests = validation.residuals if flights else tuple(tests_of_flight(model, flight) for flight in training)
+    residual = panels(residual_charts(model, shown))
+    tests = validation.residuals if flights else tuple(residual_tests_of_flight(model, flight) for flight in training)
     return {
         "horizons": {
             "velocity": panels(chart for chart in horizons if chart.kind == "horizon_velocity"),
@@ -247,7 +248,8 @@ def _evidence(
         "profiles": panels(profile_charts(model)),
         "modes": _mode_rows(model),
         "rivals": any(len(model.axes[axis].modes) > 1 for axis in AXES),
-        "correlations": panels(residual_charts(model, flights or training)),
+        "correlations": [panel for panel in residual if panel.chart.y_label == "autocorrelation"],
+        "followings": [panel for panel in residual if panel.chart.y_label != "autocorrelation"],
         "residual_rows": residual_rows([flight.path for flight in shown], tests),
         "coloured": [a for a in AXES if any(a in axes and narrows_intervals(axes[a]) for axes in tests)],
         "correlations_of": "validation" if flights else "training",
