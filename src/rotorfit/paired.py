@@ -27,8 +27,11 @@ Errors = Sequence[Mapping[str, StartErrors]]
 LEVEL = 0.05
 """A difference is called real below this p-value."""
 
-LEAST_FREEDOM = 2
-"""Degrees of freedom below which there is no standard error."""
+LEAST_FREEDOM = 1
+"""Degrees of freedom of a flight below which there is no standard error."""
+
+AGREEMENT_FREEDOM = 2
+"""Degrees of freedom of each flight below which flights are not asked whether they agree."""
 
 SAME = 1e-9
 """Relative difference of the mean squares below which two predictors are one but for rounding."""
@@ -184,7 +187,7 @@ def _difference(losses: Sequence[_Loss]) -> Difference:
     variance, mse_variance = float(parts.sum()), float(weight**2 @ [_along(loss, LESS) for loss in losses])
     each = np.array([loss.freedom for loss in losses], float)
     freedom = variance**2 / float(np.sum(parts**2 / np.maximum(each, 1))) if variance > 0 else float(each.sum())
-    if each.min() < 1 or freedom < LEAST_FREEDOM - 1e-9:
+    if each.min() < LEAST_FREEDOM:
         return Difference(n, rmse, None, None, None, mse, None, "too_short")
     p = 1.0
     if abs(mse) > SAME * float(mean.max()) and variance > 0:
@@ -212,7 +215,7 @@ def _agreement(losses: Sequence[_Loss]) -> float | None:
 
     F = len(losses)
     variances = np.array([_along(loss, _slope(loss.mean)) for loss in losses])
-    if F < 2 or variances.min() <= 0 or min(loss.freedom for loss in losses) < LEAST_FREEDOM:
+    if F < 2 or variances.min() <= 0 or min(loss.freedom for loss in losses) < AGREEMENT_FREEDOM:
         return None
     differences = np.array([np.sqrt(loss.mean) @ LESS for loss in losses])
     w, freedom = 1 / variances, np.array([loss.freedom for loss in losses])
