@@ -490,7 +490,7 @@ def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None
     os.close(writer)
 
     assert json.loads(found.stdout)["format"] == "rotorfit-model"
-    assert "likelihood of x" in ANSI.sub("", os.read(reader, 1 << 16).decode())
+    assert "likelihood of x" in ANSI.sub("", os.read(reader, 1 << 16).decode(errors="replace"))
     os.close(reader)
 
 

@@ -228,7 +228,7 @@ def rejected(seed: int, runs: int, starts: int, horizon: float, flights: int = 1
 def test_two_equally_good_predictors_differ_in_five_per_cent_of_the_cases(
     starts: int, horizon: float, flights: int
 ) -> None:
-    """Measured 3.3 to 6.8 %; the plain formula of Diebold and Mariano has up to 19 % here."""
+    """Measured 4.4 to 6.7 %; sums of autocovariances up to the horizon give up to 19 % on such series."""
     assert 0.025 < rejected(12, 1000, starts, horizon, flights) < 0.08
 
 
