@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from mypy import api as mypy
 
 import rotorfit
-from rotorfit import advice, card, estimate, forecast, likelihood, modes, plausibility, record, regression
+from rotorfit import advice, card, estimate, forecast, likelihood, modes, plausibility, record, regression, whiteness
 from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
@@ -192,8 +192,8 @@ def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> N
 
 def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
     described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
+    modules = ("advice.py", "plausibility.py", "convert.py", "whiteness.py")
 
-    modules = ("advice.py", "plausibility.py", "convert.py")
     assert sorted(described) == sorted(code for module in modules for code in codes_in(module, "Finding"))
 
 
@@ -234,6 +234,9 @@ def test_the_figures_of_the_method_are_those_of_the_code() -> None:
         f"every {forecast.START_EVERY:g} s",
         f"fewer than {forecast.LEAST_SCORES} give no score",
         f"a hole of {forecast.LONGEST_GAP:g} s",
+        f"autocorrelations over {whiteness.REACH:g} s",
+        f"command of up to {whiteness.REACH:g} s before, every {whiteness.COMMAND_EVERY:g} s",
+        f"ask for p below {whiteness.FINDING_LEVEL:g}",
         f"degree {regression.DEGREE} over +-{regression.HALF_WIDTH:g} s, at least {regression.LEAST} poses",
         {6: "six starts"}[len(modes.STARTS)],
         {60.0: "the minute"}[modes.EXCERPT],
@@ -258,6 +261,8 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"above {plausibility.LIMIT_MARGIN:g} times, or below 1 / {plausibility.LIMIT_MARGIN:g} times",
         f"beyond {plausibility.GAIN_SYMMETRY:g}, or that of their dampings beyond {plausibility.DAMPING_SYMMETRY:g}",
         f"more than a factor of {plausibility.ALIKE:g} apart",
+        f"A warning where it is {whiteness.OPTIMISTIC:g} or more",
+        f"beyond chance (p below {whiteness.FINDING_LEVEL:g})",
     )
 
     assert [phrase for phrase in told if phrase not in FINDINGS] == []

@@ -159,26 +159,42 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
+@click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
-    logs: Sequence[str], card: str | None, method: Any, axes: Any, span: Any, output: Path | None, as_json: bool
+    logs: Sequence[str],
+    card: str | None,
+    method: Any,
+    axes: Any,
+    span: Any,
+    leaving: bool,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
+    from rotorfit.leave_one_out import require_two
     from rotorfit.model import save, to_mapping
-    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, parse_log
+    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs, parse_log
 
     if output:
         check_destination(output, MODEL_MARK)
+    if leaving:
+        require_two(len(logs))
     with _progress() as progress:
-        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress).model
+        result, left_out = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress), None
+        if leaving:
+            result, left_out = leave_one_out_logs(result, axes, progress)
+    model = result.model
     if output:
         save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import model_view, show
+    from rotorfit.terminal import left_out_view, model_view, show
 
     show(model_view(model, axes))
+    if left_out:
+        show(left_out_view(left_out, model))
     click.echo(f"\nModel written to {output}." if output else "\nNothing was written; -o model.json keeps the model.")
     return None
 
@@ -230,6 +246,7 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @_json
 def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof."""
+    from rotorfit.forecast import CURVE
     from rotorfit.model import load
     from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
     from rotorfit.report import write_figures, write_report
@@ -237,7 +254,7 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
     check_destination(output, REPORT_MARK)
     model = load(model_path)
     with _progress() as progress:
-        validation, flights = validate_logs(model, [parse_log(log) for log in logs], progress=progress)
+        validation, flights = validate_logs(model, [parse_log(log) for log in logs], horizons=CURVE, progress=progress)
     training, left_out = training_flights(model)
     write_report(model, training, validation, flights, output)
     drawn = write_figures(model, training, validation, flights, figures) if figures else []

@@ -159,6 +159,8 @@ class Model:
         rotorfit: Version that wrote it.
         physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
         conversion: Set where the model was converted to other limits than those of its flights.
+        leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
+            asked for. See `leave_one_out.LeaveOneOut`.
     """
 
     card: Card
@@ -173,6 +175,7 @@ class Model:
     rotorfit: str = __version__
     physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
+    leave_one_out: Mapping[str, Any] | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -334,6 +337,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
+        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
     }
 
 
@@ -366,6 +370,7 @@ def from_mapping(raw: Any, where: str) -> Model:
                 for name, parts in raw.get("physics", {}).items()
             },
             conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
+            leave_one_out=raw.get("leave_one_out"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
