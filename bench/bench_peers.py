@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from peers.flights import Case, real_cases, simulated_cases
+from peers.loop import later_command
 from peers.packages import PEERS
 from peers.paired import RAN_AWAY, compared, errors_by_start
 from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of, pieces, start_samples, to_poses
@@ -147,6 +148,7 @@ def run(case: Case) -> dict[str, Any]:
         "set": case.name,
         "kind": case.kind,
         "axes": {axis: _axis_result(axis, errors, scores, models) for axis in axes},
+        "loop": {axis: round(later_command(series[min(series)][AXES.index(axis)]), 1) for axis in axes},
         "seconds": {name: round(value, 1) for name, value in taken.items()},
     }
 

@@ -199,7 +199,8 @@ def pysindy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
 
     step = training[0].step
     delays = [round(delay / step) for delay in setting["delays"]]
-    scale_u = max(float(np.std(np.concatenate([s.u for s in training]))), 1e-9)
+    scale_y = max(float(np.std(np.concatenate([s.y for s in training]))), 1e-9)
+    scale_u = max(float(np.std(np.concatenate([s.u for s in training]))), 1e-9)  # so that one threshold suits all terms
     window = max(5, 2 * round(setting["window"] / step / 2) + 1)
 
     def inputs(series: Series, later: int = 0) -> Array:
@@ -210,11 +211,11 @@ def pysindy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
     # y[k] is the velocity at the middle of the step before its sample; the command of that step is u[k - 1].
     smooth = {"window_length": window, "polyorder": 3}
     model = ps.SINDy(
-        optimizer=ps.STLSQ(threshold=setting["threshold"], alpha=1e-9, normalize_columns=True),
+        optimizer=ps.STLSQ(threshold=setting["threshold"], alpha=1e-9),
         differentiation_method=ps.SmoothedFiniteDifference(smoother_kws=smooth),
         feature_library=ps.PolynomialLibrary(degree=setting["degree"]),
     )
-    model.fit([s.y[:, None] for s in training], t=step, u=[inputs(s, 1) for s in training])
+    model.fit([s.y[:, None] / scale_y for s in training], t=step, u=[inputs(s, 1) for s in training])
     coefficients, powers = np.asarray(model.coefficients())[0], np.asarray(model.feature_library.powers_)
     past = max(2, round(setting["past"] / step))
 
@@ -228,7 +229,7 @@ def pysindy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
 
     def forecast(series: Series, starts: Indices, steps: int) -> Array:
         u = inputs(series)
-        y = np.concatenate([np.full(past, series.y[0]), series.y])
+        y = np.concatenate([np.full(past, series.y[0]), series.y]) / scale_y
         v = y[starts[:, None] + past + np.arange(1 - past, 1)] @ weights
         out = np.empty((starts.size, steps))
         for k in range(steps):
@@ -237,7 +238,7 @@ def pysindy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
             second = slope(v + step * first / 2, held)  # midpoint rule: the command is constant over a step
             out[:, k] = v + step * second / 2
             v = v + step * second
-        return out
+        return out * scale_y
 
     return forecast
 
@@ -246,10 +247,8 @@ def pysindy_delays(_: Setting | None) -> list[Setting]:
     """Linear first: the delay, the smoothing window, the span of the velocity at the start."""
     return [
         {"rate": rate, "delays": (delay,), "window": window, "past": past, "degree": 1, "threshold": 0.0}
-        for rate, delay, window, past in product(
-            (30, 10), (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3), (0.3, 0.6), (0.1, 0.25)
-        )
-        if rate == 30 or delay in (0.0, 0.1, 0.2, 0.3)
+        for rate, delay, window, past in product(RATES, (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3), (0.3, 0.6), (0.1, 0.25))
+        if rate > 10 or delay in (0.0, 0.1, 0.2, 0.3)
     ]
 
 

@@ -18,6 +18,9 @@ Forecast = Callable[[Series, Indices, int], Array]
 HELD_OUT = 0.4
 """Share of a single training flight that is held out, once its end and once its beginning."""
 
+LEAST_EXCITED = 0.2
+"""A fold is left out if the command varies less in its training than this share of the whole: nothing to learn from."""
+
 FAILED = np.inf
 
 WORTH = 0.2
@@ -94,10 +97,12 @@ def folds(series: Sequence[Series]) -> tuple[Fold, ...]:
     only = series[0]
     n = only.y.size
     late, early = round((1 - HELD_OUT) * n), round(HELD_OUT * n)
-    return (
+    both = (
         Fold((Series(only.y[:late], only.u[:late], only.step),), ((only, starts_of(only, late, n)),)),
         Fold((Series(only.y[early:], only.u[early:], only.step),), ((only, starts_of(only, 0, early)),)),
     )
+    moved = [fold for fold in both if np.std(fold.training[0].u) > LEAST_EXCITED * np.std(only.u)]
+    return tuple(moved) or both
 
 
 def starts_of(series: Series, low: int, high: int) -> Indices:
