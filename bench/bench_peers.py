@@ -91,7 +91,9 @@ def _part_predictions(models: Chosen, flight: Flight, part: Predictions) -> Arra
             heading = np.interp(middle, flight.pose_time, flight.yaw)
             if turning:
                 ahead = (middle[:, 1:] - part.start[:, None]) / turning[0]
-                heading[:, 1:] = between(turning[1][..., None], ahead)[..., 0]
+                own = between(turning[1][..., None], ahead)[..., 0]
+                # A yaw that has run away says nothing of x and y: they are turned as measured, to the peer's advantage.
+                heading[:, 1:] = np.where(np.abs(own - heading[:, 1:]) < np.pi, own, heading[:, 1:])
             c, s = np.cos(heading), np.sin(heading)
             direction, columns = np.stack([c, s] if axis == "x" else [-s, c], axis=-1), [0, 1]
         moved, speed = to_poses(part, grid, k, velocity, direction)

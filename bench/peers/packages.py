@@ -5,6 +5,7 @@ samples, a Kalman filter, or a one-sided polynomial. Predictions are computed fr
 gave, for all starts at once, because the packages' own loops over samples take minutes.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
@@ -34,6 +35,12 @@ def lag_forecast(rows: Callable[[Array, Array], Array], output_lags: int, input_
         return out
 
     return forecast
+
+
+def scales(training: Sequence[Series]) -> tuple[float, float]:
+    """Standard deviations of output and input: packages that compare terms want them of one size."""
+    y, u = (float(np.std(np.concatenate(part))) for part in ([s.y for s in training], [s.u for s in training]))
+    return max(y, 1e-9), max(u, 1e-9)
 
 
 # statsmodels: ordinary least squares on lagged outputs and inputs (ARX)
@@ -80,8 +87,7 @@ def sysidentpy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
     from sysidentpy.model_structure_selection import FROLS
     from sysidentpy.parameter_estimation import LeastSquares
 
-    scale_y = max(float(np.std(np.concatenate([s.y for s in training]))), 1e-9)
-    scale_u = max(float(np.std(np.concatenate([s.u for s in training]))), 1e-9)
+    scale_y, scale_u = scales(training)
     y = np.concatenate([s.y for s in training])[:, None] / scale_y
     x = np.concatenate([s.u for s in training])[:, None] / scale_u
     model = FROLS(
@@ -133,27 +139,11 @@ def sysidentpy_degree(best: Setting | None) -> list[Setting]:
 
 def nfoursid_fit(training: Sequence[Series], setting: Setting) -> Forecast:
     """State space by N4SID; the state at a start is its Kalman filter's, with the covariances that it estimates."""
-    import pandas as pd
     from nfoursid.kalman import Kalman
-    from nfoursid.nfoursid import NFourSID
 
-    scale_y = max(float(np.std(np.concatenate([s.y for s in training]))), 1e-9)
-    scale_u = max(float(np.std(np.concatenate([s.u for s in training]))), 1e-9)
     integrated = setting["output"] == "position"
-
-    def output(series: Series) -> Array:
-        scaled = series.y / scale_y
-        return np.cumsum(scaled) * series.step if integrated else scaled
-
-    y, seam = [], 0.0
-    for series in training:  # positions are carried on from flight to flight, so that no seam jumps
-        y.append(output(series) + (seam if integrated else 0.0))
-        seam = y[-1][-1]
-    # nfoursid lets u[k] act on y[k] and y[k + 1]; that u[k] acts on y[k + 1] first is for it to find.
-    table = pd.DataFrame({"u": np.concatenate([s.u for s in training]) / scale_u, "y": np.concatenate(y)})
-    method = NFourSID(table, output_columns=["y"], input_columns=["u"], num_block_rows=setting["rows"])
-    method.subspace_identification()
-    space, covariance = method.system_identification(rank=setting["order"])
+    scale_y, scale_u = scales(training)
+    space, covariance = subspace(tuple(training), integrated, setting["rows"]).system_identification(setting["order"])
     filtered = Kalman(space, covariance)
     for _ in range(200):  # until its gain stands still; the gain does not depend on the data
         filtered.step(np.zeros((1, 1)), np.zeros((1, 1)))
@@ -162,7 +152,7 @@ def nfoursid_fit(training: Sequence[Series], setting: Setting) -> Forecast:
         raise ValueError("the Kalman filter of this model has no steady gain")
 
     def forecast(series: Series, starts: Indices, steps: int) -> Array:
-        measured, u = output(series), series.u / scale_u
+        measured, u = integral(series, integrated) / scale_y, series.u / scale_u
         states = np.zeros((measured.size + 1, A.shape[0]))
         states[0] = np.linalg.pinv(C[None])[:, 0] * measured[0]
         for k in range(int(starts.max()) + 1):
@@ -178,6 +168,29 @@ def nfoursid_fit(training: Sequence[Series], setting: Setting) -> Forecast:
         return out * scale_y
 
     return forecast
+
+
+def integral(series: Series, integrated: bool) -> Array:
+    """The output, or the position that it adds up to."""
+    return np.cumsum(series.y) * series.step if integrated else series.y
+
+
+@functools.lru_cache(maxsize=4)
+def subspace(training: tuple[Series, ...], integrated: bool, rows: int) -> Any:
+    """The part of N4SID that does not know the order yet, so that all orders share it."""
+    import pandas as pd
+    from nfoursid.nfoursid import NFourSID
+
+    scale_y, scale_u = scales(training)
+    y, seam = [], 0.0
+    for series in training:  # positions are carried on from flight to flight, so that no seam jumps
+        y.append(integral(series, integrated) / scale_y + seam)
+        seam = float(y[-1][-1]) if integrated else 0.0
+    # nfoursid lets u[k] act on y[k] and y[k + 1]; that u[k] acts on y[k + 1] first is for it to find.
+    table = pd.DataFrame({"u": np.concatenate([s.u for s in training]) / scale_u, "y": np.concatenate(y)})
+    method = NFourSID(table, output_columns=["y"], input_columns=["u"], num_block_rows=rows)
+    method.subspace_identification()
+    return method
 
 
 def nfoursid_orders(_: Setting | None) -> list[Setting]:
@@ -199,8 +212,7 @@ def pysindy_fit(training: Sequence[Series], setting: Setting) -> Forecast:
 
     step = training[0].step
     delays = [round(delay / step) for delay in setting["delays"]]
-    scale_y = max(float(np.std(np.concatenate([s.y for s in training]))), 1e-9)
-    scale_u = max(float(np.std(np.concatenate([s.u for s in training]))), 1e-9)  # so that one threshold suits all terms
+    scale_y, scale_u = scales(training)  # so that one threshold suits all terms
     window = max(5, 2 * round(setting["window"] / step / 2) + 1)
 
     def inputs(series: Series, later: int = 0) -> Array:

@@ -44,7 +44,7 @@ class Grid:
     command: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Series:
     """One axis of a grid: what a peer sees.
 
