@@ -200,7 +200,7 @@ def main() -> None:
         "versions": {package: version(package) for package in packages},
         "sets": results,
     }
-    (HERE / "peers.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (HERE / "peers.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     document(result, HERE.parent / "docs" / "benchmarks.md")
 
 

@@ -76,6 +76,8 @@ def compared(first: Sequence[Array], second: Sequence[Array], horizon: float) ->
     n = sum(d.size for d in differences)
     if n < LEAST_SCORES:
         return Paired(None, None, 0, None, "short", n)
+    if any(np.isnan(b).any() for b in second):
+        return Paired(None, None, 0, None, "short", n)  # the second has no model of this axis
     if max(float(b.max()) for b in second if b.size) > RAN_AWAY**2:
         return Paired(None, None, 0, None, "better", n)
     mean = sum(float(d.sum()) for d in differences) / n

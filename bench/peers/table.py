@@ -99,7 +99,7 @@ def _markdown(sets: Sequence[Mapping[str, Any]], score: str, title: str) -> str:
         for axis, rows in one["axes"].items():
             n = sum(rows["ml"][f"n_{score}"])
             cells = [cell(rows[name], score) if name in rows else "" for name in NAMES]
-            lines.append("| " + " | ".join([one["set"], axis, f"{one['loop'][axis]:+.0f}", str(n), *cells]) + " |")
+            lines.append("| " + " | ".join([one["set"], axis, f"{one['loop'][axis]:+.1f}", str(n), *cells]) + " |")
     return "\n".join(lines)
 
 
