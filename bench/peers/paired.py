@@ -50,13 +50,14 @@ def errors_by_start(parts: Sequence[Predictions], predicted: Sequence[Array], ho
         ends = np.searchsorted(part.time, part.start + horizon + EDGE)
         for s, (first, last, end) in enumerate(zip(part.first, part.last, ends, strict=True)):
             late = part.time[end - 1] <= part.start[s] + horizon - 3 * period
-            if not first < end <= last or late or gaps[end - 1] != gaps[first - 1]:
+            known = np.isfinite(part.reference[first:end]).all(axis=1)
+            if not first < end <= last or late or gaps[end - 1] != gaps[first - 1] or not known.any():
                 continue
             error = values[s, : end - first, 1] - part.reference[first:end]
             error[:, :2] = heading_from_world(error[:, :2], part.pose[first:end, 3])
             miss = (values[s, end - first - 1, 0] - part.pose[end - 1])[None]
             miss[:, :2] = heading_from_world(miss[:, :2], part.pose[end - 1 : end, 3])
-            velocity.append(np.nanmean(error**2, axis=0))
+            velocity.append(np.mean(error[known] ** 2, axis=0))
             position.append(miss[0] ** 2)
     return np.reshape(velocity, (-1, 4)), np.reshape(position, (-1, 4))
 
