@@ -7,11 +7,14 @@ from typing import Any
 
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
+from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
+from rotorfit.finding import Finding
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.log import Log
 from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.sources import read
 from rotorfit.validation import Validation, to_mapping, validate
@@ -58,8 +61,14 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
+    return _flown(log, chosen)[2]
+
+
+def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
+    """A log, the card that was applied, and what came of them."""
     raw = read(log.path)
-    return flight_from_log(raw, chosen or card_that_fits(raw), log.span)
+    card = card or card_that_fits(raw)
+    return raw, card, flight_from_log(raw, card, log.span)
 
 
 def fit_logs(
@@ -70,9 +79,15 @@ def fit_logs(
     progress: Progress | None = None,
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed."""
-    flights = [load_flight(log, card) for log in logs]
+    chosen = load_card(card) if isinstance(card, str) else card
+    flights: list[Flight] = []
+    before: list[Finding] = []
+    for log in logs:
+        raw, applied, flight = _flown(log, chosen)
+        flights.append(flight)
+        before += findings_of_flight(raw, applied, flight)
     result = with_delay_profiles(fit(flights, method, axes, progress))
-    return replace(result, model=with_findings(result.model, findings_of_fit(result)))
+    return replace(result, model=with_findings(result.model, findings_of_fit(result, before)))
 
 
 def validate_logs(

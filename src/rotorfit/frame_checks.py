@@ -1,0 +1,247 @@
+"""In which direction the vehicle moves when it is told to: exchanged axes, wrong frames, a yaw that is off or mirrored.
+
+A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y) - b V + c in the
+world. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more names the wrong frame,
+the directions of c_x and c_y a wrong zero of yaw or exchanged axes. Directions need no delay and hardly suffer from
+feedback, so this is safe to say before any fit.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rotorfit.card import Card
+from rotorfit.finding import Finding
+from rotorfit.flight import Flight
+from rotorfit.frames import UNIT_SCALE, Array
+from rotorfit.motion_checks import LAGS, lagged_command
+from rotorfit.regression import Motion
+
+Complex = npt.NDArray[np.complex128]
+
+RATE = 20.0
+"""Poses a second that are looked at."""
+
+BLOCKS = 10
+"""Stretches of the flight of which each is left out in turn, for the standard errors."""
+
+TOLD = 5.0
+"""Standard errors from zero from which on a command's effect has a direction."""
+
+LEAST_EXPLAINED = 0.3
+"""Share of the variance of the horizontal acceleration below which no direction is believed."""
+
+BETTER = 0.7
+"""Share of the residual variance, against the card's frame, that another frame must leave at most."""
+
+TURNING = np.radians(20.0)
+"""Standard deviation of yaw from which on frames can be told apart: of less, a turned frame is a wrong zero of yaw."""
+
+OFF = np.radians(12.0)
+"""Deviation of a direction that is said, where it passes also `TOLD` standard errors. Markers put on by eye are off by
+2 to 5 degrees."""
+
+NEAR = np.radians(30.0)
+"""Deviation from a quarter or half turn up to which a direction counts as one."""
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Where the horizontal commands of a flight lead, in one frame.
+
+    Attributes:
+        turns: k: how many times the measured yaw turns the command.
+        explained: Share of the variance of the acceleration.
+        left: Residual sum of squares [m^2/s^4].
+        angle: Direction of the effect of `x` and of `y`, from where it should be, in (-pi, pi] [rad]; only those told.
+        stderr: Standard error of each [rad].
+    """
+
+    turns: int
+    explained: float
+    left: float
+    angle: dict[str, float]
+    stderr: dict[str, float]
+
+
+def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Finding]:
+    """Findings about the frames of one flight; none where its directions cannot be told.
+
+    Args:
+        card: That was applied.
+        flight: Commands in the heading frame.
+        motion: Velocity and acceleration by differentiated poses.
+    """
+    moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
+    if not moved or len(motion.time) < 20 * BLOCKS:
+        return
+    thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
+    part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
+    own = directions(flight, part, moved, 1)
+    if float(np.std(part.yaw)) > TURNING:
+        others = [
+            directions(flight, part, moved, turns) for turns in ((2, 0) if card.command_frame == "world" else (0, -1))
+        ]
+        best = min(others, key=lambda other: other.left)
+        if best.left < BETTER * own.left and best.explained > LEAST_EXPLAINED and best.angle:
+            yield _other_frame(card, own, best)
+            return
+    if own.explained > LEAST_EXPLAINED:
+        yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
+
+
+def directions(flight: Flight, motion: Motion, moved: list[str], turns: int) -> Directions:
+    """Fits the effect of the horizontal commands in the frame that yaw has turned so many times.
+
+    Args:
+        flight: Commands.
+        motion: Of the flight.
+        moved: Which of `x` and `y` are commanded.
+        turns: k; 1 is the heading frame, 0 the world.
+    """
+    back = np.exp(-1j * turns * motion.yaw)
+    target = (motion.acceleration[:, 0] + 1j * motion.acceleration[:, 1]) * back
+    velocity = (motion.velocity[:, 0] + 1j * motion.velocity[:, 1]) * np.exp(1j * motion.yaw) * back
+    columns = ["xy".index(axis) for axis in moved]
+    best: tuple[float, Array] | None = None
+    for lag in LAGS:
+        command = lagged_command(flight, motion.time, float(lag))[:, columns]
+        design = np.column_stack([command, velocity, np.ones(len(velocity))])
+        left = _left(design, target)
+        if best is None or left < best[0]:
+            best = left, design
+    assert best is not None
+    left, design = best
+    effect, spread = _jackknife(design, target, len(moved))
+    told = [i for i in range(len(moved)) if abs(effect[i]) > TOLD * spread[i]]
+    due = {"x": 1.0, "y": 1j}
+    return Directions(
+        turns=turns,
+        explained=1 - left / float(np.sum(np.abs(target - target.mean()) ** 2)),
+        left=left,
+        angle={moved[i]: float(np.angle(effect[i] / due[moved[i]])) for i in told},
+        stderr={moved[i]: float(spread[i] / abs(effect[i])) for i in told},
+    )
+
+
+def _left(design: Array, target: Array) -> float:
+    solution = np.linalg.lstsq(design, target, rcond=None)[0]
+    return float(np.sum(np.abs(target - design @ solution) ** 2))
+
+
+def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array]:
+    """The first complex coefficients and their standard errors, each stretch of the flight left out in turn.
+
+    Stretches, because residuals are coloured by wind and by the windows of the derivatives.
+    """
+    whole = np.linalg.lstsq(design, target, rcond=None)[0][:count]
+    block = np.arange(len(target)) * BLOCKS // len(target)
+    parts = np.array(
+        [np.linalg.lstsq(design[block != b], target[block != b], rcond=None)[0][:count] for b in range(BLOCKS)]
+    )
+    variance: Array = (BLOCKS - 1) / BLOCKS * np.sum(np.abs(parts - parts.mean(axis=0)) ** 2, axis=0)
+    return np.asarray(whole), np.sqrt(np.maximum(variance, 1e-24))
+
+
+def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
+    """The card's frame is wrong: another explains what it does not."""
+    told = (
+        f"of the horizontal acceleration {100 * best.explained:.0f} % are explained {{}}, {100 * own.explained:.0f} % "
+        "as the card has it"
+    )
+    effect = "input gain, damping and delay of x and y are not the vehicle's: with every turn the commands are mistaken"
+    if best.turns == -1 or (card.command_frame == "world" and best.turns == 0):
+        counted = abs(_wrapped(best.angle.get("y", 0.0) - best.angle.get("x", 0.0))) < np.pi / 2
+        return Finding(
+            "mirrored_pose",
+            "error",
+            told.format("with yaw counted the other way round"),
+            effect,
+            'yaw grows clockwise: give it scale = -1 in [pose] of the card (frame = "NED" if z points down, too)'
+            if counted
+            else "x and y of the pose are exchanged or one of them is turned: make [pose] of the card right-handed",
+        )
+    world = card.command_frame == "world"
+    return Finding(
+        "command_frame",
+        "error",
+        told.format(f"with commands taken in the {'heading' if world else 'world'} frame"),
+        effect,
+        f'write frame = "{"heading" if world else "world"}" in [command] of the card (now "{card.command_frame}")',
+    )
+
+
+def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator[Finding]:
+    """The frame is right or cannot be told; directions may be off by a constant angle."""
+    off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, TOLD * own.stderr[axis])}
+    if not off:
+        return
+    both = len(own.angle) == 2
+    apart = abs(_wrapped(own.angle["y"] - own.angle["x"])) if both else 0.0
+    told = " and ".join(
+        f"{axis} leads {np.degrees(angle):+.0f} +- {np.degrees(own.stderr[axis]):.0f} degrees from where it should"
+        for axis, angle in own.angle.items()
+    )
+    if both and apart > np.pi - NEAR:
+        if abs(abs(own.angle["x"]) - np.pi / 2) < NEAR:
+            yield _exchanged(told, own.angle["x"] < 0)
+        return  # else one sign is turned: the fit tells
+    if both and apart > NEAR:
+        return
+    angle = _mean_angle(own)
+    if abs(angle) > np.pi - NEAR:
+        return  # both signs, or half a turn: the fit tells
+    yield _offset(card, own, told, angle, yaw, turning)
+
+
+def _exchanged(told: str, negative: bool) -> Finding:
+    return Finding(
+        "axes_exchanged",
+        "error",
+        f"{told}: a forward command moves the vehicle {'right' if negative else 'left'}, a left command "
+        f"{'backwards' if negative else 'forwards'}",
+        "no coefficient of x and y is the vehicle's: each is fitted to the command of the other",
+        "exchange the columns of x and y in [command] of the card"
+        + (", both with scale = -1" if negative else "")
+        + ", or those of [pose] if they are the wrong ones",
+    )
+
+
+def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, turning: float) -> Finding:
+    ways = [_yaw_remedy(card, angle)]
+    if turning < TURNING and abs(_wrapped(angle + yaw)) < NEAR and card.command_frame == "heading":
+        ways.append(
+            f'or write frame = "world" in [command]: yaw was held at {np.degrees(yaw):.0f} degrees all the time'
+        )
+    if len(own.angle) == 1 and abs(abs(angle) - np.pi / 2) < NEAR:
+        ways.append("or exchange the columns of x and y in [command], if only those are wrong")
+    return Finding(
+        "yaw_offset",
+        "error" if abs(angle) > np.pi / 4 else "warning",
+        f"a command of {told}",
+        f"input gains of x and y come out {np.cos(angle):.2f} times what they are, and each axis takes the other's "
+        "motion for wind",
+        "; ".join(ways),
+    )
+
+
+def _yaw_remedy(card: Card, angle: float) -> str:
+    """What turns yaw by an angle, given what the card says now."""
+    if "yaw" not in card.pose:
+        return (
+            f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion"
+        )
+    yaw = card.pose["yaw"]
+    raw = angle / UNIT_SCALE[yaw.unit or "rad"] * (-1 if card.frame == "NED" else 1)
+    return f"give yaw in [pose] of the card offset = {yaw.offset + raw:.3g} (now {yaw.offset:g})"
+
+
+def _mean_angle(own: Directions) -> float:
+    weight = np.array([1 / own.stderr[axis] ** 2 for axis in own.angle])
+    return float(np.angle(np.sum(weight * np.exp(1j * np.array(list(own.angle.values()))))))
+
+
+def _wrapped(angle: float) -> float:
+    return float(np.angle(np.exp(1j * angle)))
