@@ -7,7 +7,7 @@ import numpy as np
 from rotorfit.command_checks import share_above
 from rotorfit.constancy import changed_coefficients
 from rotorfit.doctor import SHORT_TIME
-from rotorfit.estimate import LOOP_SIGMAS, answer
+from rotorfit.estimate import LOOP_SIGMAS, Estimate, answer
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
@@ -51,8 +51,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _coefficient_findings(name, axis)
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
+        if axis.predictor and name in fit.estimates:
             found += _slow_findings(name, k, axis, flights)
-            found += _feedback_findings(fit, name)
+            found += _feedback_findings(name, fit.estimates[name])
             found += changed_coefficients(fit, name)
         found += _paper_findings(fit, k)
     return by_gravity(found)
@@ -240,10 +241,7 @@ def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> 
             return
 
 
-def _feedback_findings(fit: Fit, name: str) -> Iterator[Finding]:
-    estimate = fit.estimates.get(name)
-    if estimate is None:
-        return
+def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
     found = answer(estimate.records, estimate.optimum, estimate.place)
     if found.sigmas > LOOP_SIGMAS:
         yield Finding(

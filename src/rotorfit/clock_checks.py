@@ -64,12 +64,14 @@ def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
     yield from _command_gaps(flight)
     yield from _pose_gaps(flight)
-    yield from _jitter("command", commands, "what acts when is known no better than that: the delay is wide or biased")
+    one_row = card.command_time.source == card.pose_time.source and np.array_equal(commands, poses)
+    if one_row:
+        yield from _repeated(flight)
+    else:
+        yield from _jitter("command", commands, "what acts when is known no better: the delay comes out wide or biased")
     yield from _jitter("pose", poses, "if they are stamps of arrival, speed times jitter is added to every pose")
     yield from _two_clocks(log, card)
     yield from _stale(flight)
-    if card.command_time.source == card.pose_time.source and np.array_equal(commands, poses):
-        yield from _repeated(flight)
 
 
 def _command_gaps(flight: Flight) -> Iterator[Finding]:
@@ -83,7 +85,7 @@ def _command_gaps(flight: Flight) -> Iterator[Finding]:
         yield Finding(
             "command_gaps",
             "warning" if share > LARGE_LOSS else "info",
-            f"{len(holes)} gaps in the commands, the longest of {max(holes):.2f} s, take {lost:.1f} s "
+            f"{_counted(len(holes), 'gap')} in the commands, the longest of {max(holes):.2f} s, taking {lost:.1f} s "
             f"({100 * share:.0f} % of the flight) with the {SETTLING_LOSS:g} s that each segment needs to start",
             "all coefficients rest on less data; a segment shorter than 0.7 s tells nothing",
             "send commands at a steady rate; where the vehicle keeps the last one for longer, say so by hold in the "
@@ -100,12 +102,16 @@ def _pose_gaps(flight: Flight) -> Iterator[Finding]:
         yield Finding(
             "pose_gaps",
             "warning" if share > LARGE_LOSS or longest > 2 * LONG_HOLE else "info",
-            f"{holes.size} holes in the poses, the longest of {longest:.2f} s, take {np.sum(holes):.1f} s "
-            f"({100 * share:.0f} % of the flight)",
+            f"{_counted(holes.size, 'hole')} in the poses, the longest of {longest:.2f} s, taking "
+            f"{np.sum(holes):.1f} s ({100 * share:.0f} % of the flight)",
             "damping and delay lose most: what happens right after a command is not seen; no prediction is scored "
             "across a hole of 1 s",
             "move or add cameras, or fly where the markers are seen throughout",
         )
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _holes(flight: Flight, start: float, end: float) -> Array:

@@ -16,6 +16,9 @@ SATURATED_SHARE = 0.1
 SATURATED_LEVELS = 5
 """Commands of no more distinct values than this are steps, whose largest value is not a limit."""
 
+SATURATED_EXCESS = 3.0
+"""How much oftener a limit is held than any value below it, but zero: with steps of many sizes each is held alike."""
+
 SLOW_FREQUENCY = 0.1
 """Frequency [Hz] above which some power must lie. The paper's sines are at 0.16 and 0.21 Hz, and with them the delay
 comes out with a standard error of 0.01 to 0.07 s; at half their frequency it is lost on simulated flights."""
@@ -83,9 +86,12 @@ def share_above(time: Array, values: Array, frequency: float) -> float:
 
 
 def saturated_share(command: Array) -> float:
-    """Share of samples at the largest magnitude, where that is held rather than touched; 0 for steps."""
-    top = np.abs(command) >= np.abs(command).max() * (1 - 1e-9)
-    return float(top.mean()) if np.unique(command).size > SATURATED_LEVELS else 0.0
+    """Share of samples at the largest magnitude, where that is a limit; 0 for steps."""
+    size = np.abs(command)
+    top = size >= size.max() * (1 - 1e-9)
+    below = np.unique(command[~top & (size > 0)], return_counts=True)[1]
+    steps = np.unique(command).size <= SATURATED_LEVELS or top.sum() < SATURATED_EXCESS * below.max(initial=0)
+    return 0.0 if steps else float(top.mean())
 
 
 def _saturated(axis: str, command: Array) -> Iterator[Finding]:

@@ -26,13 +26,18 @@ def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, .
         flight: What came of it.
     """
     motion = motion_from_flight(flight)
+    framed = tuple(frame_findings(card, flight, motion))
     found = [
         *_short(flight),
         *clock_findings(log, card, flight),
         *command_findings(card, flight),
         *pose_findings(flight, motion),
-        *motion_findings(flight, motion),
-        *frame_findings(card, flight, motion),
+        *(
+            finding
+            for finding in motion_findings(flight, motion)
+            if not (framed and finding.code == "wind_dominates" and finding.axis in ("x", "y"))  # the frame says why
+        ),
+        *framed,
     ]
     return by_gravity(replace(finding, evidence=f"{flight.path}: {finding.evidence}") for finding in found)
 

@@ -1,9 +1,9 @@
 """In which direction the vehicle moves when it is told to: exchanged axes, wrong frames, a yaw that is off or mirrored.
 
-A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y) - b V + c in the
-world. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more names the wrong frame,
-the directions of c_x and c_y a wrong zero of yaw or exchanged axes. Directions need no delay and hardly suffer from
-feedback, so this is safe to say before any fit.
+A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y + c - B v) in the
+world, B diagonal. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more names the
+wrong frame, or yaw in another unit; the directions of c_x and c_y name a wrong zero of yaw or exchanged axes.
+Directions hardly suffer from feedback, and a delay of any size is allowed for, so this is safe to say before any fit.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from rotorfit.card import Card
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight
-from rotorfit.frames import UNIT_SCALE, Array
+from rotorfit.frames import UNIT_SCALE, Array, Mask
 from rotorfit.motion_checks import LAGS, lagged_command
 from rotorfit.regression import Motion
 
@@ -36,6 +36,12 @@ LEAST_EXPLAINED = 0.3
 BETTER = 0.7
 """Share of the residual variance, against the card's frame, that another frame must leave at most."""
 
+STRAIGHT = 0.85
+"""The same for directions that are off, against directions as they should be. When x and y are commanded by sine and
+cosine, as the paper does, a turned direction is nearly a delay: there standard errors alone are no proof."""
+
+DEGREE = float(np.pi / 180)
+
 TURNING = np.radians(20.0)
 """Standard deviation of yaw from which on frames can be told apart: of less, a turned frame is a wrong zero of yaw."""
 
@@ -53,15 +59,17 @@ class Directions:
 
     Attributes:
         turns: k: how many times the measured yaw turns the command.
+        straight: Residual sum of squares with the directions held where they should be.
         explained: Share of the variance of the acceleration.
         left: Residual sum of squares [m^2/s^4].
         angle: Direction of the effect of `x` and of `y`, from where it should be, in (-pi, pi] [rad]; only those told.
         stderr: Standard error of each [rad].
     """
 
-    turns: int
+    turns: float
     explained: float
     left: float
+    straight: float
     angle: dict[str, float]
     stderr: dict[str, float]
 
@@ -80,10 +88,8 @@ def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Findi
     thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
     part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
     own = directions(flight, part, moved, 1)
-    if float(np.std(part.yaw)) > TURNING:
-        others = [
-            directions(flight, part, moved, turns) for turns in ((2, 0) if card.command_frame == "world" else (0, -1))
-        ]
+    others = [directions(flight, part, moved, turns) for turns in _other_turns(card, float(np.std(part.yaw)))]
+    if others:
         best = min(others, key=lambda other: other.left)
         if best.left < BETTER * own.left and best.explained > LEAST_EXPLAINED and best.angle:
             yield _other_frame(card, own, best)
@@ -92,7 +98,15 @@ def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Findi
         yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
 
 
-def directions(flight: Flight, motion: Motion, moved: list[str], turns: int) -> Directions:
+def _other_turns(card: Card, turning: float) -> list[float]:
+    """What k may be if the card is wrong; none where the vehicle turned too little to tell."""
+    yaw = card.pose.get("yaw")
+    others = [(2.0, 0.0), (0.0, -1.0)][card.command_frame == "heading"] if turning > TURNING else ()
+    units = {None: [DEGREE], "rad": [DEGREE], "deg": [1 / DEGREE]}[yaw.unit] if yaw and card.frame == "ENU" else []
+    return [*others, *(unit for unit in units if turning * unit > TURNING)]
+
+
+def directions(flight: Flight, motion: Motion, moved: list[str], turns: float) -> Directions:
     """Fits the effect of the horizontal commands in the frame that yaw has turned so many times.
 
     Args:
@@ -104,26 +118,32 @@ def directions(flight: Flight, motion: Motion, moved: list[str], turns: int) -> 
     back = np.exp(-1j * turns * motion.yaw)
     target = (motion.acceleration[:, 0] + 1j * motion.acceleration[:, 1]) * back
     velocity = (motion.velocity[:, 0] + 1j * motion.velocity[:, 1]) * np.exp(1j * motion.yaw) * back
-    columns = ["xy".index(axis) for axis in moved]
-    best: tuple[float, Array] | None = None
+    columns, ones = ["xy".index(axis) for axis in moved], np.ones(len(velocity))
+    due = {"x": 1.0 + 0j, "y": 1j}
+    left, straight, design = np.inf, np.inf, np.zeros((0, 0))
     for lag in LAGS:
-        command = lagged_command(flight, motion.time, float(lag))[:, columns]
-        design = np.column_stack([command, velocity, np.ones(len(velocity))])
-        left = _left(design, target)
-        if best is None or left < best[0]:
-            best = left, design
-    assert best is not None
-    left, design = best
-    effect, spread = _jackknife(design, target, len(moved))
+        ahead = lagged_command(flight, motion.time, float(lag))[:, columns] * [due[axis] for axis in moved]
+        rest = [velocity.real + 0j, 1j * velocity.imag, ones, 1j * ones]
+        free = _real(np.column_stack([ahead, 1j * ahead, *rest]))
+        held = _real(np.column_stack([ahead, *rest]))
+        if (remains := _left(free, _real(target))) < left:
+            left, design = remains, free
+        straight = min(straight, _left(held, _real(target)))
+    effect, spread = _jackknife(design, _real(target), len(moved))
     told = [i for i in range(len(moved)) if abs(effect[i]) > TOLD * spread[i]]
-    due = {"x": 1.0, "y": 1j}
     return Directions(
         turns=turns,
         explained=1 - left / float(np.sum(np.abs(target - target.mean()) ** 2)),
         left=left,
-        angle={moved[i]: float(np.angle(effect[i] / due[moved[i]])) for i in told},
+        straight=straight,
+        angle={moved[i]: float(np.angle(effect[i])) for i in told},
         stderr={moved[i]: float(spread[i] / abs(effect[i])) for i in told},
     )
+
+
+def _real(rows: Complex) -> Array:
+    """Complex rows as twice as many real ones: the dampings of x and y are real, each along its own axis."""
+    return np.concatenate([rows.real, rows.imag])
 
 
 def _left(design: Array, target: Array) -> float:
@@ -132,15 +152,17 @@ def _left(design: Array, target: Array) -> float:
 
 
 def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array]:
-    """The first complex coefficients and their standard errors, each stretch of the flight left out in turn.
+    """Effects of the commands, along (real) and across, and their standard errors: each stretch left out in turn.
 
     Stretches, because residuals are coloured by wind and by the windows of the derivatives.
     """
-    whole = np.linalg.lstsq(design, target, rcond=None)[0][:count]
-    block = np.arange(len(target)) * BLOCKS // len(target)
-    parts = np.array(
-        [np.linalg.lstsq(design[block != b], target[block != b], rcond=None)[0][:count] for b in range(BLOCKS)]
-    )
+
+    def effects(rows: Mask) -> Complex:
+        solution = np.linalg.lstsq(design[rows], target[rows], rcond=None)[0]
+        return np.asarray(solution[:count] + 1j * solution[count : 2 * count])
+
+    block = np.tile(np.arange(len(target) // 2) * BLOCKS // (len(target) // 2), 2)
+    whole, parts = effects(block >= 0), np.array([effects(block != b) for b in range(BLOCKS)])
     variance: Array = (BLOCKS - 1) / BLOCKS * np.sum(np.abs(parts - parts.mean(axis=0)) ** 2, axis=0)
     return np.asarray(whole), np.sqrt(np.maximum(variance, 1e-24))
 
@@ -163,6 +185,15 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
             if counted
             else "x and y of the pose are exchanged or one of them is turned: make [pose] of the card right-handed",
         )
+    if best.turns in (DEGREE, 1 / DEGREE):
+        unit = "deg" if best.turns == DEGREE else "rad"
+        return Finding(
+            "unit_mistake",
+            "error",
+            told.format(f"with yaw in {unit}"),
+            effect,
+            f'give yaw in [pose] of the card unit = "{unit}"',
+        )
     world = card.command_frame == "world"
     return Finding(
         "command_frame",
@@ -176,7 +207,7 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
 def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator[Finding]:
     """The frame is right or cannot be told; directions may be off by a constant angle."""
     off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, TOLD * own.stderr[axis])}
-    if not off:
+    if not off or own.left > STRAIGHT * own.straight:
         return
     both = len(own.angle) == 2
     apart = abs(_wrapped(own.angle["y"] - own.angle["x"])) if both else 0.0

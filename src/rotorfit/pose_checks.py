@@ -26,6 +26,9 @@ RETURN = 1.0
 FASTEST, HARDEST = 30.0, 25.0
 """Speed [m/s] and acceleration [m/s^2], root mean squares over a flight, that no multirotor keeps."""
 
+FASTEST_TURN = 6.0
+"""Turn rate, root mean square over a flight, that no multirotor keeps [rad/s]: commercial ones end at 1.7 to 5."""
+
 SMALLEST = 0.02
 """Travel [m], over all of x, y and z, that no flight with commands on them stays within: a hover drifts more."""
 
@@ -40,6 +43,7 @@ def pose_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
     yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0])
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1])
     yield from _unit_of_position(flight, motion)
+    yield from _unit_of_yaw(motion)
 
 
 def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array, Array]:
@@ -99,6 +103,19 @@ def _undone(when: Array, by: Array) -> int:
                 used |= {i, j}
                 count += 1
     return count
+
+
+def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
+    rate = float(np.sqrt(np.mean(motion.velocity[:, 3] ** 2))) if len(motion.time) else 0.0
+    if rate > FASTEST_TURN:
+        yield Finding(
+            "unit_mistake",
+            "error",
+            f"the vehicle turns with {rate:.3g} rad/s (RMS); no multirotor keeps more than {FASTEST_TURN:g} rad/s",
+            "input gain of yaw is too large by the ratio of the units, and x and y are resolved in a wrong heading",
+            'give yaw in [pose] of the card unit = "deg"',
+            "yaw",
+        )
 
 
 def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
