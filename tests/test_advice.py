@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache, partial
 
-import numpy as np
 import pytest
 
 from flights import flown, muddled, steps

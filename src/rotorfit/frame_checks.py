@@ -15,17 +15,20 @@ import numpy.typing as npt
 from rotorfit.card import Card
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight
-from rotorfit.frames import UNIT_SCALE, Array, Mask
+from rotorfit.frames import UNIT_SCALE, Array
 from rotorfit.motion_checks import LAGS, lagged_command
 from rotorfit.regression import Motion
 
 Complex = npt.NDArray[np.complex128]
 
-RATE = 20.0
-"""Poses a second that are looked at."""
+RATE = 10.0
+"""Poses a second that are looked at: the windows that differentiate them are half a second long."""
 
 BLOCKS = 10
 """Stretches of the flight of which each is left out in turn, for the standard errors."""
+
+LEAST_POSES = 100
+"""Poses under commands below which nothing is said of directions: ten a stretch."""
 
 TOLD = 5.0
 """Standard errors from zero from which on a command's effect has a direction."""
@@ -83,7 +86,7 @@ def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Findi
         motion: Velocity and acceleration by differentiated poses.
     """
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
-    if not moved or len(motion.time) < 20 * BLOCKS:
+    if not moved or len(motion.time) < LEAST_POSES:
         return
     thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
     part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
@@ -147,24 +150,33 @@ def _real(rows: Complex) -> Array:
 
 
 def _left(design: Array, target: Array) -> float:
-    solution = np.linalg.lstsq(design, target, rcond=None)[0]
-    return float(np.sum(np.abs(target - design @ solution) ** 2))
+    """Residual sum of squares, from the last corner of the triangle of both together."""
+    return float(_triangle(np.column_stack([design, target]))[-1, -1] ** 2)
+
+
+def _triangle(rows: Array) -> Array:
+    """R of the QR factorisation: all that least squares need of the rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array]:
     """Effects of the commands, along (real) and across, and their standard errors: each stretch left out in turn.
 
-    Stretches, because residuals are coloured by wind and by the windows of the derivatives.
+    Stretches, because residuals are coloured by wind and by the windows of the derivatives. Each is first reduced to
+    its triangle.
     """
+    rows = np.column_stack([design, target])
+    block = np.tile(np.arange(len(rows) // 2) * BLOCKS // (len(rows) // 2), 2)
+    triangles = [_triangle(rows[block == b]) for b in range(BLOCKS)]
 
-    def effects(rows: Mask) -> Complex:
-        solution = np.linalg.lstsq(design[rows], target[rows], rcond=None)[0]
+    def effects(parts: list[Array]) -> Complex:
+        stacked = np.concatenate(parts)
+        solution = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=None)[0]
         return np.asarray(solution[:count] + 1j * solution[count : 2 * count])
 
-    block = np.tile(np.arange(len(target) // 2) * BLOCKS // (len(target) // 2), 2)
-    whole, parts = effects(block >= 0), np.array([effects(block != b) for b in range(BLOCKS)])
+    parts = np.array([effects(triangles[:b] + triangles[b + 1 :]) for b in range(BLOCKS)])
     variance: Array = (BLOCKS - 1) / BLOCKS * np.sum(np.abs(parts - parts.mean(axis=0)) ** 2, axis=0)
-    return np.asarray(whole), np.sqrt(np.maximum(variance, 1e-24))
+    return effects(triangles), np.sqrt(np.maximum(variance, 1e-24))
 
 
 def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
