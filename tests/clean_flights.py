@@ -6,7 +6,7 @@ import numpy as np
 
 from flights import CARD, steps
 from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import AXES, Array
+from rotorfit.frames import AXES
 from rotorfit.log import Log
 from rotorfit.simulator import (
     GAMMA_A,
@@ -55,12 +55,3 @@ def clean_flights(seeds: range) -> Iterator[tuple[int, bool, Log, Flight]]:
         )
         log = as_log(simulated)
         yield seed, closed, log, flight_from_log(log, CARD)
-
-
-def told(counts: dict[str, list[int]], seed: int, codes: set[str]) -> None:
-    """Adds the seed to each code."""
-    for code in codes:
-        counts.setdefault(code, []).append(seed)
-
-
-__all__ = ["Array", "clean_flights", "told"]
