@@ -200,6 +200,16 @@ def test_what_the_fit_says_better_is_not_repeated_and_what_only_the_flight_says_
     assert told == (stale,)
 
 
+def test_excitation_that_a_flight_doubts_is_not_doubted_where_the_fit_knows_the_axis_well() -> None:
+    wind = Finding("wind_dominates", "warning", "1", "2", "3", "z")
+
+    assert findings_of_fit(well(), (wind,)) == ()
+    weak = changed(well(), stderr=dict.fromkeys(("input", "damping", "delay"), 9.0))
+    assert wind in findings_of_fit(weak, (wind,))
+    unknown = changed(well(), status={"input": "ok", "damping": "not_identifiable", "delay": "ok"})
+    assert wind in findings_of_fit(unknown, (wind,))
+
+
 def test_where_the_frame_is_wrong_the_sign_of_a_gain_is_not_told() -> None:
     flight = flown(NO_STALE, steps(("x",), seed=2), 40.0, 2)
     backwards = fit([replace(flight, command=-flight.command)], axes=("x",))

@@ -74,3 +74,13 @@ def test_under_no_change_the_test_is_passed_as_often_as_its_level_says() -> None
 
     assert 1.2 < np.mean(squares) < 6.0
     assert max(squares) < 21.1  # the point of level 1e-4
+
+
+def test_x_and_y_of_a_vehicle_that_turns_are_tested_together() -> None:
+    turning = flown(TRUTH, steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.4), seed=4), 40.0, 4)
+    changed = replace(turning, command=turning.command.copy())
+    changed.command[changed.command_time > 20, 0] /= 1.3
+
+    for one, expected in ((turning, []), (changed, ["x"])):
+        result = fit([one], axes=("x", "y"))
+        assert [finding.axis for axis in ("x", "y") for finding in changed_coefficients(result, axis)] == expected

@@ -25,8 +25,11 @@ the noise. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20
 WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
 """Findings of a flight under which the sign of the gain of x or y says nothing of its own."""
 
-SETTLED_BY_FIT = ("short_data", "slow_commands")
-"""Findings of single flights that the fit of all of them says better, or takes back."""
+SAID_BETTER = ("short_data", "slow_commands")
+"""Findings of single flights that the fit of all of them says itself, or takes back."""
+
+ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
+"""Findings of single flights that do not matter where all coefficients of the axis came out well."""
 
 LIKELIHOOD_DOUBT = 2.0
 """Log-likelihood by which a disbelieved optimum must stand above the chosen one to be a finding."""
@@ -39,7 +42,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         fit: The fit with its flights.
         before: What the flights told of themselves; what the fit knows better is left out.
     """
-    found: list[Finding] = [finding for finding in before if finding.code not in SETTLED_BY_FIT]
+    found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
@@ -57,6 +60,19 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += changed_coefficients(fit, name)
         found += _paper_findings(fit, k)
     return by_gravity(found)
+
+
+def _settled(finding: Finding, fit: Fit) -> bool:
+    """Whether the fit knows better than a flight alone."""
+    if finding.code not in ABOUT_EXCITATION or finding.axis is None:
+        return finding.code in SAID_BETTER
+    axis = fit.model.axes[finding.axis]
+    return all(status == "ok" for status in axis.status.values()) and not _weak(axis)
+
+
+def _weak(axis: Axis) -> bool:
+    error = axis.stderr.get("input")
+    return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
 
 
 def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
@@ -195,7 +211,7 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
 
 def _excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
     error = axis.stderr["input"]
-    if axis.input and error and error > WEAK_GAIN * abs(axis.input):
+    if axis.input and error and _weak(axis):
         yield Finding(
             "weak_excitation",
             "warning",

@@ -71,7 +71,7 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         axis: Which.
     """
     estimate = fit.estimates.get(axis)
-    if estimate is None or len(estimate.records[0].axes) > 1 or fit.model.axes[axis].predictor is None:
+    if estimate is None or fit.model.axes[axis].predictor is None:
         return
     serving = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if axis in s.axes]
     found = constancy(serving, estimate, axis)
@@ -104,7 +104,7 @@ def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Const
 
     Args:
         flights: Those that move the axis.
-        estimate: Of the axis alone, not of x with y.
+        estimate: Of the axis, alone or x with y.
         axis: Which.
 
     Returns:
@@ -156,20 +156,19 @@ def _between(flight: Flight, low: float, high: float) -> Flight:
 
 def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
     """The coefficients of a part; None where it is too short or does not tell them."""
-    rec = record(flight, (axis,))
-    if rec is None or not np.any(np.diff(rec.command[:, 0])):
+    axes, k, whole = estimate.records[0].axes, estimate.place, estimate.optimum.point
+    rec, K = record(flight, axes), len(axes)
+    if rec is None or not np.any(np.diff(rec.command[:, axes.index(axis)])):
         return None
-    k, whole = estimate.place, estimate.optimum.point
     point = replace(
-        start_point([rec], 0.0, 1.0, whole.levels[k : k + 1]),
-        gain=whole.gain[k : k + 1],
-        log_damping=whole.log_damping[k : k + 1],
-        delay=whole.delay[k : k + 1],
+        start_point([rec], 0.0, 1.0, whole.levels), gain=whole.gain, log_damping=whole.log_damping, delay=whole.delay
     )
     free = np.arange(point.flat().size) < point.n
+    free[: 3 * K] = estimate.optimum.free[: 3 * K]
     optimum = maximise([rec], point, free)
-    theta = optimum.point.flat()[:3]
-    variance = inverted(optimum.score.information, optimum.free)[:3, :3]
+    at = [k, K + k, 2 * K + k]
+    theta = optimum.point.flat()[at]
+    variance = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
     told = np.log(DAMPINGS[0]) < theta[1] < np.log(DAMPINGS[1]) and np.all(np.diag(variance) > 0)
     known = np.sqrt(variance[0, 0]) < 0.5 * abs(theta[0]) and np.sqrt(variance[1, 1]) < 1.0
     return Part(*flight.span, theta, variance) if told and known else None

@@ -85,7 +85,7 @@ def fit_logs(
     for log in logs:
         raw, applied, flight = _flown(log, chosen)
         flights.append(flight)
-        before += findings_of_flight(raw, applied, flight)
+        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
     result = with_delay_profiles(fit(flights, method, axes, progress))
     return replace(result, model=with_findings(result.model, findings_of_fit(result, before)))
 
