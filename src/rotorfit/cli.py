@@ -129,7 +129,7 @@ def demo(directory: Path, as_json: bool) -> None:
 def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
     """Show what is inside logs.
 
-    Tables, columns, rates, gaps; which card fits; stale frames, clocks and the excitation of each axis.
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
     """
     from dataclasses import asdict
 

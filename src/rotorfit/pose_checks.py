@@ -84,7 +84,7 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
         "pose_jumps",
         "warning",
         f"the {what} leaps {len(when)} times beside its neighbouring motion, by up to {size}, the first time at "
-        f"{when[0]:.2f} s; {back} leaps come back within {RETURN:g} s, {stay} stay",
+        f"{when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
         f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
         "data biased",
         "check the rigid body's markers for swaps and reflections; leave the stretch out by --span",
