@@ -85,12 +85,13 @@ def test_a_dozen_clean_flights_of_many_vehicles_raise_nothing_before_the_fit() -
     assert {seed: [f.code for f in each] for seed, each in found.items() if each} == {}
 
 
-@pytest.mark.slow  # 200 flights with their fits: about ten minutes on one core
+@pytest.mark.slow  # 200 flights with their fits: 15 minutes on a machine with a load of 12, some 5 on an idle core
 def test_each_finding_is_a_false_alarm_on_less_than_one_in_a_hundred_clean_flights() -> None:
     counts: dict[str, int] = {}
     for _seed, closed, log, flight in clean_flights(range(200)):
         findings = findings_of_fit(fit([flight]), findings_of_flight(log, DEMO_CARD, flight))
-        for code in {finding.code for finding in findings} - ({"feedback"} if closed else set()):
+        true = {"feedback", "paper_damping_negative"} if closed else set()  # the second speaks of another method
+        for code in {finding.code for finding in findings} - true:
             counts[code] = counts.get(code, 0) + 1
 
     assert {code: count for code, count in counts.items() if count >= 2} == {}
