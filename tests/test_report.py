@@ -317,6 +317,8 @@ def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.
         (None, (ERROR,), "red"),
         (0.05, (replace(WARNING, axis="x"),), "yellow"),
         (0.05, (WARNING,), "green"),
+        (0.05, (replace(ERROR, axis=None),), "red"),
+        (0.05, (replace(WARNING, axis=None),), "yellow"),
     ],
 )
 def test_the_light_follows_from_the_gain_over_holding_and_from_findings(

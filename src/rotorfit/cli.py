@@ -129,19 +129,19 @@ def demo(directory: Path, as_json: bool) -> None:
 def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
     """Show what is inside logs.
 
-    Tables, columns, rates, gaps; which card fits; stale frames, clocks and the excitation of each axis.
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
     """
     from dataclasses import asdict
 
     from rotorfit.draft import write_draft
     from rotorfit.sources import read
-    from rotorfit.survey import survey_logs
+    from rotorfit.survey import survey_draft, survey_logs
 
     if draft and len(logs) > 1:
         raise click.UsageError("--draft-card drafts for one log: give one")
-    surveys = survey_logs(logs, card)
     if draft:
         write_draft(read(logs[0]), draft)
+    surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
     from rotorfit.terminal import show, survey_view

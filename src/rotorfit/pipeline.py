@@ -9,13 +9,15 @@ import numpy as np
 
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
+from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
-from rotorfit.finding import by_gravity
+from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
+from rotorfit.log import Log
 from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
@@ -64,8 +66,14 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
+    return _flown(log, chosen)[2]
+
+
+def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
+    """A log, the card that was applied, and what came of them."""
     raw = read(log.path)
-    return flight_from_log(raw, chosen or card_that_fits(raw), log.span)
+    card = card or card_that_fits(raw)
+    return raw, card, flight_from_log(raw, card, log.span)
 
 
 def fit_logs(
@@ -76,9 +84,15 @@ def fit_logs(
     progress: Progress | None = None,
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed."""
-    flights = [load_flight(log, card) for log in logs]
+    chosen = load_card(card) if isinstance(card, str) else card
+    flights: list[Flight] = []
+    before: list[Finding] = []
+    for log in logs:
+        raw, applied, flight = _flown(log, chosen)
+        flights.append(flight)
+        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
     result = with_delay_profiles(fit(flights, method, axes, progress))
-    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(result.model)))
+    findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
 

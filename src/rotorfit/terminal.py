@@ -17,7 +17,6 @@ from rotorfit.model import COEFFICIENTS, Axis, Interval, Mode, Model
 from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.proof import leave_one_out_view, paired_view, residuals_view
 from rotorfit.summary import summary_of_model
-from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
 from rotorfit.tables import View
 from rotorfit.tables import bullets as _list
 from rotorfit.tables import finding_view as _finding_view
@@ -30,6 +29,7 @@ if TYPE_CHECKING:  # they bring numba, which the lists of cards and formats need
     from rotorfit.demo import Demo
     from rotorfit.leave_one_out import LeaveOneOut
     from rotorfit.pipeline import Comparison
+    from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
     from rotorfit.validation import FlightScores, Validation
 
 _UNITS = {
@@ -70,7 +70,7 @@ def show(view: Iterable[RenderableType]) -> None:
         click.echo("\n".join(line.rstrip() for line in captured.get().split("\n")), nl=False)
 
 
-def survey_view(survey: Survey) -> View:
+def survey_view(survey: "Survey") -> View:
     """What is in a log, which cards fit, and what the flight is like."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield _title(f"{survey.path}: {survey.format}, {tables}")
@@ -84,11 +84,14 @@ def survey_view(survey: Survey) -> View:
         yield ""
         yield _title(f"Flight by the card {survey.card}")
         yield from _flight_view(survey.flight)
+        for finding in survey.flight.findings:
+            yield ""
+            yield from _finding_view(finding)
     if survey.problem:
         yield _indented(f"No flight: {survey.problem}", 2, "yellow")
 
 
-def _table_line(table: TableSurvey) -> str:
+def _table_line(table: "TableSurvey") -> str:
     if table.rate is None:
         return f"{table.name}: {table.count} samples, no clock recognised"
     return f"{table.name}: {_rate(table.rate)}, by {table.time}"
@@ -112,7 +115,7 @@ def _rate(rate: Rate) -> str:
     )
 
 
-def _flight_view(flight: FlightSurvey) -> View:
+def _flight_view(flight: "FlightSurvey") -> View:
     parts = [f"{start:.2f} to {end:.2f}" for start, end in flight.segments]
     shown = ", ".join([*parts[:6], *(["..."] if len(parts) > 6 else [])])
     clocks = flight.clocks
@@ -138,7 +141,7 @@ def _later(offset: float) -> str:
     return f"{abs(offset):.3f} s {'after' if offset >= 0 else 'before'}"
 
 
-def _excitation_table(axes: Iterable[Excitation]) -> RenderableType:
+def _excitation_table(axes: "Iterable[Excitation]") -> RenderableType:
     table = _table("command", "not 0", "RMS", "lowest", "highest", "levels", "at ends", "95 % below")
     for axis in axes:
         table.add_row(
