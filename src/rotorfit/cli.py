@@ -156,7 +156,12 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @main.command()
 @_logs
 @_card("the one that fits")
-@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
+@click.option(
+    "--method",
+    type=click.Choice(["ml", "paper", "svf", "weak", "iv", "oe"]),
+    default="ml",
+    help="The likelihood (default), the paper's, or a rung between them.",
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")

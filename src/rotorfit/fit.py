@@ -1,4 +1,4 @@
-"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or by the paper's method."""
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or another rung of the ladder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,11 +8,13 @@ import numpy as np
 
 from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
-from rotorfit.estimate import Estimate, alone, coupled, free_of, together
+from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
+from rotorfit.filtered import svf, weak
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import START_LEVELS, inverted
-from rotorfit.maximum import Optimum, maximise
+from rotorfit.instrument import COMMAND, iv
+from rotorfit.likelihood import inverted
+from rotorfit.maximum import Optimum
 from rotorfit.model import (
     COEFFICIENTS,
     STRUCTURE,
@@ -25,12 +27,18 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
+from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, trim_variance
+from rotorfit.output_error import oe
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
+from rotorfit.rung import axis_of_rung
+from rotorfit.settle import settled
 
-Method = Literal["ml", "paper"]
+Method = Literal["ml", "paper", "svf", "weak", "iv", "oe"]
+RUNGS = {"svf": svf, "weak": weak, "iv": iv, "oe": oe}
+"""The estimators between the paper's and the likelihood."""
+
 Progress = Callable[[float, str], None]
 Blocks = dict[tuple[str, ...], Array]
 
@@ -64,13 +72,15 @@ class Fit:
         model: Coefficients, intervals, statuses.
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
-        estimates: Axis name to the maximum of its likelihood; none for the paper's method.
+        estimates: Axis name to the maximum of its likelihood; none for other methods.
+        remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
     """
 
     model: Model
     flights: tuple[Flight, ...]
     paper: PaperFit
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
 
 def fit(
@@ -80,7 +90,7 @@ def fit(
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
-        method: `ml`, the likelihood, or `paper`, the regression of the paper.
+        method: `ml`, the likelihood; `paper`, the regression of the paper; or a rung between: `svf`, `weak`, `iv`, `oe`.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
 
@@ -101,6 +111,7 @@ def fit(
     results: dict[str, Axis] = {}
     covariances: Blocks = {}
     estimates: dict[str, Estimate] = {}
+    remarks: dict[str, str] = {}
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
@@ -108,8 +119,11 @@ def fit(
             estimated = _estimate_group(flights, group)
             found, covariance = _group_axes(flights, group, estimated)
             estimates |= estimated
-        else:
+        elif method == "paper":
             found, covariance = _paper_group(flights, group, paper)
+        else:
+            found, covariance, said = _rung_group(flights, group, method)
+            remarks |= said
         results |= {axis: found[axis] for axis in group if axis in wanted}
         covariances |= covariance
     report(1.0, "done")
@@ -127,7 +141,8 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted})
+    estimates = {axis: e for axis, e in estimates.items() if axis in wanted}
+    return Fit(model, tuple(flights), paper, estimates, {axis: r for axis, r in remarks.items() if axis in wanted})
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -404,19 +419,63 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
             ci95={**ends, "delay": (None, None)},
             status={"input": "ok", "damping": "ok", "delay": "not_identifiable"},
             trim=(None,) * len(flights),
-            noise=_levels_at(flights, axis, value["input"], value["damping"]),
             predictor=Predictor(value["input"], value["damping"], 0.0),
         )
         covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-    return results, covariance
+    return _with_levels(flights, results), covariance
 
 
-def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float) -> dict[str, float]:
-    """Disturbance levels of an axis at given coefficients without delay; a damping below the range is its end."""
-    records = [rec for f in flights if _moves(f, axis) and (rec := record(f, (axis,)))]
-    start = replace(
-        start_point(records, 0.0, 1.0, START_LEVELS[None]),
-        gain=np.array([gain]),
-        log_damping=np.log([max(damping, 1e-3)]),
-    )
-    return _noise(maximise(records, start, free_of(records, [False])), 0)
+def _rung_group(
+    flights: Sequence[Flight], group: Sequence[str], method: str
+) -> tuple[dict[str, Axis], Blocks, dict[str, str]]:
+    """Axes by a rung, with the disturbance levels that prediction needs, and what the rung says of its numbers."""
+    serving = [f for f in flights if any(_moves(f, axis) for axis in group)]
+    rung = RUNGS[method](serving, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
+    told = {axis: axis_of_rung(rung, axis) for axis in group}
+    places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
+    results = {
+        axis: replace(known, trim=_trims(rung.trim[:, rung.axes.index(axis)], places)) if known.predictor else known
+        for axis, (known, _) in told.items()
+    }
+    results = _with_levels(serving, results)
+    remarks = {axis: "; ".join(part for part in (reason, rung.remark.get(axis, "")) if part)
+               for axis, (_, reason) in told.items()}  # fmt: skip
+    if method == "iv":
+        for axis in _answering(serving, results, [axis for axis in group if COMMAND in remarks[axis]]):
+            remarks[axis] += f"; {NOT_VALID}"
+    known = [axis for axis in group if results[axis].predictor]
+    K, at = len(rung.axes), [rung.axes.index(axis) for axis in known]
+    index = [offset + k for k in at for offset in (0, K, 2 * K)]
+    names = tuple(f"{axis}.{name}" for axis in known for name in COEFFICIENTS)
+    blocks = {names: rung.covariance[np.ix_(index, index)]} if known else {}
+    return results, blocks, {axis: remark for axis, remark in remarks.items() if remark}
+
+
+NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
+"""What is said of an instrument made from commands that a feedback loop gave."""
+
+
+def _trims(trim: Array, places: Sequence[int | None]) -> tuple[float | None, ...]:
+    return tuple(None if place is None or not np.isfinite(trim[place]) else float(trim[place]) for place in places)
+
+
+def _with_levels(flights: Sequence[Flight], results: Mapping[str, Axis]) -> dict[str, Axis]:
+    """Axes of one group with the disturbance levels settled at their coefficients."""
+    out, points = dict(results), {axis: known.predictor for axis, known in results.items() if known.predictor}
+    serving = [f for f in flights if any(_moves(f, axis) for axis in points)]
+    for group, _, optimum in settled(serving, points):
+        for k, axis in enumerate(group):
+            if axis in points:
+                out[axis] = replace(out[axis], noise=_noise(optimum, k))
+    return out
+
+
+def _answering(flights: Sequence[Flight], results: Mapping[str, Axis], axes: Sequence[str]) -> list[str]:
+    """Those of the axes whose commands follow what the model did not foresee: the mark of a feedback loop."""
+    points = {axis: point for axis in axes if (point := results[axis].predictor)}
+    return [
+        axis
+        for group, records, optimum in settled(flights, points)
+        for k, axis in enumerate(group)
+        if axis in points and answers_motion(records, optimum, k)
+    ]

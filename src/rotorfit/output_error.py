@@ -1,0 +1,197 @@
+"""The rung `oe`: output error. Least squares on simulated positions over whole segments, residuals taken for white.
+
+It is what the likelihood is without its disturbance: no noise is in its regressors, so nothing biases it in an open
+loop; but wind makes positions drift for minutes, and it counts every sample of that drift as fresh evidence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.filtered import CUT_OFF, best_delay, coefficients, problem_of, unfit
+from rotorfit.equation import state_variable_filter
+from rotorfit.flight import Flight
+from rotorfit.frames import Array, Mask
+from rotorfit.likelihood import DAMPING_RANGE, START_LEVELS, Point, response, segments
+from rotorfit.modes import start_point
+from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record, record
+from rotorfit.rung import RungFit, without_numbers
+from rotorfit.sandwich import sandwich
+
+START_DELAYS = (0.05, 0.2, 0.4)
+"""Delays [s] from which it also starts, besides that of the state-variable filter: the sum has several minima."""
+
+ROUNDS = 60
+"""Steps after which a search that still gains has diverged."""
+
+GAINED = 1e-8
+"""Share of the sum of squares below which a step gains nothing more."""
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
+"""Levenberg's damping, in units of the diagonal: at the start, and where it stops falling and rising."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """The sum of squared position errors at a point, over the n coefficients, trims and start velocities.
+
+    Attributes:
+        total: Of all flights [unit^2]; poses that were averaged into a block count one by one.
+        gradient: Half of it, less, shape (n,).
+        information: J'J, shape (n, n).
+        scores: What each block adds to `gradient`, one of shape (B, n) a flight.
+    """
+
+    total: float
+    gradient: Array
+    information: Array
+    scores: tuple[Array, ...]
+
+
+def oe(flights: Sequence[Flight], axes: tuple[str, ...]) -> RungFit:
+    """Output error with delay, trim and start, by Gauss-Newton steps with the exact sensitivities.
+
+    Args:
+        flights: One or more flights of one vehicle and setting.
+        axes: `("z",)`, `("yaw",)` or `("x", "y")`.
+
+    Source: L. Ljung, System Identification, 2nd ed. 1999, sections 7.5 and 10.2; the covariance is the sandwich of
+    W. K. Newey, K. D. West, Econometrica 55 (1987), since the residuals are anything but white.
+    """
+    problem = problem_of(flights, axes, state_variable_filter((CUT_OFF,) * 3))
+    failed = unfit(problem)
+    if failed:
+        return without_numbers("oe", axes, len(flights), failed)
+    places = [j for j, flight in enumerate(flights) if record(flight, axes)]
+    records = [rec for flight in flights if (rec := record(flight, axes))]
+    active = np.isin(np.arange(len(axes)), problem.layout.active)
+    guess = best_delay(problem)
+    begun = start_point(records, START_DELAYS[1], 1.0, np.tile(START_LEVELS, (len(axes), 1)))
+    starts = [_at(begun, active, delay) for delay in START_DELAYS]
+    if guess is not None:
+        point = coefficients(problem, guess, problem.parts[0].flight)
+        low, high = DAMPING_RANGE
+        near = replace(begun, gain=point.gain, log_damping=np.log(np.clip(point.damping, 10 * low, high / 10)))
+        starts.append(_at(near, active, point.delay))
+    free = _free(begun, active)
+    ends = [end for start in starts if (end := _descended(records, start, free))]
+    if not ends:
+        reason = ("diverged", f"the sum of squares still fell after {ROUNDS} steps")
+        return without_numbers("oe", axes, len(flights), dict.fromkeys(axes, reason))
+    point, squares = min(ends, key=lambda end: end[1].total)
+    return _rung(records, point, squares, free, axes, active, places, len(flights))
+
+
+def _at(point: Point, active: Mask, delay: float | Array) -> Point:
+    """The point at a delay, with idle axes that only coast."""
+    still = np.log(DAMPING_RANGE[0])
+    return replace(
+        point,
+        gain=np.where(active, point.gain, 0.0),
+        log_damping=np.where(active, point.log_damping, still),
+        delay=np.where(active, delay, 0.0),
+    )
+
+
+def _free(point: Point, active: Mask) -> Mask:
+    """Which of the n parameters may move; the damping of an axis that nobody commands would be a fit to wind."""
+    return np.concatenate([np.tile(active, 3), np.ones(point.n - 3 * active.size, bool)])
+
+
+def squares_of(records: Sequence[Record], point: Point) -> Squares:
+    """The sum of squares, with the position at the start of each segment at its best."""
+    K, n, F = point.gain.size, point.n, len(records)
+    total, gradient, information, scores = 0.0, np.zeros(n), np.zeros((n, n)), []
+    for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
+        mean, sensitivity = response(rec, point, j, point.start[at])
+        B = rec.count.size
+        segment = np.cumsum(rec.fresh) - 1
+        J = np.zeros((B, n, K))
+        J[:, : 3 * K] = sensitivity[:, : 3 * K]
+        J[:, 3 * K + j * K : 3 * K + (j + 1) * K] = sensitivity[:, 3 * K : 4 * K]
+        for s in range(at.start, at.stop):
+            first, own = 3 * K + F * K + s * K, segment == s - at.start
+            J[own, first : first + K] = sensitivity[own, 4 * K :]
+        error = (rec.position - mean)[:, None, :]
+        both = np.concatenate([error, J], axis=1)
+        for s in range(at.stop - at.start):
+            own = segment == s
+            both[own] -= np.average(both[own], axis=0, weights=rec.count[own])
+        error, J = both[:, 0], both[:, 1:]
+        score = np.einsum("b,bnk,bk->bn", rec.count, J, error)
+        total += float(rec.count @ np.sum(error**2, axis=1))
+        gradient += score.sum(axis=0)
+        information += np.einsum("b,bnk,bmk->nm", rec.count, J, J, optimize=True)
+        scores.append(score)
+    return Squares(total, gradient, information, tuple(scores))
+
+
+def _descended(records: Sequence[Record], point: Point, free: Mask) -> tuple[Point, Squares] | None:
+    """The minimum below a start, inside the searched ranges, by Levenberg's steps; None where it is not reached."""
+    here, damping = squares_of(records, point), FIRST_DAMPING
+    low, high = (end[: point.n] for end in point.bounds())
+    for _ in range(ROUNDS):
+        value = point.flat()[: point.n]
+        stuck = ((value <= low) & (here.gradient < 0)) | ((value >= high) & (here.gradient > 0))
+        movable = np.flatnonzero(free & ~stuck & (np.diag(here.information) > 0))
+        block = here.information[np.ix_(movable, movable)]
+        while True:
+            step = np.zeros(point.flat().size)
+            size = np.diag(block)
+            step[movable] = np.linalg.solve(block + np.diag(damping * size), here.gradient[movable])
+            trial = point.moved(step)
+            there = squares_of(records, trial)
+            if there.total < here.total or damping >= MOST_DAMPING:
+                break
+            damping *= 10
+        gained = here.total - there.total if np.isfinite(there.total) else 0.0
+        if gained <= GAINED * here.total:
+            return (trial, there) if gained > 0 else (point, here)
+        point, here, damping = trial, there, max(damping / 10, LEAST_DAMPING)
+    return None
+
+
+def _rung(
+    records: Sequence[Record], point: Point, squares: Squares, free: Mask, axes: tuple[str, ...], active: Mask,
+    places: Sequence[int], flights: int,
+) -> RungFit:  # fmt: skip
+    """The minimum with its sandwich covariance; a coefficient at a bound has none of its own."""
+    K = len(axes)
+    low, high = (end[: point.n] for end in point.bounds())
+    value = point.flat()[: point.n]
+    used = free & (value > low) & (value < high) & (np.diag(squares.information) > 0)
+    parts = [(rec.block_time[own], score[own][:, used]) for rec, score in zip(records, squares.scores, strict=True)
+             for own in _segments(rec)]  # fmt: skip
+    found = sandwich([t for t, _ in parts], [g for _, g in parts], squares.information[np.ix_(used, used)], MEMORY)
+    if found is None:
+        reason = ("not_identifiable", "the sensitivities are dependent")
+        return without_numbers("oe", axes, flights, dict.fromkeys(axes, reason))
+    full = np.zeros((point.n, point.n))
+    full[np.ix_(used, used)] = found.covariance
+    scale = np.concatenate([np.ones(K), np.exp(point.log_damping), np.ones(K)])
+    covariance = full[: 3 * K, : 3 * K] * np.outer(scale, scale)
+    trim = np.zeros((flights, K))
+    trim[list(places)] = point.trim
+    nothing = np.where(active, 0.0, np.nan)
+    idle = ("not_excited", "the command is zero wherever it could be used")
+    failed = {axis: idle for axis, moves in zip(axes, active, strict=True) if not moves}
+    for k, axis in enumerate(axes):
+        if active[k] and not used[[k, K + k]].all():
+            failed[axis] = ("diverged", f"the damping ended at {np.exp(point.log_damping[k]):.3g} 1/s, the end of its range")
+    for k in range(K):  # at the end of its range the delay has no spread of its own: that of the range
+        covariance[2 * K + k, 2 * K + k] = covariance[2 * K + k, 2 * K + k] or np.ptp(DELAY_RANGE) ** 2 / 12
+    return RungFit(
+        "oe", axes, point.gain + nothing, np.exp(point.log_damping) + nothing, point.delay + nothing, trim, covariance,
+        found.quantile, failed,
+    )  # fmt: skip
+
+
+MEMORY = 15 / BLOCK_RATE
+"""Shortest reach of the autocorrelation of the residuals [s]."""
+
+
+def _segments(rec: Record) -> list[Mask]:
+    """Which blocks belong to each segment."""
+    number = np.cumsum(rec.fresh) - 1
+    return [number == s for s in range(int(number[-1]) + 1)]
