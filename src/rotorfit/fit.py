@@ -1,4 +1,4 @@
-"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or another rung of the ladder."""
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or a lower rung."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,13 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
-from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
-from rotorfit.filtered import svf, weak
+from rotorfit.estimate import Estimate, alone, coupled, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.instrument import COMMAND, iv
 from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum
 from rotorfit.model import (
@@ -27,18 +24,14 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, trim_variance
-from rotorfit.output_error import oe
+from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
-from rotorfit.rung import axis_of_rung
-from rotorfit.settle import settled
+from rotorfit.rungs import axes_by_rung
+from rotorfit.settle import noise_of, with_levels
 
 Method = Literal["ml", "paper", "svf", "weak", "iv", "oe"]
-RUNGS = {"svf": svf, "weak": weak, "iv": iv, "oe": oe}
-"""The estimators between the paper's and the likelihood."""
-
 Progress = Callable[[float, str], None]
 Blocks = dict[tuple[str, ...], Array]
 
@@ -90,7 +83,7 @@ def fit(
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
-        method: `ml`, the likelihood; `paper`, the regression of the paper; or a rung between: `svf`, `weak`, `iv`, `oe`.
+        method: `ml`, the likelihood; `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
 
@@ -219,20 +212,12 @@ def with_delay_profiles(fit: Fit) -> Fit:
     return replace(fit, model=replace(fit.model, axes=axes))
 
 
-def _noise(optimum: Optimum, k: int) -> dict[str, float]:
-    """Disturbance levels of an axis, by name."""
-    levels = np.exp(optimum.point.levels[k])
-    return {name: float(v) for name, v in zip(LEVELS, levels, strict=True)} | {
-        "trim_variance": float(trim_variance(optimum)[k])
-    }
-
-
 def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     """Everything that is said of one axis."""
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     nothing = replace(
         unknown_axis("not_excited" if not estimate.excited else "diverged"),
-        noise=_noise(optimum, k),
+        noise=noise_of(optimum, k),
         modes=_modes(estimate),
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
     )
@@ -422,60 +407,19 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
             predictor=Predictor(value["input"], value["damping"], 0.0),
         )
         covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-    return _with_levels(flights, results), covariance
+    serving = [f for f in flights if any(_moves(f, axis) for axis in results if results[axis].predictor)]
+    return with_levels(serving, results), covariance
 
 
 def _rung_group(
     flights: Sequence[Flight], group: Sequence[str], method: str
 ) -> tuple[dict[str, Axis], Blocks, dict[str, str]]:
-    """Axes by a rung, with the disturbance levels that prediction needs, and what the rung says of its numbers."""
+    """Axes by a rung between the paper and the likelihood, their covariance, and what it says of its numbers."""
     serving = [f for f in flights if any(_moves(f, axis) for axis in group)]
-    rung = RUNGS[method](serving, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
-    told = {axis: axis_of_rung(rung, axis) for axis in group}
+    found, covariance, remarks = axes_by_rung(serving, group, method)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
     results = {
-        axis: replace(known, trim=_trims(rung.trim[:, rung.axes.index(axis)], places)) if known.predictor else known
-        for axis, (known, _) in told.items()
+        axis: replace(known, trim=tuple(None if place is None else known.trim[place] for place in places))
+        for axis, known in found.items()
     }
-    results = _with_levels(serving, results)
-    remarks = {axis: "; ".join(part for part in (reason, rung.remark.get(axis, "")) if part)
-               for axis, (_, reason) in told.items()}  # fmt: skip
-    if method == "iv":
-        for axis in _answering(serving, results, [axis for axis in group if COMMAND in remarks[axis]]):
-            remarks[axis] += f"; {NOT_VALID}"
-    known = [axis for axis in group if results[axis].predictor]
-    K, at = len(rung.axes), [rung.axes.index(axis) for axis in known]
-    index = [offset + k for k in at for offset in (0, K, 2 * K)]
-    names = tuple(f"{axis}.{name}" for axis in known for name in COEFFICIENTS)
-    blocks = {names: rung.covariance[np.ix_(index, index)]} if known else {}
-    return results, blocks, {axis: remark for axis, remark in remarks.items() if remark}
-
-
-NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
-"""What is said of an instrument made from commands that a feedback loop gave."""
-
-
-def _trims(trim: Array, places: Sequence[int | None]) -> tuple[float | None, ...]:
-    return tuple(None if place is None or not np.isfinite(trim[place]) else float(trim[place]) for place in places)
-
-
-def _with_levels(flights: Sequence[Flight], results: Mapping[str, Axis]) -> dict[str, Axis]:
-    """Axes of one group with the disturbance levels settled at their coefficients."""
-    out, points = dict(results), {axis: known.predictor for axis, known in results.items() if known.predictor}
-    serving = [f for f in flights if any(_moves(f, axis) for axis in points)]
-    for group, _, optimum in settled(serving, points):
-        for k, axis in enumerate(group):
-            if axis in points:
-                out[axis] = replace(out[axis], noise=_noise(optimum, k))
-    return out
-
-
-def _answering(flights: Sequence[Flight], results: Mapping[str, Axis], axes: Sequence[str]) -> list[str]:
-    """Those of the axes whose commands follow what the model did not foresee: the mark of a feedback loop."""
-    points = {axis: point for axis in axes if (point := results[axis].predictor)}
-    return [
-        axis
-        for group, records, optimum in settled(flights, points)
-        for k, axis in enumerate(group)
-        if axis in points and answers_motion(records, optimum, k)
-    ]
+    return results, covariance, remarks

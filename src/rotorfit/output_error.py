@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.filtered import CUT_OFF, best_delay, coefficients, problem_of, unfit
+from rotorfit.delay import best_delay
 from rotorfit.equation import state_variable_filter
+from rotorfit.filtered import CUT_OFF
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask
 from rotorfit.likelihood import DAMPING_RANGE, START_LEVELS, Point, response, segments
 from rotorfit.modes import start_point
+from rotorfit.problem import coefficients, problem_of, unfit
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record, record
 from rotorfit.rung import RungFit, without_numbers
 from rotorfit.sandwich import sandwich
@@ -70,10 +72,10 @@ def oe(flights: Sequence[Flight], axes: tuple[str, ...]) -> RungFit:
     begun = start_point(records, START_DELAYS[1], 1.0, np.tile(START_LEVELS, (len(axes), 1)))
     starts = [_at(begun, active, delay) for delay in START_DELAYS]
     if guess is not None:
-        point = coefficients(problem, guess, problem.parts[0].flight)
+        by_filter = coefficients(problem, guess, problem.parts[0].flight)
         low, high = DAMPING_RANGE
-        near = replace(begun, gain=point.gain, log_damping=np.log(np.clip(point.damping, 10 * low, high / 10)))
-        starts.append(_at(near, active, point.delay))
+        near = replace(begun, gain=by_filter.gain, log_damping=np.log(np.clip(by_filter.damping, 10 * low, high / 10)))
+        starts.append(_at(near, active, by_filter.delay))
     free = _free(begun, active)
     ends = [end for start in starts if (end := _descended(records, start, free))]
     if not ends:
@@ -178,7 +180,10 @@ def _rung(
     failed = {axis: idle for axis, moves in zip(axes, active, strict=True) if not moves}
     for k, axis in enumerate(axes):
         if active[k] and not used[[k, K + k]].all():
-            failed[axis] = ("diverged", f"the damping ended at {np.exp(point.log_damping[k]):.3g} 1/s, the end of its range")
+            failed[axis] = (
+                "diverged",
+                f"the damping ended at {np.exp(point.log_damping[k]):.3g} 1/s, the end of its range",
+            )
     for k in range(K):  # at the end of its range the delay has no spread of its own: that of the range
         covariance[2 * K + k, 2 * K + k] = covariance[2 * K + k, 2 * K + k] or np.ptp(DELAY_RANGE) ** 2 / 12
     return RungFit(

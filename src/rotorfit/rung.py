@@ -66,9 +66,7 @@ class RungFit:
     remark: Mapping[str, str] = field(default_factory=dict)
 
 
-def without_numbers(
-    method: str, axes: tuple[str, ...], flights: int, failed: Mapping[str, tuple[str, str]]
-) -> RungFit:
+def without_numbers(method: str, axes: tuple[str, ...], flights: int, failed: Mapping[str, tuple[str, str]]) -> RungFit:
     """A rung that found nothing, and why, axis by axis."""
     K = len(axes)
     nothing = np.full(K, np.nan)
@@ -89,8 +87,8 @@ def axis_of_rung(rung: RungFit, axis: str) -> tuple[Axis, str]:
         axis: One of its axes.
     """
     if axis in rung.failed:
-        status, reason = rung.failed[axis]
-        return unknown_axis(status), reason
+        failure, reason = rung.failed[axis]
+        return unknown_axis(failure), reason
     k, K = rung.axes.index(axis), len(rung.axes)
     value = dict(zip(COEFFICIENTS, (float(rung.gain[k]), float(rung.damping[k]), float(rung.delay[k])), strict=True))
     variance = np.diag(rung.covariance)[[k, K + k, 2 * K + k]]
@@ -138,16 +136,18 @@ def _bounded(name: str, value: Mapping[str, float]) -> bool:
     return name == "input" or low + AT_BOUND < value["delay"] < high - AT_BOUND
 
 
+_WORDS = {"input": "input gain", "damping": "damping", "delay": "delay"}
+
+
 def _statuses(value: Mapping[str, float], half: Mapping[str, float]) -> tuple[dict[str, str], str]:
     """Status of each coefficient, and the first reason against one of them."""
-    reasons = {
-        "input": "" if (1 + half["input"] / abs(value["input"])) < WIDEST_INPUT * (1 - half["input"] / abs(value["input"]))
-        else "the interval of the input gain spans more than a factor of ten",
-        "damping": "" if half["damping"] <= max(WIDEST_DAMPING * abs(value["damping"]), LEAST_DAMPING)
-        else "the interval of the damping is as wide as the damping itself",
-        "delay": "" if 2 * half["delay"] <= WIDEST_DELAY
-        else f"the interval of the delay is wider than {WIDEST_DELAY:g} s",
-    }  # fmt: skip
+    share = half["input"] / abs(value["input"])
+    wide = {
+        "input": (1 + share) / (1 - share) >= WIDEST_INPUT,
+        "damping": half["damping"] > max(WIDEST_DAMPING * abs(value["damping"]), LEAST_DAMPING),
+        "delay": 2 * half["delay"] > WIDEST_DELAY,
+    }
+    reasons = {name: f"the interval of the {_WORDS[name]} is too wide" if wide[name] else "" for name in COEFFICIENTS}
     if not _bounded("delay", value):
         reasons["delay"] = reasons["damping"] = f"the delay ended at {value['delay']:.2f} s, the end of its range"
     status = {name: "not_identifiable" if reason else "ok" for name, reason in reasons.items()}

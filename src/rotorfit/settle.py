@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorfit.disturbance import LEVELS
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight
 from rotorfit.likelihood import DAMPING_RANGE, START_LEVELS
 from rotorfit.maximum import Optimum, maximise
-from rotorfit.model import Predictor
-from rotorfit.modes import start_point
+from rotorfit.model import Axis, Predictor
+from rotorfit.modes import start_point, trim_variance
 from rotorfit.record import Record, record
 
 
@@ -49,3 +50,27 @@ def _settled(
         delay=np.array([point.delay for point in chosen]),
     )
     return group, records, maximise(records, start, free_of(records, [False] * len(group)))
+
+
+def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str, Axis]:
+    """Axes of one group with the disturbance levels settled at their predictors.
+
+    Args:
+        flights: Those that serve the axes with a predictor.
+        axes: Axis name to what is known of it.
+    """
+    out = dict(axes)
+    points = {axis: known.predictor for axis, known in axes.items() if known.predictor}
+    for group, _, optimum in settled(flights, points) if points else []:
+        for k, axis in enumerate(group):
+            if axis in points:
+                out[axis] = replace(out[axis], noise=noise_of(optimum, k))
+    return out
+
+
+def noise_of(optimum: Optimum, k: int) -> dict[str, float]:
+    """Disturbance levels of an axis, by name, and the mean square of the flights' trims."""
+    levels = np.exp(optimum.point.levels[k])
+    return {name: float(v) for name, v in zip(LEVELS, levels, strict=True)} | {
+        "trim_variance": float(trim_variance(optimum)[k])
+    }

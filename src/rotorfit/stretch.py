@@ -2,12 +2,13 @@
 
 Between the edges of the grid only means are used: of a held, delayed command the exact mean, of the velocity the
 difference of positions. A velocity that is resolved along a turning heading is filtered as the product that eq. (5)
-holds, R P R^T v, since a filter does not commute with the turning; so every term of the equation passes through the same
-linear operator, and whatever that operator is, it leaves the coefficients alone.
+holds, R P R^T v, since a filter does not commute with the turning; so every term of the equation passes through one
+linear operator, and whatever that is, it leaves the coefficients alone.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -54,12 +55,12 @@ class Stretch:
     @property
     def size(self) -> int:
         """Number of inner edges."""
-        return self.edge.size - 2
+        return len(self.edge) - 2
 
     @property
     def axes(self) -> int:
         """Number of world axes."""
-        return self.position.shape[1]
+        return int(self.position.shape[1])
 
 
 def stretches(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[Stretch, ...]:
@@ -79,7 +80,7 @@ def stretches(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[Stretch, 
         for segment in flight.segments:
             first, last = np.searchsorted(t, [segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]])
             cuts = [first, *(first + 1 + np.flatnonzero(np.diff(t[first:last]) > hole)), last]
-            for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+            for low, high in pairwise(cuts):
                 if high - low >= 4 and t[high - 1] - t[low] >= SHORTEST:
                     found.append(_stretch(number, flight, segment, slice(int(low), int(high)), axes))
     return tuple(found)
@@ -172,4 +173,4 @@ def _turned(stretch: Stretch, k: int, along: Array) -> Array:
 
 
 def _at_edges(cells: Array) -> Array:
-    return (cells[1:] + cells[:-1]) / 2  # type: ignore[no-any-return]
+    return (cells[1:] + cells[:-1]) / 2
