@@ -189,6 +189,26 @@ def fit(
 
 
 @main.command()
+@_logs
+@_card("the one that fits")
+@click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
+@_span_option
+@_json
+def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json: bool) -> None:
+    """Fit by every method, side by side, and test their agreement."""
+    from rotorfit.ladder import to_mapping
+    from rotorfit.pipeline import ladder_logs, parse_log
+
+    with _progress() as progress:
+        result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
+    if as_json:
+        return _print_json(to_mapping(result))
+    from rotorfit.terminal import ladder_view, show
+
+    return show(ladder_view(result))
+
+
+@main.command()
 @_model
 @_logs
 @_card("the model's own")

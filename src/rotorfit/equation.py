@@ -51,7 +51,7 @@ def state_variable_filter(poles: Sequence[float]) -> LowPass:
     return LowPass(kernel, 0, float(np.sum(1 / np.asarray(poles, float))), True)
 
 
-def test_function(width: float, power: int) -> LowPass:
+def modulating_function(width: float, power: int) -> LowPass:
     """The mean over a window with the weight (1 - (2 s / width)^2)^power, which vanishes smoothly at both ends.
 
     Under it the second difference of the position is, summed by parts, the position under the second difference of the

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorfit.delay import best_delay, delay_spread
-from rotorfit.equation import LowPass, state_variable_filter, test_function
+from rotorfit.equation import LowPass, modulating_function, state_variable_filter
 from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.problem import Problem, Solution, all_columns, covariance_of, problem_of, rung_of, unfit
@@ -54,7 +54,7 @@ def weak(flights: Sequence[Flight], axes: tuple[str, ...]) -> RungFit:
     Source: M. Shinbrot, Trans. ASME 79 (1957), pp. 547-552 (modulating functions); D. A. Messenger, D. M. Bortz,
     J. Comput. Phys. 443 (2021), 110525 (the test functions and their name).
     """
-    return _least_squares("weak", flights, axes, test_function(WIDTH, POWER))
+    return _least_squares("weak", flights, axes, modulating_function(WIDTH, POWER))
 
 
 def _least_squares(method: str, flights: Sequence[Flight], axes: tuple[str, ...], low_pass: LowPass) -> RungFit:

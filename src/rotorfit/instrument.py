@@ -15,18 +15,18 @@ from rotorfit.delay import best_delay
 from rotorfit.equation import delay_columns, input_columns, motion_columns, state_variable_filter
 from rotorfit.filtered import CUT_OFF, NOTHING_FITS
 from rotorfit.flight import Flight
-from rotorfit.frames import Array, heading_from_world
+from rotorfit.frames import Array, Mask, heading_from_world
 from rotorfit.problem import Problem, Solution, all_columns, coefficients, covariance_of, problem_of, rung_of, unfit
 from rotorfit.record import DELAY_RANGE
 from rotorfit.response import axis_response, plane_response
 from rotorfit.rung import FASTEST, RungFit, without_numbers
-from rotorfit.sandwich import SINGULAR
+from rotorfit.sandwich import SINGULAR, Sandwich
 from rotorfit.stretch import Stretch
 
 SLOWEST = 3.0
 """Smallest pole of the prefilter [1/s]. It is b itself where that is larger. 1 / (s + b) would be best for white noise
-on the velocity, which wind is not: a slower filter keeps what drifts. Simulated flights, set B, 60 s: the RMS error of g
-of x is 0.057 at 0.3 1/s, 0.030 at 1, 0.017 at 3."""
+on the velocity, which wind is not: a slower filter keeps what drifts. In simulated flights, set B, 60 s, the RMS error
+of g of x is 0.057 at 0.3 1/s, 0.030 at 1, 0.017 at 3."""
 
 SMOOTHING = 12.0
 """Poles of the two further sections of the prefilter [1/s], which the second derivative of a position needs."""
@@ -46,7 +46,8 @@ LONGEST_STEP = 0.05
 MEMORIES = (0.2, 0.5, 1.0, 2.0, 4.0)
 """Time constants of the filters on the reference from which the command that it causes is made [s]."""
 
-COMMAND, REFERENCE = "the motion simulated from the commands", "the motion simulated from the recorded reference"
+COMMAND = "the motion simulated from the commands, right in an open loop only"
+REFERENCE = "the motion simulated from the recorded reference"
 
 
 @dataclass(frozen=True)
@@ -75,19 +76,43 @@ def iv(flights: Sequence[Flight], axes: tuple[str, ...]) -> RungFit:
     start = best_delay(problem)
     if start is None:
         return without_numbers("iv", axes, len(flights), dict.fromkeys(axes, NOTHING_FITS))
-    source = instrument_of(problem)
-    found = _refined(flights, problem, start, source)
-    if found is None:
-        reason = ("diverged", f"the instruments did not settle in {ROUNDS} rounds")
-        return without_numbers("iv", axes, len(flights), dict.fromkeys(axes, reason))
-    problem, solution = found
-    spread = covariance_of(problem, solution, _instruments(problem, solution, source), all_columns(problem, solution))
+    source, active = instrument_of(problem), problem.layout.active
+    held: list[int] = []  # an axis whose instruments run away is left where least squares had it, and has no number
+    while True:
+        end, at, restless = _refined(flights, problem, start, source, held)
+        if restless is None or len(held) + 1 == len(active):
+            break
+        held.append(restless)
+    lost = [*held, *([] if restless is None else [restless])]
+    spread = None if restless is not None else _spread(end, at, source, held)
     if spread is None:
-        reason = ("not_identifiable", "the regressors are dependent")
-        return without_numbers("iv", axes, len(flights), dict.fromkeys(axes, reason))
-    A = 3 * len(solution.gain)
-    rung = rung_of("iv", problem, solution, spread.covariance[:A, :A], spread.quantile, len(flights))
-    return replace(rung, remark=dict.fromkeys(axes, f"instrument: {source.name}"))
+        return without_numbers("iv", axes, len(flights), dict.fromkeys(axes, UNSETTLED))
+    rung = rung_of(
+        "iv", end, at, spread.covariance[: 3 * len(active), : 3 * len(active)], spread.quantile, len(flights)
+    )
+    return replace(
+        rung,
+        failed={**rung.failed, **{axes[active[a]]: UNSETTLED for a in lost}},
+        remark=dict.fromkeys(axes, f"instrument: {source.name}"),
+    )
+
+
+UNSETTLED = ("diverged", f"the instruments did not settle in {ROUNDS} rounds")
+"""Status and reason of an axis whose iteration has no end."""
+
+
+def _spread(problem: Problem, at: Solution, source: Instrument, held: Sequence[int]) -> Sandwich | None:
+    """Covariance of what was free."""
+    columns, instruments = all_columns(problem, at), _instruments(problem, at, source)
+    return covariance_of(problem, at, instruments, columns, _free(problem, held))
+
+
+def _free(problem: Problem, held: Sequence[int]) -> Mask:
+    """True for the parameters of the equation that are estimated, g and tau and b of the held axes left out."""
+    A = len(problem.layout.active)
+    free = np.concatenate([np.ones(2 * A, bool), problem.used])
+    free[[offset + a for a in held for offset in (0, A, 2 * A)]] = False
+    return free
 
 
 def instrument_of(problem: Problem) -> Instrument:
@@ -122,29 +147,32 @@ def _bank(part: Stretch) -> Array:
 
 
 def _refined(
-    flights: Sequence[Flight], problem: Problem, at: Solution, source: Instrument
-) -> tuple[Problem, Solution] | None:
-    """The fixed point of the iteration; None where there is none within the rounds, or a value runs away."""
+    flights: Sequence[Flight], problem: Problem, at: Solution, source: Instrument, held: Sequence[int]
+) -> tuple[Problem, Solution, int | None]:
+    """The fixed point of the iteration; and where there is none, the axis, among the active, that moved most."""
     A = len(at.gain)
+    change = np.full((3, A), np.inf)
     for _ in range(ROUNDS):
         speed = float(np.exp(np.mean(np.log(np.clip(at.rest[:A], SLOWEST, FASTEST)))))
         problem = problem_of(flights, problem.axes, state_variable_filter((speed, SMOOTHING, SMOOTHING)))
-        step = _step(problem, at, _instruments(problem, at, source))
+        step = _step(problem, at, _instruments(problem, at, source), _free(problem, held))
         if step is None:
-            return None
+            break
         moved = Solution(
             at.gain + step[:A],
             np.clip(at.delay + np.clip(step[A : 2 * A], -LONGEST_STEP, LONGEST_STEP), *DELAY_RANGE),
             at.rest + step[2 * A :],
         )
-        size = np.concatenate([np.abs(moved.gain), np.ones(A), np.maximum(np.abs(moved.rest[:A]), 0.1)])
-        change = np.concatenate([moved.gain - at.gain, moved.delay - at.delay, moved.rest[:A] - at.rest[:A]]) / size
+        change = np.abs(np.stack([moved.gain - at.gain, moved.delay - at.delay, moved.rest[:A] - at.rest[:A]]))
+        change /= np.stack([np.abs(moved.gain) + 1e-12, np.ones(A), np.maximum(np.abs(moved.rest[:A]), 0.1)])
         at = moved
         if not np.isfinite(at.rest).all() or np.abs(at.rest[:A]).max() > FASTEST:
-            return None
-        if np.abs(change).max() < SETTLED:
-            return problem, at
-    return None
+            break
+        if change.max() < SETTLED:
+            return problem, at, None
+    worst = np.nan_to_num(change.max(axis=0), nan=np.inf)
+    worst[list(held)] = -np.inf
+    return problem, at, int(np.argmax(worst))
 
 
 def _instruments(problem: Problem, at: Solution, source: Instrument) -> list[Array]:
@@ -186,7 +214,7 @@ def _simulated(problem: Problem, at: Solution, part: Stretch, command: Array) ->
     return np.einsum("j,bjk->bk", point.gain, out[:, :K]) + trimmed  # type: ignore[no-any-return]
 
 
-def _step(problem: Problem, at: Solution, instruments: Sequence[Array]) -> Array | None:
+def _step(problem: Problem, at: Solution, instruments: Sequence[Array], free: Mask) -> Array | None:
     """Newton's step to the root of sum Z'(target - model) = 0, shape (P,); None where it has no direction."""
     A = len(at.gain)
     theta = np.concatenate([at.gain, np.zeros(A), at.rest])
@@ -201,12 +229,13 @@ def _step(problem: Problem, at: Solution, instruments: Sequence[Array]) -> Array
     )
     left = np.sqrt(np.sum([np.sum(z**2, axis=(0, 1)) for z in instruments], axis=0))
     right = np.sqrt(np.sum([np.sum(x**2, axis=(0, 1)) for x in columns], axis=0))
-    used = (left > 0) & (right > 0)
-    scaled = slope[np.ix_(used, used)] / np.outer(left[used], right[used])
-    if not used[: 3 * A].all() or not np.isfinite(scaled).all() or _smallest(scaled) < SINGULAR:
+    if not ((left > 0) & (right > 0))[free].all():
+        return None
+    scaled = slope[np.ix_(free, free)] / np.outer(left[free], right[free])
+    if not np.isfinite(scaled).all() or _smallest(scaled) < SINGULAR:
         return None
     step = np.zeros(theta.size)
-    step[used] = np.linalg.solve(scaled, error[used] / left[used]) / right[used]
+    step[free] = np.linalg.solve(scaled, error[free] / left[free]) / right[free]
     return step
 
 

@@ -12,6 +12,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.ladder import Ladder, ladder
 from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.sources import read
 from rotorfit.validation import Validation, to_mapping, validate
@@ -73,6 +74,16 @@ def fit_logs(
     flights = [load_flight(log, card) for log in logs]
     result = with_delay_profiles(fit(flights, method, axes, progress))
     return replace(result, model=with_findings(result.model, findings_of_fit(result)))
+
+
+def ladder_logs(
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+) -> Ladder:
+    """Reads logs and fits every rung of the ladder to them together."""
+    return ladder([load_flight(log, card) for log in logs], axes, progress)
 
 
 def validate_logs(

@@ -72,9 +72,9 @@ def problem_of(flights: Sequence[Flight], axes: tuple[str, ...], low_pass: LowPa
     """Stacks the flights under a low-pass, without the stretches that are too short for it."""
     parts = tuple(part for part in stretches(flights, axes) if part.size > low_pass.skip)
     records = tuple(windowed(flight, axes) for flight in flights)
-    nothing = np.zeros((0, 0))
     if not parts:
-        return Problem(axes, (), low_pass, Layout((), (), (), ()), (), (), nothing, nothing, nothing[0] > 0, records)
+        none = np.zeros((0, 0))
+        return Problem(axes, (), low_pass, Layout((), (), (), ()), (), (), none, none, np.zeros(0, bool), records)
     layout = layout_of(parts, low_pass)
     motion = tuple(motion_columns(part, place, low_pass, layout) for place, part in enumerate(parts))
     target = tuple(target_rows(part, low_pass) for part in parts)
@@ -148,7 +148,7 @@ def coefficients(problem: Problem, at: Solution, flight: int) -> Coefficients:
 
 
 def covariance_of(
-    problem: Problem, at: Solution, instruments: Sequence[Array], columns: Sequence[Array]
+    problem: Problem, at: Solution, instruments: Sequence[Array], columns: Sequence[Array], free: Mask | None = None
 ) -> Sandwich | None:
     """Sandwich of the root of sum Z'(target - model) = 0, over the parameters that the columns stand for.
 
@@ -157,9 +157,10 @@ def covariance_of(
         at: The solution.
         instruments: Z per stretch, (N, C, P); for least squares the columns themselves.
         columns: Regressors per stretch, (N, C, P), in the order of g, (tau,) b and the rest.
+        free: Which of the P parameters were estimated; by default all that rows depend on.
 
     Returns:
-        The covariance, zero for what no row depends on; None where columns are dependent.
+        The covariance, zero for what was not estimated; None where columns are dependent.
     """
     A, low_pass = len(at.gain), problem.low_pass
     shifts = columns[0].shape[-1] - A - at.rest.size  # A where the delays are parameters of the equation, else 0
@@ -167,7 +168,7 @@ def covariance_of(
     residuals = [y - x @ theta for x, y in zip(columns, problem.target, strict=True)]
     scores = [np.einsum("ncp,nc->np", z, e) for z, e in zip(instruments, residuals, strict=True)]
     slope = np.sum([np.einsum("ncp,ncq->pq", z, x) for z, x in zip(instruments, columns, strict=True)], axis=0)
-    used = np.concatenate([np.ones(A + shifts, bool), problem.used])
+    used = np.concatenate([np.ones(A + shifts, bool), problem.used]) if free is None else free
     times = [row_times(part, low_pass) for part in problem.parts]
     found = sandwich(times, [g[:, used] for g in scores], slope[np.ix_(used, used)], low_pass.memory)
     if found is None:

@@ -34,17 +34,18 @@ def sandwich(times: Sequence[Array], scores: Sequence[Array], slope: Array, memo
         memory: How long one row's error lasts in others by construction [s].
 
     Returns:
-        The covariance; None where the slope is singular.
+        The covariance; None where the slope is singular, or nothing is left over that could tell it.
 
     Source: W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708; for the quantile see `fixed_b_quantile`.
     """
-    left, right = np.sqrt(np.abs(np.diag(slope))), np.sqrt(np.abs(np.diag(slope)))
-    if not (left > 0).all() or not np.isfinite(slope).all():
+    size = np.sqrt(np.abs(np.diag(slope)))
+    moves = all(np.isfinite(g).all() for g in scores) and (np.sum([np.sum(g**2, axis=0) for g in scores], axis=0) > 0)
+    if not (size > 0).all() or not np.isfinite(slope).all() or not np.all(moves):
         return None
-    bread = slope / np.outer(left, right)
+    bread = slope / np.outer(size, size)
     if np.linalg.svd(bread, compute_uv=False)[-1] < SINGULAR:
         return None
-    inverse = np.linalg.inv(bread) / np.outer(right, left)
+    inverse = np.linalg.inv(bread) / np.outer(size, size)
     lag = bartlett_lag(times, scores, memory)
     middle = np.sum([newey_west(t, g, lag) for t, g in zip(times, scores, strict=True)], axis=0)
     duration = sum(float(np.ptp(t)) for t in times)

@@ -22,6 +22,7 @@ from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
 
 if TYPE_CHECKING:  # they bring numba, which the lists of cards and formats need not wait for
     from rotorfit.demo import Demo
+    from rotorfit.ladder import Ladder, Row
     from rotorfit.pipeline import Comparison
     from rotorfit.validation import FlightScores, Validation
 
@@ -281,6 +282,44 @@ def _score_table(rows: Mapping[str, "FlightScores"], axes: Sequence[str], horizo
         counts = [next(iter(rows.values())).axes[axis].horizons[horizon].n for horizon in horizons]
         table.add_row("", "n", *(str(n) for n in counts), *[""] * (len(counts) + 1), style="dim")
     return table
+
+
+def ladder_view(ladder: "Ladder") -> View:
+    """All rungs of each axis, one below the other, with what they say of themselves."""
+    yield _title(f"Every method on {', '.join(ladder.paths)}")
+    for axis, rows in ladder.axes.items():
+        table = _table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
+        scale = 180 / math.pi if axis == "yaw" else 100.0
+        for row in rows:
+            values = [_plus_minus(getattr(row.axis, name), row.axis.stderr[name]) for name in COEFFICIENTS]
+            error = "-" if row.prediction is None else _three_digits(scale * row.prediction)
+            table.add_row(row.method, *values, error, _verdict(row, rows[-1].method))
+        if (held := ladder.held[axis]) is not None:
+            table.add_row("hold", "", "", "", _three_digits(scale * held), "", style="dim")
+        yield ""
+        yield table
+        yield from _list([f"{row.method}: {row.remark}" for row in rows if row.remark])
+    yield Text(
+        "+-: standard error; 1 s: RMSE of 1 s velocity predictions on these very flights [cm/s, yaw deg/s], hold keeps "
+        "the velocity; against ml: coefficients that differ from the likelihood's at 1 %.",
+        style="dim",
+    )
+
+
+def _plus_minus(value: float | None, error: float | None) -> str:
+    if value is None or error is None:
+        return "-"
+    return f"{_number(value, (value - error, value + error))} +- {_number(error, (0.0, 2 * error))}"
+
+
+def _verdict(row: "Row", best: str) -> str:
+    """What an agreement test says of a rung."""
+    if not row.axis.predictor:
+        return row.axis.status["input"]
+    if not row.agreement:
+        return "" if row.method == best else f"no number of {best}"
+    differing = [name for name, test in row.agreement.items() if not test.agrees]
+    return f"differs: {', '.join(differing)}" if differing else "agrees"
 
 
 def demo_view(demo: "Demo") -> View:
