@@ -153,7 +153,7 @@ def test_the_mapping_is_json_without_nan_and_holds_every_row() -> None:
 
 @pytest.mark.parametrize("method", ["svf", "weak", "iv", "oe"])
 def test_a_model_by_a_rung_goes_through_its_file(method: str) -> None:
-    model = fit([flown(Truth(), steps(), 20.0, 14)], method).model  # type: ignore[arg-type]
+    model = fit([flown(Truth(), steps(), 30.0, 14)], method).model  # type: ignore[arg-type]
     again = from_mapping(json.loads(json.dumps(model_mapping(model), allow_nan=False)), "memory")
 
     assert model_mapping(again) == model_mapping(model)
@@ -161,7 +161,7 @@ def test_a_model_by_a_rung_goes_through_its_file(method: str) -> None:
     for name in ("z", "yaw"):
         axis = again.axes[name]
         assert axis.predictor is not None
-        assert axis.predictor.delay == pytest.approx(0.15, abs=0.05)
+        assert axis.predictor.delay == pytest.approx(0.15, abs=0.15 if method == "oe" else 0.02)
         assert axis.noise["pose_variance"] == pytest.approx(Truth().mocap_noise[2 if name == "z" else 3] ** 2, rel=0.3)
     assert {f"{axis}.delay" for axis in ("z", "yaw")} <= set(again.covariance_names)
     assert np.linalg.eigvalsh(again.covariance).min() > 0
