@@ -150,11 +150,13 @@ def _refined(
     flights: Sequence[Flight], problem: Problem, at: Solution, source: Instrument, held: Sequence[int]
 ) -> tuple[Problem, Solution, int | None]:
     """The fixed point of the iteration; and where there is none, the axis, among the active, that moved most."""
-    A = len(at.gain)
+    A, speed = len(at.gain), 0.0
     change = np.full((3, A), np.inf)
     for _ in range(ROUNDS):
-        speed = float(np.exp(np.mean(np.log(np.clip(at.rest[:A], SLOWEST, FASTEST)))))
-        problem = problem_of(flights, problem.axes, state_variable_filter((speed, SMOOTHING, SMOOTHING)))
+        wanted = float(np.exp(np.mean(np.log(np.clip(at.rest[:A], SLOWEST, FASTEST)))))
+        if wanted != speed:
+            speed = wanted
+            problem = problem_of(flights, problem.axes, state_variable_filter((speed, SMOOTHING, SMOOTHING)))
         step = _step(problem, at, _instruments(problem, at, source), _free(problem, held))
         if step is None:
             break

@@ -314,7 +314,7 @@ def _plus_minus(value: float | None, error: float | None) -> str:
 
 def _verdict(row: "Row", best: str) -> str:
     """What an agreement test says of a rung."""
-    if not row.axis.predictor:
+    if all(getattr(row.axis, name) is None for name in COEFFICIENTS):
         return row.axis.status["input"]
     if not row.agreement:
         return "" if row.method == best else f"no number of {best}"
