@@ -129,19 +129,19 @@ def demo(directory: Path, as_json: bool) -> None:
 def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
     """Show what is inside logs.
 
-    Tables, columns, rates, gaps; which card fits; stale frames, clocks and the excitation of each axis.
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
     """
     from dataclasses import asdict
 
     from rotorfit.draft import write_draft
     from rotorfit.sources import read
-    from rotorfit.survey import survey_logs
+    from rotorfit.survey import survey_draft, survey_logs
 
     if draft and len(logs) > 1:
         raise click.UsageError("--draft-card drafts for one log: give one")
-    surveys = survey_logs(logs, card)
     if draft:
         write_draft(read(logs[0]), draft)
+    surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
     from rotorfit.terminal import show, survey_view
@@ -164,26 +164,42 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
+@click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
-    logs: Sequence[str], card: str | None, method: Any, axes: Any, span: Any, output: Path | None, as_json: bool
+    logs: Sequence[str],
+    card: str | None,
+    method: Any,
+    axes: Any,
+    span: Any,
+    leaving: bool,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
+    from rotorfit.leave_one_out import require_two
     from rotorfit.model import save, to_mapping
-    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, parse_log
+    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs, parse_log
 
     if output:
         check_destination(output, MODEL_MARK)
+    if leaving:
+        require_two(len(logs))
     with _progress() as progress:
-        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress).model
+        result, left_out = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress), None
+        if leaving:
+            result, left_out = leave_one_out_logs(result, axes, progress)
+    model = result.model
     if output:
         save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import model_view, show
+    from rotorfit.terminal import left_out_view, model_view, show
 
     show(model_view(model, axes))
+    if left_out:
+        show(left_out_view(left_out, model))
     click.echo(f"\nModel written to {output}." if output else "\nNothing was written; -o model.json keeps the model.")
     return None
 
@@ -203,7 +219,8 @@ def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json:
         result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
     if as_json:
         return _print_json(to_mapping(result))
-    from rotorfit.terminal import ladder_view, show
+    from rotorfit.side_by_side import ladder_view
+    from rotorfit.terminal import show
 
     return show(ladder_view(result))
 
@@ -255,6 +272,7 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @_json
 def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof."""
+    from rotorfit.forecast import CURVE
     from rotorfit.model import load
     from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
     from rotorfit.report import write_figures, write_report
@@ -262,7 +280,7 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
     check_destination(output, REPORT_MARK)
     model = load(model_path)
     with _progress() as progress:
-        validation, flights = validate_logs(model, [parse_log(log) for log in logs], progress=progress)
+        validation, flights = validate_logs(model, [parse_log(log) for log in logs], horizons=CURVE, progress=progress)
     training, left_out = training_flights(model)
     write_report(model, training, validation, flights, output)
     drawn = write_figures(model, training, validation, flights, figures) if figures else []
@@ -270,6 +288,36 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
         return _print_json({"report": str(output), "figures": [str(path) for path in drawn], "notes": left_out})
     for line in (*left_out, f"Report written to {output}.", *(f"Figure written to {path}." for path in drawn)):
         click.echo(line)
+    return None
+
+
+@main.command()
+@_model
+@click.option(
+    "--limits",
+    metavar="tilt=20deg,...",
+    required=True,
+    help="New tilt, vertical_speed, yaw_rate or speed; without a unit in SI.",
+)
+@click.option("-o", "output", type=_file(), metavar="other.json", required=True, help="The model file to write.")
+@_json
+def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
+    """Convert a model to other limits: the same drone under another tilt, climb or rotation limit."""
+    from rotorfit.convert import convert as to_limits
+    from rotorfit.frames import AXES
+    from rotorfit.model import load, save, to_mapping
+    from rotorfit.pipeline import MODEL_MARK, check_destination
+    from rotorfit.settings import limits_from_text
+
+    check_destination(output, MODEL_MARK)
+    model = to_limits(load(model_path), limits_from_text(limits))
+    save(model, output)
+    if as_json:
+        return _print_json(to_mapping(model))
+    from rotorfit.terminal import model_view, show
+
+    show(model_view(model, AXES))
+    click.echo(f"\nModel written to {output}.")
     return None
 
 

@@ -14,6 +14,7 @@ from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
 from rotorfit.frames import AXES, Array
+from rotorfit.settings import Conversion, Figure, Quantity
 
 FORMAT = "rotorfit-model"
 VERSION = 1
@@ -156,6 +157,10 @@ class Model:
         findings: What the user should know.
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
+        physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
+        conversion: Set where the model was converted to other limits than those of its flights.
+        leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
+            asked for. See `leave_one_out.LeaveOneOut`.
     """
 
     card: Card
@@ -168,6 +173,9 @@ class Model:
     findings: tuple[Finding, ...]
     flights: tuple[Source, ...]
     rotorfit: str = __version__
+    physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    conversion: Conversion | None = None
+    leave_one_out: Mapping[str, Any] | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -325,8 +333,11 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "axes": {name: asdict(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
         "paper": {"gamma": list(model.paper)},
+        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
+        "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
+        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
     }
 
 
@@ -354,6 +365,12 @@ def from_mapping(raw: Any, where: str) -> Model:
             findings=tuple(Finding(**finding) for finding in raw["findings"]),
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
+            physics={
+                name: {key: _quantity(part) for key, part in parts.items()}
+                for name, parts in raw.get("physics", {}).items()
+            },
+            conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
+            leave_one_out=raw.get("leave_one_out"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
@@ -377,6 +394,12 @@ def _axis(raw: Mapping[str, Any]) -> Axis:
             "profile": tuple((delay, value) for delay, value in raw["profile"]),
         }
     )
+
+
+def _quantity(raw: Mapping[str, Any]) -> Quantity:
+    figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
+    known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
+    return Quantity(**{**raw, **known})
 
 
 def _source(raw: Mapping[str, Any]) -> Source:

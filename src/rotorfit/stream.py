@@ -10,9 +10,11 @@ from rotorfit.clock import (
     GAP_PERIODS,
     GAP_TOLERANCE,
     MISSING_STAMP,
+    ClockDrift,
     Mask,
     Stamps,
     degrees_for_radians,
+    drift,
     fresh,
     held,
     increasing,
@@ -128,6 +130,50 @@ def poses_of(log: Log, card: Card) -> Stream:
     return stream
 
 
+def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
+    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock.
+        channels: What it consists of.
+
+    Returns:
+        Shape (N,), True where any channel is a number; N is the number of stamps.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    stamps = stamps_of(log, time)
+    rows = np.zeros(len(stamps), dtype=np.bool_)
+    for channel in channels.values():
+        if isinstance(channel.source, str):  # a constant is no sample
+            there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
+            rows[: len(there)] |= there
+    return rows
+
+
+def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
+    """The recorder's `log_time` against the `header.stamp` of a stream's samples; None where one of them is missing.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock; the two stamps are looked for in its table.
+        channels: What the stream consists of.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    name = split_source(time.source)[0]
+    table = log.tables.get(name) or (next(iter(log.tables.values())) if len(log.tables) == 1 else None)
+    if table is None or not {"header.stamp", "log_time"} <= table.columns.keys():
+        return None
+    prefix = f"{table.name}:" if len(log.tables) > 1 else ""
+    rows = sample_rows(log, time, channels)
+    header, recorded = (stamps_of(log, Channel(prefix + column)) for column in ("header.stamp", "log_time"))
+    return drift(header[rows], recorded[rows])
+
+
 def _read(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
@@ -176,7 +222,12 @@ def _numbers(stream: Stream, log: Log) -> Stream:
         raise FlightError(
             f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
         )
-    return _kept(stream, np.all(finite, axis=1), f"nan_{stream.what}s", "are not numbers: taken as absent")
+    whole = np.all(finite, axis=1)
+    kept, absent = _kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
+    if not absent:
+        return stream
+    text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
+    return replace(kept, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
 def _in_order(stream: Stream, log: Log) -> Stream:

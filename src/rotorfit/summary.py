@@ -65,7 +65,8 @@ def _range(part: Combination) -> str:
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     """What must be read first; nothing where there is nothing."""
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
-    spoiled = [axis for axis in AXES if any(f.axis == axis and f.severity == "error" for f in concerned)]
+    errors = {finding.axis for finding in concerned if finding.severity == "error"}
+    spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
     warnings = sum(finding.severity == "warning" for finding in concerned)
     if spoiled:
         yield f"Do not use {_listed(spoiled)} before you have read the findings."
