@@ -14,6 +14,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import AXES
 from rotorfit.model import Axis
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE
+from rotorfit.rungs import NOT_VALID
 
 WEAK_GAIN = 0.2
 """Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
@@ -47,7 +48,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += _status_findings(name, axis, bool(flights))
+        found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
         if axis.predictor:
             if framed or name not in ("x", "y"):
                 found += _sign_findings(fit, name, axis)
@@ -59,6 +60,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += _feedback_findings(name, fit.estimates[name])
             found += changed_coefficients(fit, name)
         found += _paper_findings(fit, k)
+        found += _instrument_findings(name, fit.remarks.get(name, ""))
     return by_gravity(found)
 
 
@@ -75,7 +77,7 @@ def _weak(axis: Axis) -> bool:
     return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
 
 
-def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
+def _status_findings(name: str, axis: Axis, moved: bool, remark: str) -> Iterator[Finding]:
     status = axis.status["input"]
     if status == "not_excited" and moved and axis.noise:
         yield Finding(
@@ -99,7 +101,9 @@ def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
         yield Finding(
             "diverged",
             "error",
-            f"the likelihood of {name} has no clear maximum: the climb did not end",
+            f"the estimate of {name} has no end: {remark}"
+            if remark
+            else f"the likelihood of {name} has no clear maximum: the climb did not end",
             f"no coefficient of {name} is a number",
             "check the card's columns and signs for this axis, or give a span without take-off and landing",
             name,
@@ -287,13 +291,25 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     )
 
 
+def _instrument_findings(name: str, remark: str) -> Iterator[Finding]:
+    if NOT_VALID in remark:
+        yield Finding(
+            "instrument_not_valid",
+            "warning",
+            f"the commands of {name} answer its motion, and the instrument is simulated from them",
+            f"the instrument holds the wind that it should be free of: the coefficients of {name} are biased",
+            "name what the controller was told in [reference] of the card, or use --method ml",
+            name,
+        )
+
+
 def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
     return Finding(
         "damping_unstable",
         "error" if certain else "warning",
         f"the regression gives {name} a damping of {damping:.2g} 1/s and a gain of {gain:.3g}: speed grows by itself",
-        "a multirotor does not do that: the delay between command and motion is left out and the damping pays for it, "
-        "feedback and noisy derivatives add to it",
+        "a multirotor does not do that: feedback, noise in the regressors, and above all a delay between command and "
+        "motion that is left out pull the damping down",
         "use --method ml, which estimates the delay and keeps the damping positive",
         name,
     )

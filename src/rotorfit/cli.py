@@ -156,7 +156,12 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @main.command()
 @_logs
 @_card("the one that fits")
-@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
+@click.option(
+    "--method",
+    type=click.Choice(["ml", "paper", "svf", "weak", "iv", "oe"]),
+    default="ml",
+    help="The likelihood (default), the paper's, or a rung between them.",
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
@@ -197,6 +202,27 @@ def fit(
         show(left_out_view(left_out, model))
     click.echo(f"\nModel written to {output}." if output else "\nNothing was written; -o model.json keeps the model.")
     return None
+
+
+@main.command()
+@_logs
+@_card("the one that fits")
+@click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
+@_span_option
+@_json
+def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json: bool) -> None:
+    """Fit by every method, side by side, and test their agreement."""
+    from rotorfit.ladder import to_mapping
+    from rotorfit.pipeline import ladder_logs, parse_log
+
+    with _progress() as progress:
+        result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
+    if as_json:
+        return _print_json(to_mapping(result))
+    from rotorfit.side_by_side import ladder_view
+    from rotorfit.terminal import show
+
+    return show(ladder_view(result))
 
 
 @main.command()

@@ -16,6 +16,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
 from rotorfit.model import Model, is_model_file, load, with_findings
@@ -103,6 +104,16 @@ def leave_one_out_logs(
     method: Method = "paper" if fit.model.method == "paper" else "ml"
     result = leave_one_out(fit.flights, method, axes, progress=progress)
     return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
+
+
+def ladder_logs(
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+) -> Ladder:
+    """Reads logs and fits every rung of the ladder to them together."""
+    return ladder([load_flight(log, card) for log in logs], axes, progress)
 
 
 def validate_logs(

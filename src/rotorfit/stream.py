@@ -265,13 +265,44 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
 
 
 def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Array:
-    """The window's column held onto the commands' stamps; NaN before its first value.
+    """The window's column held onto the commands' stamps; NaN before its first value."""
+    return _held_onto(log, card, window, stamps, "window")
+
+
+def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
+    """What a position controller was told, held onto stamps.
+
+    Args:
+        log: As recorded.
+        card: Which column is what; its reference is in the frame of the pose.
+        stamps: Where it is wanted, shape (M,) [ns].
+
+    Returns:
+        x, y, z, yaw, z up, shape (M, 4), NaN where unknown; None where the card names no reference.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+    """
+    if not card.reference:
+        return None
+    values = np.full((stamps.size, len(AXES)), np.nan)
+    for axis, channel in card.reference.items():
+        values[:, AXES.index(axis)] = _held_onto(log, card, channel, stamps, "reference")
+    if card.frame == "NED":
+        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], np.pi / 2 - values[:, 3]], axis=1)
+    return values
+
+
+def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str) -> Array:
+    """A column held onto the commands' stamps; NaN before its first value.
 
     Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
     column of its own table that is named as the commands' clock.
     """
-    values = column(log, window)
-    table, (_, name) = split_source(window.source)[0], split_source(card.command_time.source)
+    values = column(log, channel)
+    if not isinstance(channel.source, str):
+        return np.full(stamps.size, values[0])
+    table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
     own = replace(card.command_time, source=f"{table}:{name}" if table else name)
     beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
     for time in [*beside, own]:
@@ -279,7 +310,7 @@ def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Arr
         if abs(len(clock) - len(values)) <= 1:
             break
     else:
-        raise CardError(f"{log.path}: nothing tells the time of window {window.source} ({len(values)} values)")
+        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
     shared = min(len(clock), len(values))
     return held(clock[:shared], values[:shared], stamps)
 

@@ -53,7 +53,14 @@ SECTIONS = (
 )
 """Anchor and title, in the order of the page."""
 
-METHODS = {"ml": "grey-box likelihood with delay (ml)", "paper": "the paper's linear regression, without delay (paper)"}
+METHODS = {
+    "ml": "grey-box likelihood with delay (ml)",
+    "paper": "the paper's linear regression, without delay (paper)",
+    "svf": "least squares behind a state-variable filter, with delay (svf)",
+    "weak": "least squares on the weak form, with delay (weak)",
+    "iv": "refined instrumental variables, with delay (iv)",
+    "oe": "output error, with delay (oe)",
+}
 
 
 @dataclass(frozen=True)
