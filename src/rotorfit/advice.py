@@ -10,6 +10,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
 from rotorfit.model import Axis
 from rotorfit.record import DELAY_RANGE
+from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
 """Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
@@ -44,6 +45,7 @@ def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
             found += _excitation_findings(name, k, axis, flights)
         found += _paper_findings(fit, k)
     found += _flight_findings(fit.flights)
+    found += disagreement_findings(fit)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
 

@@ -159,10 +159,18 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
+@click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
-    logs: Sequence[str], card: str | None, method: Any, axes: Any, span: Any, output: Path | None, as_json: bool
+    logs: Sequence[str],
+    card: str | None,
+    method: Any,
+    axes: Any,
+    span: Any,
+    uncertainty: bool,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
     from rotorfit.model import save, to_mapping
@@ -171,7 +179,7 @@ def fit(
     if output:
         check_destination(output, MODEL_MARK)
     with _progress() as progress:
-        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress).model
+        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress, uncertainty).model
     if output:
         save(model, output)
     if as_json:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit import __version__
+from rotorfit.accuracy import Uncertainty, uncertainty_from_mapping
 from rotorfit.card import Card, card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
@@ -156,6 +157,7 @@ class Model:
         findings: What the user should know.
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
+        uncertainty: The accuracy table; None where it was not asked for.
     """
 
     card: Card
@@ -168,6 +170,7 @@ class Model:
     findings: tuple[Finding, ...]
     flights: tuple[Source, ...]
     rotorfit: str = __version__
+    uncertainty: Uncertainty | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -327,6 +330,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "paper": {"gamma": list(model.paper)},
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
+        "uncertainty": model.uncertainty and asdict(model.uncertainty),
     }
 
 
@@ -354,6 +358,7 @@ def from_mapping(raw: Any, where: str) -> Model:
             findings=tuple(Finding(**finding) for finding in raw["findings"]),
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
+            uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None

@@ -14,6 +14,7 @@ from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.sources import read
+from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate
 
 Progress = Callable[[float, str], None]
@@ -68,10 +69,13 @@ def fit_logs(
     method: Method = "ml",
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
+    uncertainty: bool = False,
 ) -> Fit:
-    """Reads logs, fits them together, and says what was noticed."""
+    """Reads logs, fits them together, and says what was noticed; with the accuracy table where it is wanted."""
     flights = [load_flight(log, card) for log in logs]
     result = with_delay_profiles(fit(flights, method, axes, progress))
+    if uncertainty:
+        result = with_uncertainty(result, progress)
     return replace(result, model=with_findings(result.model, findings_of_fit(result)))
 
 
