@@ -37,6 +37,7 @@ RIVER = (
     "accuracy",
     "model",
     "profile",
+    "robust",
     "scatter",
     "fit",
     "bootstrap",

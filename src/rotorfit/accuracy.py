@@ -68,7 +68,7 @@ class Scatter:
         cochran: Coefficient name to Cochran's Q: chi-square of one less than the flights where they agree.
         i_squared: Coefficient name to the share of the scatter that is more than chance.
         factor: Coefficient name to how many times more it scatters among flights than its error says, at least 1. For
-            a coefficient alone it is sqrt(Q / (flights - 1)); it holds where a flight cannot tell two of them apart, too.
+            a coefficient alone it is sqrt(Q / (flights - 1)); it holds, too, where no flight tells two of them apart.
         ratio: Twice the log-likelihood that coefficients of their own would gain the flights.
         freedom: Degrees of freedom of it.
         p_value: How often flights that agree give as much.

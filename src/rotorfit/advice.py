@@ -10,6 +10,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
 from rotorfit.model import Axis
 from rotorfit.record import DELAY_RANGE
+from rotorfit.robust import outlier_findings
 from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
@@ -45,6 +46,7 @@ def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
             found += _excitation_findings(name, k, axis, flights)
         found += _paper_findings(fit, k)
     found += _flight_findings(fit.flights)
+    found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
@@ -216,7 +218,7 @@ def _saturated(command: Array) -> float:
 def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     name, damping = AXES[k], fit.model.paper[2 * k + 1]
     axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
-    if fit.model.method != "ml" or damping is None or gain is None or damping >= 0 or not axis.predictor:
+    if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
     yield Finding(
         "paper_damping_negative",

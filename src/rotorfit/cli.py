@@ -156,7 +156,12 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @main.command()
 @_logs
 @_card("the one that fits")
-@click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
+@click.option(
+    "--method",
+    type=click.Choice(["ml", "robust", "paper"]),
+    default="ml",
+    help="Likelihood (default), without outliers, the paper's.",
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")

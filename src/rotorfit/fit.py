@@ -29,8 +29,9 @@ from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_varia
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
+from rotorfit.robust import Outliers, without_outliers
 
-Method = Literal["ml", "paper"]
+Method = Literal["ml", "robust", "paper"]
 Progress = Callable[[float, str], None]
 Blocks = dict[tuple[str, ...], Array]
 
@@ -65,12 +66,14 @@ class Fit:
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
         estimates: Axis name to the maximum of its likelihood; none for the paper's method.
+        outliers: Poses of each flight that the robust method left out.
     """
 
     model: Model
     flights: tuple[Flight, ...]
     paper: PaperFit
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    outliers: Outliers = ()
 
 
 def fit(
@@ -80,7 +83,8 @@ def fit(
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
-        method: `ml`, the likelihood, or `paper`, the regression of the paper.
+        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was; or
+            `paper`, the regression of the paper.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
 
@@ -96,6 +100,10 @@ def fit(
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
+    outliers: Outliers = ()
+    if method == "robust":
+        report(0.0, "looking for outliers")
+        flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
     results: dict[str, Axis] = {}
@@ -104,7 +112,7 @@ def fit(
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if method == "ml":
+        if method != "paper":
             estimated = _estimate_group(flights, group)
             found, covariance = _group_axes(flights, group, estimated)
             estimates |= estimated
@@ -127,7 +135,12 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted})
+    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted}, outliers)
+
+
+def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
+    """The likelihood of every axis, without intervals."""
+    return {a: e for group in _groups(flights, wanted) for a, e in _estimate_group(flights, group).items()}
 
 
 def _moves(flight: Flight, axis: str) -> bool:

@@ -149,7 +149,7 @@ class Model:
     Attributes:
         card: The card that was applied.
         structure: Name of the model structure.
-        method: `ml` or `paper`.
+        method: `ml`, `robust` or `paper`.
         axes: Axis name to what is known of it, for all four axes.
         covariance_names: Rows of the covariance, such as `x.input`, over (input, damping, delay) of the excited axes.
         covariance: Shape (P, P).

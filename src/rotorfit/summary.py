@@ -5,7 +5,11 @@ from collections.abc import Iterator, Sequence
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Combination, Model
 
-_METHODS = {"ml": "the likelihood", "paper": "the paper's regression, which knows no delay"}
+_METHODS = {
+    "ml": "the likelihood",
+    "robust": "the likelihood without outliers",
+    "paper": "the paper's regression, which knows no delay",
+}
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 _REASONS = {
     "not_excited": "no flight excites {}",
@@ -25,7 +29,7 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     time = sum(end - start for start, end in (flight.span for flight in model.flights))
     count = len(model.flights)
     flights = f"1 flight of {time:.0f} s" if count == 1 else f"{count} flights, {time:.0f} s in all,"
-    coefficients = COEFFICIENTS if model.method == "ml" else COEFFICIENTS[:2]
+    coefficients = COEFFICIENTS if model.method != "paper" else COEFFICIENTS[:2]
     whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
     sentences = [f"Fitted to {flights} by {_METHODS[model.method]}."]

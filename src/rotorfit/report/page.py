@@ -54,7 +54,11 @@ SECTIONS = (
 )
 """Anchor and title, in the order of the page."""
 
-METHODS = {"ml": "grey-box likelihood with delay (ml)", "paper": "the paper's linear regression, without delay (paper)"}
+METHODS = {
+    "ml": "grey-box likelihood with delay (ml)",
+    "robust": "grey-box likelihood with delay, outlying poses left out (robust)",
+    "paper": "the paper's linear regression, without delay (paper)",
+}
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def _axes(model: Model) -> list[str]:
     asked = [
         a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] != "not_excited"
     ]
-    return ["--axes", ",".join(asked)] if model.method == "ml" and asked and len(asked) < len(AXES) else []
+    return ["--axes", ",".join(asked)] if model.method != "paper" and asked and len(asked) < len(AXES) else []
 
 
 def _log(log: LogUsed) -> str:

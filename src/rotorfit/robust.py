@@ -1,0 +1,221 @@
+"""Poses that are not where the vehicle was: marker swaps and reflections, found and left out.
+
+The pose noise is taken to have the tails of Student's t. A filter with the fitted levels runs over every pose, not over
+blocks: a pose that lies z standard deviations off its prediction enters with the weight (nu + 1) / (nu + z^2), so one
+that is far off leaves the state alone. It runs forwards and, the disturbance being the same both ways, backwards.
+A pose that is far off from both sides is an outlier: a filter that has just lost the vehicle, or not yet found it, is
+never the only witness. The outliers leave, the likelihood of the rest is maximised, and both are repeated until the
+outliers stay the same. Whole poses leave, since a swapped marker moves all axes; the other poses of its block stay.
+
+The rest is judged by the plain likelihood, so that on a clean flight the answer is that of `ml`, and intervals keep
+their meaning. Likelihoods of the two are of different data and are never compared.
+
+Source: K. L. Lange, R. J. A. Little, J. M. G. Taylor, J. Amer. Statist. Assoc. 84 (1989), pp. 881-896 (the weights);
+G. Agamennoni, J. I. Nieto, E. M. Nebot, IEEE Trans. Signal Processing 60 (2012), pp. 5024-5037 (in a Kalman filter).
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.disturbance import distinct_steps, stationary, step_tables
+from rotorfit.estimate import Estimate
+from rotorfit.finding import Finding
+from rotorfit.flight import Flight, Note
+from rotorfit.frames import Array
+from rotorfit.likelihood import response, segments
+from rotorfit.record import Record, record
+
+FREEDOM = 4.0
+"""nu of Student's t: tails heavy enough that a swapped marker weighs next to nothing."""
+
+OUTLIER = 5.0
+"""Standard deviations beyond which, from both sides, a pose is an outlier: of a clean flight none in a million."""
+
+MOST_ROUNDS = 8
+"""Rounds of leaving out and maximising."""
+
+LISTED = 10
+"""Outliers that a note lists, the largest first."""
+
+MANY = 0.05
+"""Share of outliers beyond which the motion capture itself is in doubt."""
+
+Estimator = Callable[[Sequence[Flight]], Mapping[str, Estimate]]
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A pose that was left out.
+
+    Attributes:
+        time: Of the pose [s].
+        axis: On which it is furthest off, in standard deviations.
+        size: How far it lies from where the filter expected it [m or rad].
+    """
+
+    time: float
+    axis: str
+    size: float
+
+
+@numba.njit(cache=True)
+def student_filter(steps: Array, step: Any, fresh: Any, residual: Array, levels: Array, freedom: float) -> Any:
+    """Runs one axis of the disturbance filter over every pose with heavy-tailed pose noise.
+
+    Args:
+        steps: Distinct steps between poses, shape (U,) [s].
+        step: Which of them leads to each pose, shape (N,).
+        fresh: True where a segment starts, shape (N,).
+        residual: Pose less the response to the commands, shape (N,).
+        levels: q, r, alpha, kappa, shape (4,).
+        freedom: nu of Student's t.
+
+    Returns:
+        How far each pose lies off its prediction, shape (N,), and the same in standard deviations, shape (N,).
+    """
+    N = residual.size
+    off, z = np.empty(N), np.empty(N)
+    F, Q = step_tables(steps, levels[2], levels[3])
+    state, P = np.zeros(3), np.zeros((3, 3))
+    for i in range(N):
+        if fresh[i]:
+            state[:] = 0.0
+            P[:] = 0.0
+            P[0, 0] = 1.0
+            P[1, 1], P[2, 2] = stationary(levels)
+        else:
+            P = F[step[i]] @ P @ F[step[i]].T + levels[0] * Q[step[i]]
+            state = F[step[i]] @ state
+        off[i] = residual[i] - state[0]
+        z[i] = off[i] / np.sqrt(P[0, 0] + levels[1])
+        weight = (freedom + 1.0) / (freedom + z[i] * z[i])
+        S = P[0, 0] + levels[1] / weight
+        gain = P[:, 0] / S
+        state = state + gain * off[i]
+        P = P - np.outer(gain, gain) * S
+    return off, z
+
+
+Outliers = tuple[tuple[Outlier, ...], ...]
+"""Of each flight."""
+
+
+def without_outliers(flights: Sequence[Flight], estimator: Estimator) -> tuple[tuple[Flight, ...], Outliers]:
+    """Leaves out the outliers of flights.
+
+    Args:
+        flights: As recorded.
+        estimator: Maximises the likelihood of flights; axis name to its estimate.
+
+    Returns:
+        The flights without their outliers, each with a note about them; and the outliers of each flight.
+    """
+    found: Outliers = tuple(() for _ in flights)
+    for _ in range(MOST_ROUNDS):
+        estimates = estimator([_kept(flight, one) for flight, one in zip(flights, found, strict=True)])
+        before = found
+        found = tuple(_outliers(f, _kept(f, one), estimates) for f, one in zip(flights, before, strict=True))
+        if [[o.time for o in one] for one in before] == [[o.time for o in one] for one in found]:
+            break
+    pairs = zip(flights, found, strict=True)
+    return tuple(replace(_kept(f, one), notes=(*f.notes, *_notes(f, one))) for f, one in pairs), found
+
+
+def _kept(flight: Flight, outliers: Sequence[Outlier]) -> Flight:
+    """The flight without these poses."""
+    keep = ~np.isin(flight.pose_time, [one.time for one in outliers])
+    return replace(flight, pose_time=flight.pose_time[keep], position=flight.position[keep], yaw=flight.yaw[keep])
+
+
+def _outliers(flight: Flight, fitted: Flight, estimates: Mapping[str, Estimate]) -> tuple[Outlier, ...]:
+    """Poses of a flight that are far off on any axis that was estimated from it, in order of time."""
+    worst: dict[float, tuple[float, Outlier]] = {}
+    for name, estimate in estimates.items():
+        number = next((j for j, rec in enumerate(estimate.records) if rec.command_time is flight.command_time), None)
+        if number is None:
+            continue
+        time, off, z = judged(flight, fitted, name, estimate, number)
+        for i in np.flatnonzero(z > OUTLIER):
+            one = Outlier(float(time[i]), name, float(abs(off[i])))
+            worst[one.time] = max(worst.get(one.time, (0.0, one)), (float(z[i]), one), key=lambda pair: pair[0])
+    return tuple(worst[time][1] for time in sorted(worst))
+
+
+def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number: int) -> tuple[Array, Array, Array]:
+    """How far each pose of a flight lies off what the two filters expect.
+
+    Args:
+        flight: With all its poses.
+        fitted: The same flight with the poses that were fitted.
+        name: Of the axis.
+        estimate: Of that axis.
+        number: Of the flight among those of the estimate.
+
+    Returns:
+        Time [s], distance [m or rad] and the same in standard deviations, from the nearer of the two expectations: each
+        of shape (N,), over the poses that are scored.
+    """
+    K, k = estimate.optimum.point.gain.size, estimate.place
+    axes = (name,) if K == 1 else estimate.records[number].axes
+    every = record(flight, axes, np.inf)
+    if every is None:
+        return np.empty(0), np.empty(0), np.empty(0)
+    residual = (every.position - _expected(every, fitted, estimate, number))[:, k]
+    levels = np.exp(estimate.optimum.point.levels)
+    # of a vehicle that turns the axes are judged in the world: by the livelier levels of the two
+    own = levels[k] if K == 1 else np.append(levels[:, :2].max(axis=0), levels[levels[:, 0].argmax(), 2:])
+    off, z = student_filter(every.steps, every.step, every.fresh, residual, own, FREEDOM)
+    steps, step = distinct_steps(-every.pose_time[::-1])
+    last = np.roll(every.fresh, -1)[::-1].copy()
+    off_back, z_back = student_filter(steps, step, last, residual[::-1].copy(), own, FREEDOM)
+    both, off = np.abs([z, z_back[::-1]]), np.array([off, off_back[::-1]])
+    nearer = both.argmin(axis=0)[None]
+    distance: Array = np.take_along_axis(off, nearer, 0)[0]
+    deviation: Array = np.take_along_axis(both, nearer, 0)[0]
+    return every.pose_time, distance, deviation
+
+
+def _expected(every: Record, fitted: Flight, estimate: Estimate, number: int) -> Array:
+    """Where the commands take the vehicle at every pose, shape (N, K): as the estimate's record has it."""
+    point, own = estimate.optimum.point, estimate.records[number]
+    began = dict(zip(own.starts, point.start[segments(estimate.records)[number]], strict=True))
+    start = np.array([began.get(time, np.zeros(len(every.axes))) for time in every.starts])
+    mean = response(every, point, number, start)[0]
+    plain = record(fitted, every.axes)
+    if plain is None:
+        return mean
+    # what the other axis does through the small turns of a held heading was taken off the estimate's record
+    turns = plain.position - own.position
+    return mean + np.column_stack([np.interp(every.pose_time, plain.block_time, turn) for turn in turns.T])
+
+
+def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
+    if not outliers:
+        return ()
+    largest = sorted(outliers, key=lambda one: -one.size)[:LISTED]
+    listed = ", ".join(f"{one.size:.3g} in {one.axis} at {one.time:.2f} s" for one in largest)
+    text = (
+        f"{len(outliers)} of {flight.pose_time.size} poses are not where the vehicle was (m, rad: {listed}): left out"
+    )
+    return (Note("outlier_poses", text, len(outliers)),)
+
+
+def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[Finding]:
+    """What was left out, flight by flight; `flights` are those without their outliers."""
+    for flight, found in zip(flights, outliers, strict=True):
+        if not found:
+            continue
+        share = len(found) / (len(found) + flight.pose_time.size)
+        largest = max(found, key=lambda one: one.size)
+        yield Finding(
+            "outliers",
+            "warning" if share > MANY else "info",
+            f"{flight.path}: {len(found)} poses ({100 * share:.2g} %) are not where the vehicle was, the largest by "
+            f"{largest.size:.3g} {'rad' if largest.axis == 'yaw' else 'm'} in {largest.axis} at {largest.time:.2f} s",
+            "they were left out; kept, they would pass for motion and make every interval wide or wrong",
+            "look for swapped or reflecting markers in the motion capture at these times",
+        )
