@@ -25,7 +25,7 @@ from rotorfit.disturbance import distinct_steps, stationary, step_tables
 from rotorfit.estimate import Estimate
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note
-from rotorfit.frames import Array
+from rotorfit.frames import AXES, Array
 from rotorfit.likelihood import response, segments
 from rotorfit.record import Record, record
 
@@ -34,6 +34,27 @@ FREEDOM = 4.0
 
 OUTLIER = 5.0
 """Standard deviations beyond which, from both sides, a pose is an outlier: of a clean flight none in a million."""
+
+JUMP = 8.0
+"""Robust standard deviations beyond which a step between poses is a jump."""
+
+JUMP_POSES = 11
+"""Poses over which the usual step is taken."""
+
+ALIKE = 0.3
+"""Share of a jump by which the jump back may differ."""
+
+GRAIN = 0.2
+"""Share of suspects beyond which they are the grain of the pose, not bursts."""
+
+LONGEST_BURST = 1.0
+"""Longest time between the two [s]."""
+
+MOST_OF_BURST = 0.5
+"""Share of a burst that makes all of it outliers."""
+
+ODD = 3.0
+"""Standard deviations beyond which a pose of a burst speaks against the burst."""
 
 MOST_ROUNDS = 8
 """Rounds of leaving out and maximising."""
@@ -114,15 +135,42 @@ def without_outliers(flights: Sequence[Flight], estimator: Estimator) -> tuple[t
     Returns:
         The flights without their outliers, each with a note about them; and the outliers of each flight.
     """
-    found: Outliers = tuple(() for _ in flights)
+    bursts = [jumped(flight) for flight in flights]
+    found: Outliers = tuple(tuple(one for burst in some for one in burst) for some in bursts)
     for _ in range(MOST_ROUNDS):
         estimates = estimator([_kept(flight, one) for flight, one in zip(flights, found, strict=True)])
         before = found
-        found = tuple(_outliers(f, _kept(f, one), estimates) for f, one in zip(flights, before, strict=True))
+        rounds = zip(flights, before, bursts, strict=True)
+        found = tuple(_outliers(f, _kept(f, one), estimates, some) for f, one, some in rounds)
         if [[o.time for o in one] for one in before] == [[o.time for o in one] for one in found]:
             break
     pairs = zip(flights, found, strict=True)
     return tuple(replace(_kept(f, one), notes=(*f.notes, *_notes(f, one))) for f, one in pairs), found
+
+
+def jumped(flight: Flight) -> tuple[tuple[Outlier, ...], ...]:
+    """Bursts of poses between a jump and a jump back: the suspects of the first round.
+
+    A burst taken for motion makes the disturbance so lively that no filter would find anything odd in it.
+    """
+    from scipy.ndimage import median_filter
+
+    bursts = []
+    for name, pose in zip(AXES, np.column_stack([flight.position, flight.yaw]).T, strict=True):
+        step = np.diff(pose)
+        step = step - median_filter(step, JUMP_POSES)
+        jumps = np.flatnonzero(np.abs(step) > JUMP * 1.4826 * np.median(np.abs(step)))
+        last = 0
+        for i in jumps[np.abs(step[jumps]) > 0]:
+            back = jumps[(jumps > i) & (flight.pose_time[jumps] < flight.pose_time[i] + LONGEST_BURST)]
+            back = back[np.abs(step[i] + step[back]) < ALIKE * abs(step[i])]
+            if i < last or not back.size:
+                continue
+            last = int(back[0])
+            times, size = flight.pose_time[i + 1 : last + 1], float(abs(step[i]))
+            bursts.append(tuple(Outlier(float(time), name, size) for time in times))
+    many = sum(map(len, bursts)) > GRAIN * flight.pose_time.size
+    return () if many else tuple(bursts)
 
 
 def _kept(flight: Flight, outliers: Sequence[Outlier]) -> Flight:
@@ -131,18 +179,27 @@ def _kept(flight: Flight, outliers: Sequence[Outlier]) -> Flight:
     return replace(flight, pose_time=flight.pose_time[keep], position=flight.position[keep], yaw=flight.yaw[keep])
 
 
-def _outliers(flight: Flight, fitted: Flight, estimates: Mapping[str, Estimate]) -> tuple[Outlier, ...]:
-    """Poses of a flight that are far off on any axis that was estimated from it, in order of time."""
+def _outliers(
+    flight: Flight, fitted: Flight, estimates: Mapping[str, Estimate], bursts: Sequence[Sequence[Outlier]]
+) -> tuple[Outlier, ...]:
+    """Poses of a flight that are far off on any axis that was estimated from it, in order of time.
+
+    Of a burst all are, if most of it is off at all: in its middle a filter has lost its certainty.
+    """
     worst: dict[float, tuple[float, Outlier]] = {}
     for name, estimate in estimates.items():
         number = next((j for j, rec in enumerate(estimate.records) if rec.command_time is flight.command_time), None)
         if number is None:
             continue
         time, off, z = judged(flight, fitted, name, estimate, number)
-        for i in np.flatnonzero(z > OUTLIER):
+        for i in np.flatnonzero(z > ODD):
             one = Outlier(float(time[i]), name, float(abs(off[i])))
             worst[one.time] = max(worst.get(one.time, (0.0, one)), (float(z[i]), one), key=lambda pair: pair[0])
-    return tuple(worst[time][1] for time in sorted(worst))
+    out = {time: one for time, (z, one) in worst.items() if z > OUTLIER}
+    for burst in bursts:
+        if sum(one.time in worst for one in burst) > MOST_OF_BURST * len(burst):
+            out = {one.time: one for one in burst} | out
+    return tuple(out[time] for time in sorted(out))
 
 
 def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number: int) -> tuple[Array, Array, Array]:
@@ -172,11 +229,9 @@ def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number
     steps, step = distinct_steps(-every.pose_time[::-1])
     last = np.roll(every.fresh, -1)[::-1].copy()
     off_back, z_back = student_filter(steps, step, last, residual[::-1].copy(), own, FREEDOM)
-    both, off = np.abs([z, z_back[::-1]]), np.array([off, off_back[::-1]])
-    nearer = both.argmin(axis=0)[None]
-    distance: Array = np.take_along_axis(off, nearer, 0)[0]
-    deviation: Array = np.take_along_axis(both, nearer, 0)[0]
-    return every.pose_time, distance, deviation
+    z, z_back = np.abs(z), np.abs(z_back[::-1])
+    off = np.where(z <= z_back, off, off_back[::-1])
+    return every.pose_time, off, np.minimum(z, z_back)
 
 
 def _expected(every: Record, fitted: Flight, estimate: Estimate, number: int) -> Array:
@@ -184,13 +239,14 @@ def _expected(every: Record, fitted: Flight, estimate: Estimate, number: int) ->
     point, own = estimate.optimum.point, estimate.records[number]
     began = dict(zip(own.starts, point.start[segments(estimate.records)[number]], strict=True))
     start = np.array([began.get(time, np.zeros(len(every.axes))) for time in every.starts])
-    mean = response(every, point, number, start)[0]
+    mean: Array = response(every, point, number, start)[0]
     plain = record(fitted, every.axes)
     if plain is None:
         return mean
     # what the other axis does through the small turns of a held heading was taken off the estimate's record
     turns = plain.position - own.position
-    return mean + np.column_stack([np.interp(every.pose_time, plain.block_time, turn) for turn in turns.T])
+    mean += np.column_stack([np.interp(every.pose_time, plain.block_time, turn) for turn in turns.T])
+    return mean
 
 
 def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
