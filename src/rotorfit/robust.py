@@ -62,6 +62,9 @@ MOST_ROUNDS = 8
 LISTED = 10
 """Outliers that a note lists, the largest first."""
 
+SETTLING = 0.25
+"""Time after its start in which a filter is no witness: it takes the first pose for where the vehicle is [s]."""
+
 MANY = 0.05
 """Share of outliers beyond which the motion capture itself is in doubt."""
 
@@ -230,6 +233,9 @@ def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number
     last = np.roll(every.fresh, -1)[::-1].copy()
     off_back, z_back = student_filter(steps, step, last, residual[::-1].copy(), own, FREEDOM)
     z, z_back = np.abs(z), np.abs(z_back[::-1])
+    parts = [every.pose_time[i:j] for i, j in every.pose_range]
+    z[np.concatenate([time < time[0] + SETTLING for time in parts])] = np.inf
+    z_back[np.concatenate([time > time[-1] - SETTLING for time in parts])] = np.inf
     off = np.where(z <= z_back, off, off_back[::-1])
     return every.pose_time, off, np.minimum(z, z_back)
 
