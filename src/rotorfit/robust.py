@@ -42,7 +42,7 @@ JUMP_POSES = 11
 """Poses over which the usual step is taken."""
 
 ALIKE = 0.3
-"""Share of a jump by which the jump back may differ."""
+"""Share of a jump within which the jumps after it must lead back."""
 
 GRAIN = 0.2
 """Share of suspects beyond which they are the grain of the pose, not bursts."""
@@ -164,13 +164,14 @@ def jumped(flight: Flight) -> tuple[tuple[Outlier, ...], ...]:
         step = step - median_filter(step, JUMP_POSES)
         jumps = np.flatnonzero(np.abs(step) > JUMP * 1.4826 * np.median(np.abs(step)))
         last = 0
-        for i in jumps[np.abs(step[jumps]) > 0]:
-            back = jumps[(jumps > i) & (flight.pose_time[jumps] < flight.pose_time[i] + LONGEST_BURST)]
-            back = back[np.abs(step[i] + step[back]) < ALIKE * abs(step[i])]
+        for i in jumps[step[jumps] != 0]:
+            some = jumps[(jumps >= i) & (flight.pose_time[jumps] < flight.pose_time[i] + LONGEST_BURST)]
+            gone = np.cumsum(step[some])
+            back = some[np.abs(gone) < ALIKE * abs(step[i])]
             if i < last or not back.size:
                 continue
             last = int(back[0])
-            times, size = flight.pose_time[i + 1 : last + 1], float(abs(step[i]))
+            times, size = flight.pose_time[i + 1 : last + 1], float(np.abs(gone[some < last]).max())
             bursts.append(tuple(Outlier(float(time), name, size) for time in times))
     many = sum(map(len, bursts)) > GRAIN * flight.pose_time.size
     return () if many else tuple(bursts)
@@ -268,7 +269,7 @@ def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
 
 def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[Finding]:
     """What was left out, flight by flight; `flights` are those without their outliers."""
-    for flight, found in zip(flights, outliers, strict=True):
+    for flight, found in zip(flights, outliers, strict=bool(outliers)):
         if not found:
             continue
         share = len(found) / (len(found) + flight.pose_time.size)
