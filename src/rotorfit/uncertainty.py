@@ -157,7 +157,7 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         Shape (n, n).
     """
     point, n, K, F = optimum.point, optimum.point.n, optimum.point.gain.size, len(records)
-    lags = round(LAG * BLOCK_RATE)
+    lags, first = round(LAG * BLOCK_RATE), n - point.trim.size - point.start.size  # of the trims
     filling = np.zeros((n, n))
     for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
         mean, sensitivity = response(rec, point, j, point.start[at])
@@ -165,11 +165,11 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         rows, _ = whiten(rec, columns, point.levels)
         parts = np.einsum("bck,bk->bc", rows[:, 1:], rows[:, 0])
         contribution = np.zeros((len(parts), n))
-        contribution[:, : 3 * K] = parts[:, : 3 * K]
-        contribution[:, 3 * K + j * K : 3 * K + (j + 1) * K] = parts[:, 3 * K : 4 * K]
+        contribution[:, :first] = parts[:, :first]
+        contribution[:, first + j * K : first + (j + 1) * K] = parts[:, first : first + K]
         segment = at.start + np.cumsum(rec.fresh) - 1
         for k in range(K):
-            contribution[np.arange(len(parts)), 3 * K + F * K + segment * K + k] = parts[:, 4 * K + k]
+            contribution[np.arange(len(parts)), first + F * K + segment * K + k] = parts[:, first + K + k]
         filling += contribution.T @ contribution
         for lag in range(1, min(lags, len(parts))):
             product = contribution[lag:].T @ contribution[:-lag]
