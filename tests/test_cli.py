@@ -21,7 +21,7 @@ from rotorfit.model import load, to_mapping
 from rotorfit.simulator import Truth, simulate_flight, write_bag
 from rotorfit.sources import FORMATS
 
-VERBS = ["demo", "info", "fit", "validate", "compare", "report", "cards", "formats"]
+VERBS = ["demo", "info", "fit", "validate", "compare", "report", "convert", "cards", "formats"]
 ANSI = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from mypy import api as mypy
 
 import rotorfit
-from rotorfit import advice, card, estimate, forecast, likelihood, modes, record, regression
+from rotorfit import advice, card, estimate, forecast, likelihood, modes, plausibility, record, regression
 from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
@@ -187,18 +187,19 @@ def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> N
 
     assert set(re.findall(r"^\| `(\w+)` \|", formats, re.MULTILINE)) == set(FORMATS)
     assert {name for name in builtin_cards() if f"`{name}`" not in formats} == set()
-    assert {verb for verb in main.commands if f"rotorfit {verb}" not in README} <= {"compare", "demo"}
+    assert {verb for verb in main.commands if f"rotorfit {verb}" not in README} <= {"compare", "convert", "demo"}
 
 
 def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
     described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
 
-    assert sorted(described) == sorted(codes_in("advice.py", "Finding"))
+    modules = ("advice.py", "plausibility.py", "convert.py", "robust.py", "uncertainty.py")
+    assert sorted(described) == sorted(code for module in modules for code in codes_in(module, "Finding"))
 
 
 def test_every_note_of_the_code_is_in_the_documents() -> None:
     notes = section(FINDINGS, "Notes")
-    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note")
+    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note") | codes_in("robust.py", "Note")
 
     assert len(codes) >= 7
     assert {code for code in codes if f"`{code}`" not in notes} == set()
@@ -254,6 +255,9 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"less than {advice.SHORT_TIME:g} s together",
         f"more than {100 * advice.SATURATED_SHARE:g} % of its samples",
         f"More than {100 * advice.STALE_SHARE:g} % of the poses",
+        f"above {plausibility.LIMIT_MARGIN:g} times, or below 1 / {plausibility.LIMIT_MARGIN:g} times",
+        f"beyond {plausibility.GAIN_SYMMETRY:g}, or that of their dampings beyond {plausibility.DAMPING_SYMMETRY:g}",
+        f"more than a factor of {plausibility.ALIKE:g} apart",
     )
 
     assert [phrase for phrase in told if phrase not in FINDINGS] == []

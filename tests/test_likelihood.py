@@ -15,6 +15,7 @@ from rotorfit.likelihood import (
     Point,
     degrees_of_freedom,
     inverted,
+    level_share,
     response,
     restriction,
     score,
@@ -345,3 +346,39 @@ def test_a_coefficient_hidden_by_slow_wind_has_fewer_degrees_of_freedom_than_one
     here = score([rec], point, restriction([rec], point, free))
     gain, trim = (degrees_of_freedom(here, free, np.eye(point.n)[i]) for i in (0, 3))
     assert trim < 0.5 * gain
+
+
+@pytest.mark.parametrize("axes", GROUPS)
+def test_the_cross_derivatives_are_those_of_the_gradient_by_the_levels(axes: tuple[str, ...]) -> None:
+    records = records_of(axes)
+    point = point_of(records)
+    free = np.ones(point.flat().size, bool)
+    restricted = restriction(records, point, free)
+    cross = score(records, point, restricted).cross
+    for i in range(point.levels.size):
+        ends = []
+        for side in (1, -1):
+            values = point.flat()
+            values[point.n + i] += side * 1e-4
+            ends.append(score(records, point.with_flat(values)).gradient[: point.n])
+        expected = (ends[0] - ends[1]) / 2e-4
+        # q and r of one axis alone: the start's own variance is left out of the scaling, 1e-3 of the largest
+        np.testing.assert_allclose(cross[:, i], expected, rtol=1e-3, atol=2e-3 * np.abs(expected).max())
+
+
+def test_the_levels_add_little_to_a_well_excited_flight_and_more_to_a_short_noisy_one() -> None:
+    shares = []
+    for duration, noise in ((60.0, 5e-4), (12.0, 5e-3)):
+        truth = replace(Truth(), wind_sigma=(0.2,) * 4, mocap_noise=(noise,) * 4)
+        values = []
+        for seed in range(4):
+            records = [record(flown(truth, steps(("z",), seed=seed), duration, seed), ("z",))]
+            assert records[0] is not None
+            point = replace(point_of(records), gain=np.array([2.4596]), log_damping=np.log([2.1683]))
+            free = np.ones(point.flat().size, bool)
+            values.append(
+                level_share(score(records, point, restriction(records, point, free)), free, np.eye(point.n)[1])
+            )
+        shares.append(np.mean(values))
+    assert 0 <= shares[0] < 0.04
+    assert shares[1] > 2 * shares[0]

@@ -79,8 +79,10 @@ class Card:
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
 _LENGTH, _SPEED, _ANGLE, _RATE = ("m", "cm", "mm"), ("m/s", "cm/s"), ("rad", "deg"), ("rad/s", "deg/s")
 _STAMP, _ANY = ("s", "ms", "us", "ns"), tuple(UNIT_SCALE)
-_LIMIT_UNITS = {"tilt": _ANGLE, "vertical_speed": _SPEED, "yaw_rate": _RATE, "speed": _SPEED}
-_LIMITS = tuple(_LIMIT_UNITS)
+LIMIT_UNITS = {"tilt": _ANGLE, "vertical_speed": _SPEED, "yaw_rate": _RATE, "speed": _SPEED}
+"""Limit to the units that it may be given in, SI first."""
+
+_LIMITS = tuple(LIMIT_UNITS)
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
     "pose": ("time", *AXES, "quaternion"),
@@ -410,10 +412,17 @@ def _pose(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
 
 def _limit(key: str, value: Any, place: str) -> float:
     """A limit in SI, from a number or `{ value, unit }`."""
+    limit = _limit_in_si(key, value, place)
+    if key == "tilt" and limit >= math.pi / 2:
+        raise CardError(f"{place}: {value!r} is no tilt below 90 deg; a number alone is rad, unit = 'deg' says degrees")
+    return limit
+
+
+def _limit_in_si(key: str, value: Any, place: str) -> float:
     if not isinstance(value, Mapping):
         return _positive(value, place)
     _check_keys(value, ("value", "unit"), place)
     if "value" not in value:
         raise CardError(f"{place}: key 'value' is missing")
-    unit = _choice(value.get("unit", _LIMIT_UNITS[key][0]), _LIMIT_UNITS[key], f"{place}.unit")
+    unit = _choice(value.get("unit", LIMIT_UNITS[key][0]), LIMIT_UNITS[key], f"{place}.unit")
     return _positive(value["value"], f"{place}.value") * UNIT_SCALE[unit]

@@ -262,6 +262,36 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
 
 
 @main.command()
+@_model
+@click.option(
+    "--limits",
+    metavar="tilt=20deg,...",
+    required=True,
+    help="New tilt, vertical_speed, yaw_rate or speed; without a unit in SI.",
+)
+@click.option("-o", "output", type=_file(), metavar="other.json", required=True, help="The model file to write.")
+@_json
+def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
+    """Convert a model to other limits: the same drone under another tilt, climb or rotation limit."""
+    from rotorfit.convert import convert as to_limits
+    from rotorfit.frames import AXES
+    from rotorfit.model import load, save, to_mapping
+    from rotorfit.pipeline import MODEL_MARK, check_destination
+    from rotorfit.settings import limits_from_text
+
+    check_destination(output, MODEL_MARK)
+    model = to_limits(load(model_path), limits_from_text(limits))
+    save(model, output)
+    if as_json:
+        return _print_json(to_mapping(model))
+    from rotorfit.terminal import model_view, show
+
+    show(model_view(model, AXES))
+    click.echo(f"\nModel written to {output}.")
+    return None
+
+
+@main.command()
 @click.argument("name", required=False)
 @_json
 def cards(name: str | None, as_json: bool) -> None:

@@ -1,5 +1,6 @@
 """Finding: one thing that the user should know about a flight or a fit, with its evidence."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,3 +26,9 @@ class Finding:
     effect: str
     remedy: str
     axis: str | None = None
+
+
+def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings in the order error, warning, info; else as they come."""
+    rank = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(findings, key=lambda finding: rank[finding.severity]))

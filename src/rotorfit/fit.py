@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
-from rotorfit.estimate import Estimate, alone, coupled, free_of, together
+from rotorfit.estimate import Estimate, alone, answers_motion, coupled, free_of, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
 from rotorfit.likelihood import START_LEVELS, inverted
@@ -26,6 +26,7 @@ from rotorfit.model import (
     unknown_axis,
 )
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
+from rotorfit.physics import with_physics
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
@@ -49,6 +50,9 @@ WIDEST_DELAY = 0.4
 
 NORMAL = 1.959963984540054
 """97.5 % point of the normal distribution, for the regression's intervals."""
+
+AT_BOUND = 1e-4
+"""How close to an end of its range a delay is at it [s]."""
 
 DIVERGED = 0.5
 """Expected gain in log-likelihood of one more step above which the climb has not ended."""
@@ -135,7 +139,8 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    return Fit(model, tuple(flights), paper, {axis: e for axis, e in estimates.items() if axis in wanted}, outliers)
+    kept = {axis: e for axis, e in estimates.items() if axis in wanted}
+    return Fit(with_physics(model), tuple(flights), paper, kept, outliers)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
@@ -246,6 +251,8 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     if _holds_zero(ends["input"]):
         return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     status = _status(ends)
+    if status["delay"] != "ok" and (_at_bound(optimum, k) or answers_motion(records, optimum, k)):
+        status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
     point = Predictor(
         input=float(optimum.point.gain[k]),
         damping=float(np.exp(optimum.point.log_damping[k])),
@@ -273,6 +280,12 @@ def _unfinished(optimum: Optimum, k: int) -> bool:
     K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
     moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
     return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
+
+
+def _at_bound(optimum: Optimum, k: int) -> bool:
+    """Whether the delay ended at an end of its range. There, or unknown in a feedback loop, it takes the rest with it:
+    what such a loop leaves is a slow answer to old commands, whatever the vehicle is."""
+    return bool(min(abs(optimum.point.delay[k] - end) for end in DELAY_RANGE) < AT_BOUND)
 
 
 def _uncut(gain: Interval, damping: Interval, value: float) -> Interval:

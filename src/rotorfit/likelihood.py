@@ -154,6 +154,7 @@ class Score:
         gradient: Shape (n + 4 K,); the levels' part is that of both together.
         information: Expected; block diagonal between the coefficients with the trims and the levels.
         slopes: Derivative of the coefficients' information, at the reference, by each level, shape (4 K, n, n).
+        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each level, (n, 4 K).
         innovations: Per flight, standardised, heading frame, shape (B, K).
     """
 
@@ -162,6 +163,7 @@ class Score:
     gradient: Array
     information: Array
     slopes: Array
+    cross: Array
     innovations: tuple[Array, ...]
 
     @property
@@ -214,7 +216,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     """
     K, n, F = point.gain.size, point.n, len(records)
     information, gradient = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K)
-    projected, slopes = np.zeros((n, n)), np.zeros((4 * K, n, n))
+    projected, slopes, cross = np.zeros((n, n)), np.zeros((4 * K, n, n)), np.zeros((n, 4 * K))
     log_likelihood, innovations = 0.0, []
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
@@ -247,6 +249,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             for (where, part), product in zip(parts, products, strict=True):
                 change = moved[part, 1:].T @ moved[part, 1:] - product[1 + 5 * K :, 1 + 5 * K :]
                 slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
+                turned = moved[part, 1:].T @ moved[part, 0] - product[1 + 5 * K :, 0]
+                cross[where, i] += turned / LEVEL_STEP
         if K == 1:
             # q and r together only scale every variance but that of the unknown start: one filter pass saved.
             later = ~rec.fresh
@@ -254,6 +258,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
             projected[np.ix_(where, where)] += product[1 + 5 * K :, 1 + 5 * K :]
+            if K == 1:  # minus the gradient, of which the second level's share is taken off below
+                cross[where, 0] -= product[1 + 5 * K :, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
         raw = d_innovation + 0.5 * e * d_log_variance
@@ -263,9 +269,10 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     if restricted is not None:
         if K == 1:
             slopes[0] = -projected - slopes[1]
+            cross[:, 0] -= cross[:, 1]
         gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
         adjustment = -0.5 * _log_determinant(projected, restricted.active)
-    return Score(log_likelihood, adjustment, gradient, information, slopes, tuple(innovations))
+    return Score(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations))
 
 
 def _start_places(K: int, F: int, at: slice) -> range:
@@ -314,6 +321,25 @@ def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:
     slope = -np.einsum("i,kij,j->k", along, score_.slopes, along) / float(direction @ along)
     spread = float(slope @ inverted(score_.information[n:, n:], free[n:]) @ slope)
     return max(2.0 / max(spread, 1e-9), LEAST_FREEDOM)
+
+
+def level_share(score_: Score, free: Mask, direction: Array) -> float:
+    """What not knowing the levels adds to the variance of a combination of coefficients, as a share of it.
+
+    The estimate moves with the levels as far as the data happen to pull; this is the square of that pull over the
+    levels' own uncertainty, from the observed cross derivatives.
+
+    Args:
+        score_: With the levels' part.
+        free: True for the parameters that were fitted, shape (n + 4 K,).
+        direction: Of the combination, shape (n,).
+
+    Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997: the term Phi (Q - P Phi P) Phi.
+    """
+    n = direction.size
+    along = inverted(score_.information[:n, :n], free[:n]) @ direction
+    pull = along @ score_.cross
+    return float(pull @ inverted(score_.information[n:, n:], free[n:]) @ pull) / float(direction @ along)
 
 
 def inverted(information: Array, active: Mask) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import START_LEVELS, Point, Restriction, Score, inverted, restriction, score
+from rotorfit.likelihood import LEVEL_RANGE, START_LEVELS, Point, Restriction, Score, inverted, restriction, score
 from rotorfit.record import Record
 
 LEVEL_DAMPING = 0.1
@@ -17,6 +17,9 @@ EDGE = 1e-9
 
 FLAT_OVERLAP = np.log(0.05)
 """Logarithm of the overlap below which the likelihood hardly depends on it."""
+
+FAST_DISTURBANCE = np.log(50.0)
+"""Logarithm of the disturbance's damping beyond which blocks of 1/30 s do not resolve it, and a climb can be stuck."""
 
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
@@ -99,17 +102,27 @@ def maximise(
 
 
 def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float = 1e-3, most: int = 80) -> Optimum:
-    """Maximises, and again from a middling overlap where the first climb ended at a small one.
+    """Maximises, and again from middling poles of the disturbance where the first climb ended at remote ones.
 
-    Far below one the overlap leaves no trace in the likelihood, and a climb that was thrown there stays.
+    Far below one the overlap leaves no trace in the likelihood, and neither do poles faster than the blocks: a climb
+    that was thrown there stays. The second start keeps the disturbance's velocity as large as it was found.
     """
     first = maximise(records, point, free, tolerance=tolerance, most=most)
-    stranded = first.point.levels[:, 3] < FLAT_OVERLAP
-    if not stranded.any():
+    fast, flat = first.point.levels[:, 2] > FAST_DISTURBANCE, first.point.levels[:, 3] < FLAT_OVERLAP
+    if not (fast | flat).any() or not free[-1]:
         return first
     levels = first.point.levels.copy()
-    levels[stranded, 3] = START_LEVELS[3]
-    again = maximise(records, replace(first.point, levels=levels), free, tolerance=tolerance, most=most)
+    levels[fast | flat, 3] = START_LEVELS[3]
+    levels[fast, 2] = START_LEVELS[2]
+    change = (levels - first.point.levels)[fast]
+    levels[fast, 0] += 3 * change[:, 2] + change[:, 3]  # the velocity's variance is 2 q / (kappa alpha^3)
+    again = maximise(
+        records,
+        replace(first.point, levels=np.maximum(levels, LEVEL_RANGE[:, 0])),
+        free,
+        tolerance=tolerance,
+        most=most,
+    )
     return again if again.score.log_likelihood > first.score.log_likelihood else first
 
 

@@ -15,6 +15,7 @@ from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
 from rotorfit.frames import AXES, Array
+from rotorfit.settings import Conversion, Figure, Quantity
 
 FORMAT = "rotorfit-model"
 VERSION = 1
@@ -158,6 +159,8 @@ class Model:
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
         uncertainty: The accuracy table; None where it was not asked for.
+        physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
+        conversion: Set where the model was converted to other limits than those of its flights.
     """
 
     card: Card
@@ -171,6 +174,8 @@ class Model:
     flights: tuple[Source, ...]
     rotorfit: str = __version__
     uncertainty: Uncertainty | None = None
+    physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    conversion: Conversion | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -328,6 +333,8 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "axes": {name: asdict(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
         "paper": {"gamma": list(model.paper)},
+        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
+        "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
         "uncertainty": model.uncertainty and asdict(model.uncertainty),
@@ -359,6 +366,11 @@ def from_mapping(raw: Any, where: str) -> Model:
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
             uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
+            physics={
+                name: {key: _quantity(part) for key, part in parts.items()}
+                for name, parts in raw.get("physics", {}).items()
+            },
+            conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
@@ -382,6 +394,12 @@ def _axis(raw: Mapping[str, Any]) -> Axis:
             "profile": tuple((delay, value) for delay, value in raw["profile"]),
         }
     )
+
+
+def _quantity(raw: Mapping[str, Any]) -> Quantity:
+    figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
+    known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
+    return Quantity(**{**raw, **known})
 
 
 def _source(raw: Mapping[str, Any]) -> Source:

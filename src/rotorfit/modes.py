@@ -117,7 +117,39 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             levels = climbed.point.levels
     predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
     found = [Found(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
-    return _ranked(found)
+    return _ranked([*found, *_crossed(records, flights, free, found)])
+
+
+def _crossed(
+    records: Sequence[Record], flights: Sequence[Flight], free: Mask, found: Sequence[Found]
+) -> tuple[Found, ...]:
+    """The optimum that each axis of a pair finds best, put together and climbed, where no start ended there.
+
+    A start that is right for one axis can be wrong for the other, and then no climb is right for both.
+    """
+    best = [_best_on(found, k) for k in range(len(records[0].axes))]
+    if len(set(best)) < 2:
+        return ()
+    points = [found[i].optimum.point for i in best]
+    point = replace(
+        points[0],
+        **{name: np.stack([getattr(p, name)[k] for k, p in enumerate(points)]) for name in _OF_AXES},
+        trim=np.stack([p.trim[:, k] for k, p in enumerate(points)], axis=1),
+    )
+    climbed = climb(records, point, free, tolerance=0.3, most=FINISH)
+    if _same(climbed.point, [f.optimum.point for f in found]) is not None:
+        return ()
+    return (Found(climbed, 0, *prediction_error(flights, records[0].axes, climbed)),)
+
+
+_OF_AXES = ("gain", "log_damping", "delay", "levels")
+"""What a point holds per axis, the axes first."""
+
+
+def _best_on(found: Sequence[Found], k: int) -> int:
+    """Which optimum predicts an axis best, loops read backwards left out."""
+    error = np.array([np.inf if reads_backwards(f.optimum, k) else f.prediction[k] for f in found])
+    return int(np.argmin(np.where(np.isfinite(error), error, np.inf)))
 
 
 def _still(point: Point, free: Mask) -> Point:

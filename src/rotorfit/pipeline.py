@@ -8,11 +8,13 @@ from typing import Any
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
 from rotorfit.errors import LogError, ModelError, RotorfitError
+from rotorfit.finding import by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.model import Model, is_model_file, load, with_findings
+from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate
@@ -76,7 +78,8 @@ def fit_logs(
     result = with_delay_profiles(fit(flights, method, axes, progress))
     if uncertainty:
         result = with_uncertainty(result, progress)
-    return replace(result, model=with_findings(result.model, findings_of_fit(result)))
+    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(result.model)))
+    return replace(result, model=with_findings(result.model, findings))
 
 
 def validate_logs(
@@ -149,6 +152,8 @@ def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]
     Returns:
         The flights; and one line about each that is left out, with the reason.
     """
+    if model.conversion:  # its card no longer says what their commands were fractions of
+        return (), ("training flights left out: the model was converted to limits that they were not flown under",)
     flights, left_out = [], []
     for source in model.flights:
         try:

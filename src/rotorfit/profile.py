@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.frames import Array
-from rotorfit.likelihood import degrees_of_freedom, inverted
+from rotorfit.likelihood import degrees_of_freedom, inverted, level_share
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Interval
 from rotorfit.record import Record
@@ -46,10 +46,22 @@ def height(optimum: Optimum) -> float:
 
 
 def quantile(optimum: Optimum, direction: Array) -> float:
-    """97.5 % point of Student's t at the degrees of freedom that the levels leave for a combination of coefficients."""
+    """97.5 % point for the signed root of twice the fall of the profile along a combination of coefficients.
+
+    Student's t at the degrees of freedom that the levels leave; widened because the information at estimated levels is
+    too large, by as much as their uncertainty adds to the variance. The profile itself holds what it adds, once.
+
+    Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997, the factor 2 of the adjusted covariance.
+    """
     from scipy.special import stdtrit
 
-    return float(stdtrit(degrees_of_freedom(optimum.score, optimum.free, direction), 0.975))
+    share = min(level_share(optimum.score, optimum.free, direction), MOST_SHARE)
+    widened = float(np.sqrt((1 + 2 * share) / (1 + share)))
+    return float(stdtrit(degrees_of_freedom(optimum.score, optimum.free, direction), 0.975)) * widened
+
+
+MOST_SHARE = 1.0
+"""Largest share of the levels' uncertainty that is believed: beyond it the expansion says nothing."""
 
 
 @dataclass(frozen=True)

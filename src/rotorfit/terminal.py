@@ -18,6 +18,7 @@ from rotorfit.clock import Rate
 from rotorfit.finding import Finding
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Interval, Mode, Model
+from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.summary import summary_of_model
 from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
 
@@ -161,13 +162,18 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield _indented(f"input is per command of 1{legend}", 0, "dim")
     yield from _list([line for axis, one in known.items() for line in _search_lines(axis, one)])
     if model.uncertainty:
-        for heads, rows in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
+        for heads, cells_of in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
             yield ""
             table = _table(*heads, left=(0, 1), gap=1)
-            for cells in rows(model.uncertainty):
+            for cells in cells_of(model.uncertainty):
                 table.add_row(*cells)
             yield table
         yield from _list(accuracy_lines(model.uncertainty))
+    rows = [row for row in physics_rows(model) if row.axis in wanted]
+    if rows:
+        yield ""
+        yield _physics_table(rows)
+        yield from _list([line for line in implied_limits(model) if line.partition(":")[0] in wanted])
     for flight in model.flights:
         yield ""
         start, end = flight.span
@@ -201,6 +207,27 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
         for name, part in known.combinations.items():
             value = "-" if part.ci95 == (None, None) else _number(part.value, part.ci95)
             table.add_row("", _WORDS[name], value, _interval(part.ci95), _UNITS[name][axis == "yaw"], "", "")
+    return table
+
+
+def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
+    """Coefficients in physics, at full command, beside what the card makes one expect."""
+    table = _table("axis", "in physics", "estimate", "95 % interval", "unit", "expect", "ratio", left=(0, 1, 4), gap=1)
+    shown = ""
+    for row in rows:
+        value, ends = row.measured.value, row.measured.ci95
+        ratio = row.ratio if row.ratio and None not in row.ratio.ci95 else None
+        table.add_row(
+            "" if row.axis == shown else row.axis,
+            row.name.replace("_", " "),
+            "-" if value is None else _number(value, ends),
+            _interval(ends),
+            row.unit,
+            "" if row.expected is None else f"{row.expected:.3g}",
+            "" if ratio is None or ratio.value is None
+            else f"{ratio.value:.2f} ({ratio.ci95[0]:.2f} to {ratio.ci95[1]:.2f})",
+        )  # fmt: skip
+        shown = row.axis
     return table
 
 

@@ -26,6 +26,7 @@ from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES, Array
 from rotorfit.model import Model
 from rotorfit.report.drawing import Drawing, drawn
+from rotorfit.report.physics import physics_text
 from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of
 from rotorfit.report.words import AXIS, COEFFICIENT, TERMS, rounded
@@ -151,6 +152,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
         useful=USEFUL,
         useless=USELESS,
         coefficients=_coefficients(model),
+        physics=physics_text(model),
         reading=READING,
         validation_flights=tested,
         training_flights=fitted,

@@ -51,7 +51,7 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
     training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
     tested = [LogUsed(f.path, "validation", f.sha256, f.span) for f in flights]
     fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_axes(model)]
-    commands = [shlex.join([*fit, "-o", "model.json"])]
+    commands = [shlex.join([*fit, "-o", "fitted.json" if model.conversion else "model.json"]), *_converting(model)]
     if tested:
         commands += [shlex.join(["rotorfit", "validate", "model.json", *map(_log, tested)])]
         commands += [shlex.join(["rotorfit", "report", "model.json", *map(_log, tested), "-o", "report.html"])]
@@ -62,8 +62,18 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
         tuple(commands),
         (*versions, ("Python", platform.python_version()), *used),
         (*training, *tested),
-        card_text(model.card.raw),
+        card_text({**model.card.raw, "limits": model.conversion.limits} if model.conversion else model.card.raw),
     )
+
+
+def _converting(model: Model) -> list[str]:
+    """The command that brings a model under the limits that it has now, where these are not those of its flights."""
+    if not model.conversion:
+        return []
+    now, flown = model.card.raw["limits"], model.conversion.limits
+    changed = (f"{name}={value:.15g}" for name, value in model.card.limits.items() if now[name] != flown[name])
+    limits = ",".join(changed)
+    return [shlex.join(["rotorfit", "convert", "fitted.json", "--limits", limits, "-o", "model.json"])]
 
 
 def _axes(model: Model) -> list[str]:
