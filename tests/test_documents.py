@@ -193,7 +193,7 @@ def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> N
 def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
     described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
 
-    modules = ("advice.py", "plausibility.py", "convert.py", "robust.py", "uncertainty.py")
+    modules = ("advice.py", "plausibility.py", "convert.py", "robust.py", "uncertainty.py", "influence.py")
     assert sorted(described) == sorted(code for module in modules for code in codes_in(module, "Finding"))
 
 

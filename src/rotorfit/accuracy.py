@@ -141,6 +141,27 @@ class Uncertainty:
     sandwich_lag: float
 
 
+@dataclass(frozen=True)
+class PriorUse:
+    """What the card's prior did to one coefficient.
+
+    Attributes:
+        mean: Of the prior.
+        sd: Of the prior; of the damping it stands for the share sd / mean of a normal logarithm.
+        data: What the flights alone say.
+        moved: How far the prior moved the estimate, in standard errors of the flights alone.
+        share: Of the information about the coefficient that is the prior's, 0 to 1.
+        conflict: Distance of the two in combined standard errors.
+    """
+
+    mean: float
+    sd: float
+    data: float
+    moved: float
+    share: float
+    conflict: float
+
+
 def uncertainty_from_mapping(raw: Mapping[str, Any]) -> Uncertainty:
     """The table from the plain types of a model file; KeyError or TypeError where it is not one."""
     return Uncertainty(**{**raw, "axes": {name: _axis(axis) for name, axis in raw["axes"].items()}})

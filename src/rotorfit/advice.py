@@ -8,6 +8,7 @@ from rotorfit.finding import Finding
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
+from rotorfit.influence import prior_findings
 from rotorfit.model import Axis
 from rotorfit.record import DELAY_RANGE
 from rotorfit.robust import outlier_findings
@@ -46,6 +47,7 @@ def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
             found += _excitation_findings(name, k, axis, flights)
         found += _paper_findings(fit, k)
     found += _flight_findings(fit.flights)
+    found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
     rank = {"error": 0, "warning": 1, "info": 2}

@@ -31,6 +31,7 @@ from rotorfit.disturbance import (
 from rotorfit.frames import Array, Indices, Mask, world_from_heading
 from rotorfit.likelihood import response, segments
 from rotorfit.maximum import Optimum, maximise
+from rotorfit.prior import redrawn
 from rotorfit.record import BLOCK_RATE, Record
 
 COUNT = 200
@@ -177,6 +178,7 @@ def bootstrap(records: Sequence[Record], optimum: Optimum, count: int = COUNT, s
             replace(rec, position=np.ascontiguousarray(drawing[:, r]))
             for rec, drawing in zip(records, drawings, strict=True)
         ]
-        again = maximise(flights, point, optimum.free, optimum.inverse, optimum.restricted, NOT_WALKED, MOST)
+        prior = optimum.prior and redrawn(optimum.prior, rng)
+        again = maximise(flights, point, optimum.free, optimum.inverse, optimum.restricted, NOT_WALKED, MOST, prior)
         out[r] = again.point.flat()
     return out

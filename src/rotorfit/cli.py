@@ -165,6 +165,7 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")
+@click.option("--prior", is_flag=True, help="Use the priors of the card; what they did is reported.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
@@ -174,6 +175,7 @@ def fit(
     axes: Any,
     span: Any,
     uncertainty: bool,
+    prior: bool,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -184,7 +186,8 @@ def fit(
     if output:
         check_destination(output, MODEL_MARK)
     with _progress() as progress:
-        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress, uncertainty).model
+        flights = [parse_log(log, span) for log in logs]
+        model = fit_logs(flights, card, method, axes, progress, uncertainty, prior).model
     if output:
         save(model, output)
     if as_json:

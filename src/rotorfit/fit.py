@@ -6,8 +6,9 @@ from typing import Literal
 
 import numpy as np
 
+from rotorfit.card import Prior
 from rotorfit.disturbance import LEVELS
-from rotorfit.errors import FlightError
+from rotorfit.errors import CardError, FlightError
 from rotorfit.estimate import Estimate, alone, answers_motion, coupled, free_of, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
@@ -27,6 +28,7 @@ from rotorfit.model import (
 )
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
 from rotorfit.physics import with_physics
+from rotorfit.prior import gaussian_prior
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
@@ -81,7 +83,11 @@ class Fit:
 
 
 def fit(
-    flights: Sequence[Flight], method: Method = "ml", axes: Sequence[str] = AXES, progress: Progress | None = None
+    flights: Sequence[Flight],
+    method: Method = "ml",
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+    prior: bool = False,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
 
@@ -91,17 +97,26 @@ def fit(
             `paper`, the regression of the paper.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
+        prior: Use the priors of the card.
 
     Returns:
         The fit. What the data cannot tell is a status, never a number.
 
     Raises:
         FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+        CardError: If priors are wanted that the card does not have, or with the paper's method.
     """
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    if prior and method == "paper":
+        raise CardError("the paper's method takes no prior: leave --prior out, or use --method ml")
+    if prior and not flights[0].card.prior:
+        raise CardError(
+            "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
+        )
+    priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
     outliers: Outliers = ()
@@ -117,7 +132,7 @@ def fit(
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
         if method != "paper":
-            estimated = _estimate_group(flights, group)
+            estimated = _estimate_group(flights, group, priors)
             found, covariance = _group_axes(flights, group, estimated)
             estimates |= estimated
         else:
@@ -145,7 +160,7 @@ def fit(
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
     """The likelihood of every axis, without intervals."""
-    return {a: e for group in _groups(flights, wanted) for a, e in _estimate_group(flights, group).items()}
+    return {a: e for group in _groups(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -172,7 +187,9 @@ def _serving(flights: Sequence[Flight], group: Sequence[str]) -> list[Flight]:
     return [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
 
 
-def _estimate_group(flights: Sequence[Flight], group: Sequence[str]) -> dict[str, Estimate]:
+def _estimate_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Mapping[str, Mapping[str, Prior]]
+) -> dict[str, Estimate]:
     """The likelihood of the axes of one group; none where the flights are too short."""
     serving = _serving(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
@@ -180,11 +197,13 @@ def _estimate_group(flights: Sequence[Flight], group: Sequence[str]) -> dict[str
         return {}
     moving = [any(_moves(f, axis) for f in serving) for axis in group]
     if all(rec.held for rec in records):
-        estimates = [alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
+        estimates = [
+            alone(serving, a, moves, gaussian_prior(priors, [a])) for a, moves in zip(group, moving, strict=True)
+        ]
         if len(group) == 2:
             estimates = coupled(records, estimates)
     else:
-        estimates = together(serving, records, group, moving)
+        estimates = together(serving, records, group, moving, gaussian_prior(priors, group))
     return dict(zip(group, estimates, strict=True))
 
 

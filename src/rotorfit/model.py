@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit import __version__
-from rotorfit.accuracy import Uncertainty, uncertainty_from_mapping
+from rotorfit.accuracy import PriorUse, Uncertainty, uncertainty_from_mapping
 from rotorfit.card import Card, card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
@@ -159,6 +159,7 @@ class Model:
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
         uncertainty: The accuracy table; None where it was not asked for.
+        prior: Coefficient, such as `x.input`, to what the card's prior did to it; None where no prior was used.
         physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
         conversion: Set where the model was converted to other limits than those of its flights.
     """
@@ -174,6 +175,7 @@ class Model:
     flights: tuple[Source, ...]
     rotorfit: str = __version__
     uncertainty: Uncertainty | None = None
+    prior: Mapping[str, PriorUse] | None = None
     physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
 
@@ -338,6 +340,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
         "uncertainty": model.uncertainty and asdict(model.uncertainty),
+        "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
     }
 
 
@@ -366,6 +369,7 @@ def from_mapping(raw: Any, where: str) -> Model:
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
             uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
+            prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
             physics={
                 name: {key: _quantity(part) for key, part in parts.items()}
                 for name, parts in raw.get("physics", {}).items()

@@ -13,6 +13,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.influence import with_influence
 from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
@@ -72,10 +73,13 @@ def fit_logs(
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
     uncertainty: bool = False,
+    prior: bool = False,
 ) -> Fit:
-    """Reads logs, fits them together, and says what was noticed; with the accuracy table where it is wanted."""
+    """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     flights = [load_flight(log, card) for log in logs]
-    result = with_delay_profiles(fit(flights, method, axes, progress))
+    result = with_delay_profiles(fit(flights, method, axes, progress, prior))
+    if prior:
+        result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
     findings = by_gravity((*findings_of_fit(result), *findings_of_settings(result.model)))

@@ -17,6 +17,8 @@ _REASONS = {
     "diverged": "the estimation of {} did not converge",
 }
 
+BELIEVED = ", with what the card believed beforehand"
+
 
 def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     """What the flights could and could not tell, and what must be read before the numbers are used.
@@ -32,7 +34,7 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     coefficients = COEFFICIENTS if model.method != "paper" else COEFFICIENTS[:2]
     whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
-    sentences = [f"Fitted to {flights} by {_METHODS[model.method]}."]
+    sentences = [f"Fitted to {flights} by {_METHODS[model.method]}{BELIEVED * bool(model.prior)}."]
     if whole:
         sentences.append(f"Known: {_listed([_NAMES[name] for name in coefficients])} of {_listed(whole)}.")
     sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]

@@ -19,6 +19,7 @@ from rotorfit.frames import Array
 from rotorfit.likelihood import inverted, response, score, segments, whiten
 from rotorfit.maximum import Optimum, pressed
 from rotorfit.model import COEFFICIENTS, Combination
+from rotorfit.prior import with_prior
 from rotorfit.record import BLOCK_RATE, Record
 from rotorfit.scatter import scatter
 
@@ -137,9 +138,8 @@ def observed_covariance(records: Sequence[Record], optimum: Optimum, step: float
     for i in np.flatnonzero(free):
         move = np.zeros(free.size)
         move[i] = step * error[i] if i < point.n else min(step * error[i], LEVEL_STEP)
-        ahead, behind = (
-            score(records, point.with_flat(point.flat() + side * move), optimum.restricted).gradient for side in (1, -1)
-        )
+        sides = [point.with_flat(point.flat() + side * move) for side in (1, -1)]
+        ahead, behind = (with_prior(score(records, p, optimum.restricted), p, optimum.prior).gradient for p in sides)
         hessian[i] = (behind - ahead) / (2 * move[i])
     block = 0.5 * (hessian + hessian.T)[np.ix_(free, free)]
     if not np.isfinite(block).all() or np.linalg.eigvalsh(block)[0] <= 0:
@@ -174,6 +174,9 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         for lag in range(1, min(lags, len(parts))):
             product = contribution[lag:].T @ contribution[:-lag]
             filling += (1 - lag / lags) * (product + product.T)
+    if optimum.prior is not None:  # what is believed is uncertain, too
+        believed = np.arange(optimum.prior.mean.size)
+        filling[believed, believed] += optimum.prior.precision
     bread = inverted(optimum.score.information[:n, :n], optimum.free[:n])
     return bread @ filling @ bread
 
