@@ -53,7 +53,7 @@ CARDS, FINDINGS, METHOD, ARCHITECTURE = (
 )
 CHECKS = (
     "advice", "clock_checks", "command_checks", "constancy", "convert", "doctor", "frame_checks", "motion_checks",
-    "plausibility", "pose_checks", "whiteness",
+    "influence", "plausibility", "pose_checks", "robust", "uncertainty", "whiteness",
 )  # fmt: skip
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (
@@ -219,7 +219,7 @@ def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round()
 
 def test_every_note_of_the_code_is_in_the_documents() -> None:
     notes = section(FINDINGS, "Notes")
-    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note")
+    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note") | codes_in("robust.py", "Note")
 
     assert len(codes) >= 7
     assert {code for code in codes if f"`{code}`" not in notes} == set()

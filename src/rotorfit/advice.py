@@ -12,9 +12,12 @@ from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES
+from rotorfit.influence import prior_findings
 from rotorfit.model import Axis
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE
+from rotorfit.robust import outlier_findings
 from rotorfit.rungs import NOT_VALID
+from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
 """Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
@@ -61,6 +64,9 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += changed_coefficients(fit, name)
         found += _paper_findings(fit, k)
         found += _instrument_findings(name, fit.remarks.get(name, ""))
+    found += prior_findings(fit)
+    found += outlier_findings(fit.flights, fit.outliers)
+    found += disagreement_findings(fit)
     return by_gravity(found)
 
 
@@ -279,7 +285,7 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
 def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     name, damping = AXES[k], fit.model.paper[2 * k + 1]
     axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
-    if fit.model.method != "ml" or damping is None or gain is None or damping >= 0 or not axis.predictor:
+    if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
     yield Finding(
         "paper_damping_negative",

@@ -41,6 +41,14 @@ class Channel:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What is believed of a coefficient before a flight: its mean and standard deviation, SI per command of 1."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
 class Card:
     """A vehicle and its set-up.
 
@@ -57,6 +65,7 @@ class Card:
         reference: Optional: what a position controller was told.
         window: Optional column that says when the vehicle is armed or under velocity control.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
+        prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.
         raw: The whole card as parsed from TOML: what the model file stores.
     """
 
@@ -73,6 +82,7 @@ class Card:
     reference: Mapping[str, Channel] = field(default_factory=dict)
     window: Channel | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
+    prior: Mapping[str, Mapping[str, Prior]] = field(default_factory=dict)
     raw: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -90,6 +100,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "reference": AXES,
     "window": ("when",),
     "limits": _LIMITS,
+    "prior": AXES,
 }
 _POSE_UNITS = {"x": _LENGTH, "y": _LENGTH, "z": _LENGTH, "yaw": _ANGLE}
 _VELOCITY_UNITS = {"x": _SPEED, "y": _SPEED, "z": _SPEED, "yaw": _RATE}
@@ -168,6 +179,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
         window=_recorded(sections["window"], "when", _ANY, f"{place}, [window]") if "window" in raw else None,
         limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
+        prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
         raw=raw,
     )
 
@@ -426,3 +438,22 @@ def _limit_in_si(key: str, value: Any, place: str) -> float:
         raise CardError(f"{place}: key 'value' is missing")
     unit = _choice(value.get("unit", LIMIT_UNITS[key][0]), LIMIT_UNITS[key], f"{place}.unit")
     return _positive(value["value"], f"{place}.value") * UNIT_SCALE[unit]
+
+
+def _priors(value: Any, place: str) -> dict[str, Prior]:
+    """What is believed of one axis."""
+    if not isinstance(value, Mapping):
+        raise CardError(f"{place}: must be coefficients, as in {{ input = {{ mean = 4.0, sd = 0.5 }} }}, not {value!r}")
+    _check_keys(value, ("input", "damping", "delay"), place)
+    return {name: _prior(name, one, f"{place}.{name}") for name, one in value.items()}
+
+
+def _prior(name: str, value: Any, place: str) -> Prior:
+    if not isinstance(value, Mapping):
+        raise CardError(f"{place}: must be {{ mean = ..., sd = ... }}, not {value!r}")
+    _check_keys(value, ("mean", "sd"), place)
+    missing = [key for key in ("mean", "sd") if key not in value]
+    if missing:
+        raise CardError(f"{place}: key {missing[0]!r} is missing")
+    number = _positive if name == "damping" else _number
+    return Prior(number(value["mean"], f"{place}.mean"), _positive(value["sd"], f"{place}.sd"))

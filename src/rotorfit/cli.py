@@ -158,13 +158,15 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @_card("the one that fits")
 @click.option(
     "--method",
-    type=click.Choice(["ml", "paper", "svf", "weak", "iv", "oe"]),
+    type=click.Choice(["ml", "robust", "paper", "svf", "weak", "iv", "oe"]),
     default="ml",
-    help="The likelihood (default), the paper's, or a rung between them.",
+    help="The likelihood (default), without outliers, the paper's, or a rung between them.",
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
+@click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")
+@click.option("--prior", is_flag=True, help="Use the priors of the card; what they did is reported.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
@@ -174,6 +176,8 @@ def fit(
     axes: Any,
     span: Any,
     leaving: bool,
+    uncertainty: bool,
+    prior: bool,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -187,7 +191,8 @@ def fit(
     if leaving:
         require_two(len(logs))
     with _progress() as progress:
-        result, left_out = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress), None
+        spans = [parse_log(log, span) for log in logs]
+        result, left_out = fit_logs(spans, card, method, axes, progress, uncertainty, prior), None
         if leaving:
             result, left_out = leave_one_out_logs(result, axes, progress)
     model = result.model

@@ -74,6 +74,7 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
             for k, value in enumerate(model.paper)
         ),
         conversion=_conversion(model, card, factors),
+        uncertainty=None,  # of the flights as they were flown
     )
     return with_physics(with_findings(converted, _findings(converted)))
 

@@ -10,6 +10,7 @@ from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.likelihood import START_LEVELS, Point, response, segments
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, search, start_point, without_input
+from rotorfit.prior import GaussianPrior
 from rotorfit.record import Record, record
 
 EXPLAINS = 0.9
@@ -51,8 +52,8 @@ class Estimate:
     excited: bool
 
 
-def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
-    """One axis by itself."""
+def alone(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrior | None = None) -> Estimate:
+    """One axis by itself. A prior enters once the search has found the optimum that is believed."""
     records = [rec for f in serving if (rec := record(f, (axis,)))]
     if not moves:
         point = start_point(records, 0.0, 1.0, START_LEVELS[None])
@@ -66,13 +67,15 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool) -> Estimate:
     if not _explains(parts, (axis,), short, found[0], 0):
         idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
         return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
-    return Estimate(records, _finished(records, start, [True]), 0, found, True)
+    return Estimate(records, _finished(records, start, [True], prior), 0, found, True)
 
 
-def _finished(records: Sequence[Record], start: Point, moving: Sequence[bool]) -> Optimum:
+def _finished(records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
     """The top, with itself as the reference of the restricted likelihood."""
     first = climb(records, start, free_of(records, moving))
-    return maximise(records, first.point, first.free, first.inverse)
+    if prior is not None:
+        first = maximise(records, first.point, first.free, prior=prior)
+    return maximise(records, first.point, first.free, first.inverse, prior=prior)
 
 
 def _moved_to(records: Sequence[Record], point: Point) -> Point:
@@ -98,7 +101,8 @@ def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Es
                 replace(rec, position=rec.position - offset[:, k : k + 1])
                 for rec, offset in zip(plain.records, offsets, strict=True)
             ]
-            optimum = maximise(shifted, before.optimum.point, before.optimum.free, before.optimum.inverse)
+            top = before.optimum
+            optimum = maximise(shifted, top.point, top.free, top.inverse, prior=top.prior)
             out[k] = replace(before, records=shifted, optimum=optimum)
     return out
 
@@ -116,7 +120,11 @@ def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int, at:
 
 
 def together(
-    serving: Sequence[Flight], records: Sequence[Record], group: Sequence[str], moving: Sequence[bool]
+    serving: Sequence[Flight],
+    records: Sequence[Record],
+    group: Sequence[str],
+    moving: Sequence[bool],
+    prior: GaussianPrior | None = None,
 ) -> list[Estimate]:
     """x and y of vehicles that turn, by one likelihood."""
     parts = [excerpt(f, group) for f in serving]
@@ -131,7 +139,7 @@ def together(
         log_damping=np.where(idle, 0.0, start.log_damping),
         delay=np.where(idle, 0.0, start.delay),
     )
-    optimum = _finished(records, start, excited)
+    optimum = _finished(records, start, excited, prior)
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 

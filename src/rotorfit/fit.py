@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from rotorfit.errors import FlightError
+from rotorfit.card import Prior
+from rotorfit.errors import CardError, FlightError
 from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
@@ -26,13 +27,15 @@ from rotorfit.model import (
 )
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.physics import with_physics
+from rotorfit.prior import gaussian_prior
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
+from rotorfit.robust import Outliers, without_outliers
 from rotorfit.rungs import axes_by_rung
 from rotorfit.settle import noise_of, with_levels
 
-Method = Literal["ml", "paper", "svf", "weak", "iv", "oe"]
+Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
 Blocks = dict[tuple[str, ...], Array]
 
@@ -71,6 +74,7 @@ class Fit:
         paper: The paper's regression on the same flights.
         estimates: Axis name to the maximum of its likelihood; none for other methods.
         remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
+        outliers: Poses of each flight that the robust method left out.
     """
 
     model: Model
@@ -78,31 +82,50 @@ class Fit:
     paper: PaperFit
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
+    outliers: Outliers = ()
 
 
 def fit(
-    flights: Sequence[Flight], method: Method = "ml", axes: Sequence[str] = AXES, progress: Progress | None = None
+    flights: Sequence[Flight],
+    method: Method = "ml",
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+    prior: bool = False,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
-        method: `ml`, the likelihood; `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`.
+        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was;
+            `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`, the rungs between.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
+        prior: Use the priors of the card.
 
     Returns:
         The fit. What the data cannot tell is a status, never a number.
 
     Raises:
         FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+        CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
     """
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    if prior and method not in ("ml", "robust"):
+        raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
+    if prior and not flights[0].card.prior:
+        raise CardError(
+            "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
+        )
+    priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
+    outliers: Outliers = ()
+    if method == "robust":
+        report(0.0, "looking for outliers")
+        flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
     results: dict[str, Axis] = {}
@@ -112,8 +135,8 @@ def fit(
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if method == "ml":
-            estimated = _estimate_group(flights, group)
+        if method in ("ml", "robust"):
+            estimated = _estimate_group(flights, group, priors)
             found, covariance = _group_axes(flights, group, estimated)
             estimates |= estimated
         elif method == "paper":
@@ -138,9 +161,14 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    estimates = {axis: e for axis, e in estimates.items() if axis in wanted}
+    kept = {axis: e for axis, e in estimates.items() if axis in wanted}
     remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
-    return Fit(with_physics(model), tuple(flights), paper, estimates, remarks)
+    return Fit(with_physics(model), tuple(flights), paper, kept, remarks, outliers)
+
+
+def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
+    """The likelihood of every axis, without intervals."""
+    return {a: e for group in _groups(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -167,7 +195,9 @@ def _serving(flights: Sequence[Flight], group: Sequence[str]) -> list[Flight]:
     return [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
 
 
-def _estimate_group(flights: Sequence[Flight], group: Sequence[str]) -> dict[str, Estimate]:
+def _estimate_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Mapping[str, Mapping[str, Prior]]
+) -> dict[str, Estimate]:
     """The likelihood of the axes of one group; none where the flights are too short."""
     serving = _serving(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
@@ -175,11 +205,13 @@ def _estimate_group(flights: Sequence[Flight], group: Sequence[str]) -> dict[str
         return {}
     moving = [any(_moves(f, axis) for f in serving) for axis in group]
     if all(rec.held for rec in records):
-        estimates = [alone(serving, axis, moves) for axis, moves in zip(group, moving, strict=True)]
+        estimates = [
+            alone(serving, a, moves, gaussian_prior(priors, [a])) for a, moves in zip(group, moving, strict=True)
+        ]
         if len(group) == 2:
             estimates = coupled(records, estimates)
     else:
-        estimates = together(serving, records, group, moving)
+        estimates = together(serving, records, group, moving, gaussian_prior(priors, group))
     return dict(zip(group, estimates, strict=True))
 
 

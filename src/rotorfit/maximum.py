@@ -7,6 +7,7 @@ import numpy as np
 
 from rotorfit.frames import Array, Mask
 from rotorfit.likelihood import LEVEL_RANGE, START_LEVELS, Point, Restriction, Score, inverted, restriction, score
+from rotorfit.prior import GaussianPrior, with_prior
 from rotorfit.record import Record
 
 LEVEL_DAMPING = 0.1
@@ -37,6 +38,7 @@ class Optimum:
         inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
         gain: Expected gain in log-likelihood of one more step: how far from the top.
         passes: Passes over the flights that it took.
+        prior: What was believed before, where that was asked for; it is in the score.
     """
 
     point: Point
@@ -46,6 +48,7 @@ class Optimum:
     inverse: Array
     gain: float
     passes: int
+    prior: GaussianPrior | None = None
 
 
 def maximise(
@@ -56,6 +59,7 @@ def maximise(
     restricted: Restriction | None = None,
     tolerance: float = 1e-3,
     most: int = 80,
+    prior: GaussianPrior | None = None,
 ) -> Optimum:
     """Maximises the likelihood: Fisher scoring, with a secant (BFGS) correction of the information near the top.
 
@@ -67,10 +71,11 @@ def maximise(
         restricted: What the levels account for; by default what is free, with the start as reference.
         tolerance: Expected gain in log-likelihood below which to stop.
         most: Largest number of passes.
+        prior: Added to what is maximised.
     """
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
-    best = score(records, point, restricted)
+    best = with_prior(score(records, point, restricted), point, prior)
     passes, active, fresh = 1, free & ~pressed(point, best.gradient), inverse is None
     while True:
         movable = free & ~pressed(point, best.gradient)
@@ -87,7 +92,7 @@ def maximise(
             break
         step = limited(step, point.gain.size)
         step = point.reach(step) * step
-        trial, result, tried = _line_search(records, point, best, step, restricted)
+        trial, result, tried = _line_search(records, point, best, step, restricted, prior)
         passes += tried
         if result.objective <= best.objective:
             if fresh:
@@ -98,7 +103,7 @@ def maximise(
         fresh = gain > SECANT_BELOW or passes < 3
         inverse = _secant(inverse, trial.flat() - point.flat(), fall)
         point, best = trial, result
-    return Optimum(point, best, free, restricted, inverse, gain, passes)
+    return Optimum(point, best, free, restricted, inverse, gain, passes, prior)
 
 
 def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float = 1e-3, most: int = 80) -> Optimum:
@@ -127,13 +132,18 @@ def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float 
 
 
 def _line_search(
-    records: Sequence[Record], point: Point, here: Score, step: Array, restricted: Restriction | None
+    records: Sequence[Record],
+    point: Point,
+    here: Score,
+    step: Array,
+    restricted: Restriction | None,
+    prior: GaussianPrior | None,
 ) -> tuple[Point, Score, int]:
     """Shortens a step until the objective rises; gives up after eight."""
     tried = 0
     while True:
         trial = point.moved(step)
-        result = score(records, trial, restricted)
+        result = with_prior(score(records, trial, restricted), trial, prior)
         tried += 1
         if result.objective > here.objective or tried == 8:
             return trial, result, tried

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit import __version__
+from rotorfit.accuracy import PriorUse, Uncertainty, uncertainty_from_mapping
 from rotorfit.card import Card, card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
@@ -149,7 +150,7 @@ class Model:
     Attributes:
         card: The card that was applied.
         structure: Name of the model structure.
-        method: `ml`, `paper`, `svf`, `weak`, `iv` or `oe`.
+        method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
         axes: Axis name to what is known of it, for all four axes.
         covariance_names: Rows of the covariance, such as `x.input`, over (input, damping, delay) of the excited axes.
         covariance: Shape (P, P).
@@ -157,6 +158,8 @@ class Model:
         findings: What the user should know.
         flights: What it was fitted to.
         rotorfit: Version that wrote it.
+        uncertainty: The accuracy table; None where it was not asked for.
+        prior: Coefficient, such as `x.input`, to what the card's prior did to it; None where no prior was used.
         physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
         conversion: Set where the model was converted to other limits than those of its flights.
         leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
@@ -173,6 +176,8 @@ class Model:
     findings: tuple[Finding, ...]
     flights: tuple[Source, ...]
     rotorfit: str = __version__
+    uncertainty: Uncertainty | None = None
+    prior: Mapping[str, PriorUse] | None = None
     physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
     leave_one_out: Mapping[str, Any] | None = None
@@ -338,6 +343,8 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
         "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
+        "uncertainty": model.uncertainty and asdict(model.uncertainty),
+        "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
     }
 
 
@@ -365,6 +372,8 @@ def from_mapping(raw: Any, where: str) -> Model:
             findings=tuple(Finding(**finding) for finding in raw["findings"]),
             flights=tuple(_source(flight) for flight in raw["flights"]),
             rotorfit=raw["rotorfit"],
+            uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
+            prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
             physics={
                 name: {key: _quantity(part) for key, part in parts.items()}
                 for name, parts in raw.get("physics", {}).items()

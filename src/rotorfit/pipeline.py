@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.influence import with_influence
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
@@ -23,6 +24,7 @@ from rotorfit.model import Model, is_model_file, load, with_findings
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
+from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate
 
 Progress = Callable[[float, str], None]
@@ -83,8 +85,10 @@ def fit_logs(
     method: Method = "ml",
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
+    uncertainty: bool = False,
+    prior: bool = False,
 ) -> Fit:
-    """Reads logs, fits them together, and says what was noticed."""
+    """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
     flights: list[Flight] = []
     before: list[Finding] = []
@@ -92,7 +96,11 @@ def fit_logs(
         raw, applied, flight = _flown(log, chosen)
         flights.append(flight)
         before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
-    result = with_delay_profiles(fit(flights, method, axes, progress))
+    result = with_delay_profiles(fit(flights, method, axes, progress, prior))
+    if prior:
+        result = with_influence(result)
+    if uncertainty:
+        result = with_uncertainty(result, progress)
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
@@ -101,8 +109,7 @@ def leave_one_out_logs(
     fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None
 ) -> tuple[Fit, LeaveOneOut]:
     """Leaves out each flight of a fit in turn; the model keeps the result."""
-    method: Method = "paper" if fit.model.method == "paper" else "ml"
-    result = leave_one_out(fit.flights, method, axes, progress=progress)
+    result = leave_one_out(fit.flights, cast("Method", fit.model.method), axes, progress=progress)
     return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
 
 

@@ -37,7 +37,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.restricted, tolerance=NOT_WALKED)
+    return maximise(records, point, free, inverse, optimum.restricted, tolerance=NOT_WALKED, prior=optimum.prior)
 
 
 def height(optimum: Optimum) -> float:

@@ -69,10 +69,15 @@ class Record:
         return replace(self, axes=self.axes[k : k + 1], command=np.ascontiguousarray(self.command[:, k : k + 1]))
 
 
-def record(flight: Flight, axes: Sequence[str]) -> Record | None:
+def record(flight: Flight, axes: Sequence[str], rate: float = BLOCK_RATE) -> Record | None:
     """Cuts a flight into what the likelihood of these axes needs; None where no segment is long enough.
 
     x or y alone is the position along the mean heading: right where the heading is held, else take both.
+
+    Args:
+        flight: What was flown.
+        axes: Names of one axis, or of x and y.
+        rate: Blocks per second [1/s]; infinite gives every pose a block of its own.
     """
     column = [AXES.index(axis) for axis in axes]
     pose = np.column_stack([flight.position, flight.yaw])
@@ -87,8 +92,9 @@ def record(flight: Flight, axes: Sequence[str]) -> Record | None:
         first, last = np.searchsorted(t, [segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]])
         if last - first < 4:
             continue
-        bins = np.floor((t[first:last] - t[first]) * BLOCK_RATE + 1e-6).astype(np.int64)
-        _, bins = np.unique(bins, return_inverse=True)
+        bins = np.arange(last - first)
+        if np.isfinite(rate):
+            _, bins = np.unique(np.floor((t[first:last] - t[first]) * rate + 1e-6), return_inverse=True)
         starts.append(segment.start + DELAY_RANGE[1])
         pose_range.append((n, n + last - first))
         command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))

@@ -10,6 +10,7 @@ from rich.console import Console, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from rotorfit.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
 from rotorfit.card import Card, Channel, split_source
 from rotorfit.clock import Rate
 from rotorfit.frames import AXES
@@ -166,6 +167,14 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     legend = "; steady gain = input / damping; total lag = delay + 1 / damping" if combined else ""
     yield _indented(f"input is per command of 1{legend}", 0, "dim")
     yield from _list([line for axis, one in known.items() for line in _search_lines(axis, one)])
+    if model.uncertainty:
+        for heads, cells_of in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
+            yield ""
+            table = _table(*heads, left=(0, 1), gap=1)
+            for cells in cells_of(model.uncertainty):
+                table.add_row(*cells)
+            yield table
+        yield from _list(accuracy_lines(model.uncertainty))
     rows = [row for row in physics_rows(model) if row.axis in wanted]
     if rows:
         yield ""

@@ -55,11 +55,12 @@ SECTIONS = (
 
 METHODS = {
     "ml": "grey-box likelihood with delay (ml)",
-    "paper": "the paper's linear regression, without delay (paper)",
     "svf": "least squares behind a state-variable filter, with delay (svf)",
     "weak": "least squares on the weak form, with delay (weak)",
     "iv": "refined instrumental variables, with delay (iv)",
     "oe": "output error, with delay (oe)",
+    "robust": "grey-box likelihood with delay, outlying poses left out (robust)",
+    "paper": "the paper's linear regression, without delay (paper)",
 }
 
 

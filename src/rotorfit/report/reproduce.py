@@ -51,6 +51,7 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
     training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
     tested = [LogUsed(f.path, "validation", f.sha256, f.span) for f in flights]
     fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_axes(model)]
+    fit += ["--prior"] * (model.prior is not None)
     commands = [shlex.join([*fit, "-o", "fitted.json" if model.conversion else "model.json"]), *_converting(model)]
     if tested:
         commands += [shlex.join(["rotorfit", "validate", "model.json", *map(_log, tested)])]
@@ -82,7 +83,7 @@ def _axes(model: Model) -> list[str]:
     asked = [
         a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] != "not_excited"
     ]
-    return ["--axes", ",".join(asked)] if model.method == "ml" and asked and len(asked) < len(AXES) else []
+    return ["--axes", ",".join(asked)] if model.method != "paper" and asked and len(asked) < len(AXES) else []
 
 
 def _log(log: LogUsed) -> str:
