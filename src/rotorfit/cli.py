@@ -69,6 +69,14 @@ def _axes(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> 
     return axes
 
 
+def _structure(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> Any:
+    from rotorfit.structure import FIRST_ORDER_DELAY, STRUCTURES
+
+    if name is not None and name != "auto" and name not in STRUCTURES:
+        raise click.BadParameter(f"no such structure: {name!r}; structures are auto, {', '.join(STRUCTURES)}", ctx)
+    return name or FIRST_ORDER_DELAY.name
+
+
 def _horizons(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     from rotorfit.forecast import HORIZONS
 
@@ -157,12 +165,22 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @_logs
 @_card("the one that fits")
 @click.option("--method", type=click.Choice(["ml", "paper"]), default="ml", help="Likelihood (default) or the paper's.")
+@click.option(
+    "--structure", metavar="S", callback=_structure, help="The law of every axis, or auto; default: first_order_delay."
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
-    logs: Sequence[str], card: str | None, method: Any, axes: Any, span: Any, output: Path | None, as_json: bool
+    logs: Sequence[str],
+    card: str | None,
+    method: Any,
+    structure: Any,
+    axes: Any,
+    span: Any,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
     from rotorfit.model import save, to_mapping
@@ -171,7 +189,7 @@ def fit(
     if output:
         check_destination(output, MODEL_MARK)
     with _progress() as progress:
-        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress).model
+        model = fit_logs([parse_log(log, span) for log in logs], card, method, axes, progress, structure).model
     if output:
         save(model, output)
     if as_json:

@@ -5,15 +5,16 @@ from the filter on data up to that instant; from there only the commands are kno
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from rotorfit.derivative import local_polynomial
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
-from rotorfit.frames import AXES, Array, Indices, heading_from_world
+from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.prediction import coast, predict
+from rotorfit.structure import FIRST_ORDER_DELAY, Structure, law_of
 
 SETTLING = 2.0
 """Time that a segment gives to the filter before the first start [s]."""
@@ -36,6 +37,9 @@ LEAST_SCORES = 5
 LEAST_FILTER_DAMPING = 1e-3
 """Damping below which the filter does not go, where a model is unstable [1/s]; the prediction itself does."""
 
+ORIGIN_TIME = 0.2
+"""Over so much of a segment its first velocity is measured [s]; quadratic drag is linear only about some velocity."""
+
 EDGE = 1e-9
 
 
@@ -49,6 +53,8 @@ class Dynamics:
         delay: tau [s].
         levels: q, r, alpha, kappa of the disturbance, in the order of `LEVELS`.
         trim_variance: Prior variance of the trim of a new flight [unit^2/s^4].
+        structure: Its law.
+        extra: Further parameters of the law by name.
     """
 
     input: float
@@ -56,6 +62,13 @@ class Dynamics:
     delay: float
     levels: tuple[float, float, float, float]
     trim_variance: float
+    structure: Structure = FIRST_ORDER_DELAY
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def law(self) -> Array:
+        """Numbers of the general law, shape (LAW_SIZE,)."""
+        return law_of(self.structure, self.input, self.damping, self.delay, self.extra)
 
 
 UNMODELLED = Dynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 2.5, 0.64), 1e-6)
@@ -169,6 +182,7 @@ def _predict_segment(
             first,
             last,
             future,
+            *_general_law(chosen, t, pose[:, pair]),
         )
 
     side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
@@ -189,6 +203,17 @@ def _predict_segment(
         ),
         heading=heading,
     )
+
+
+def _general_law(axes: Sequence[Dynamics], t: Array, pose: Array) -> tuple[Array | None, Array | None]:
+    """Law of two axes and the velocity at the start about which they are linear; None where both are of the default."""
+    if all(axis.structure == FIRST_ORDER_DELAY for axis in axes):
+        return None, None
+    origin = np.zeros(2)
+    if any(axis.structure.kicks % 2 for axis in axes):
+        i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
+        origin = (pose[i] - pose[0]) / max(t[i] - t[0], EDGE)
+    return np.array([axis.law for axis in axes]), origin
 
 
 def hold_velocity(part: Predictions) -> Array:
@@ -265,16 +290,7 @@ def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizo
 
 def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
     """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
-    time, period = part.time, float(np.median(np.diff(part.time)))
-    target = part.start + horizon
-    end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon
-    gaps = np.concatenate([[0], np.cumsum(np.diff(time) > LONGEST_GAP)])
-    good = (
-        (end > part.first)
-        & (end <= part.last)
-        & (time[end - 1] > target - 3 * period)
-        & (gaps[end - 1] == gaps[part.first - 1])
-    )
+    good, end = _scored(part, horizon)
     first, end, runs = part.first[good], end[good], predicted[good]
     if not first.size:
         return np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))
@@ -286,6 +302,46 @@ def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array,
     for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
         vector[:, :2] = heading_from_world(vector[:, :2], yaw)
     return velocity, measured, position
+
+
+def _scored(part: Predictions, horizon: float) -> tuple[Mask, Indices]:
+    """Which starts are scored at a horizon, and one past the last pose within it of every start."""
+    time, period = part.time, float(np.median(np.diff(part.time)))
+    target = part.start + horizon
+    end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon
+    gaps = np.concatenate([[0], np.cumsum(np.diff(time) > LONGEST_GAP)])
+    good = (
+        (end > part.first)
+        & (end <= part.last)
+        & (time[end - 1] > target - 3 * period)
+        & (gaps[end - 1] == gaps[part.first - 1])
+    )
+    return good, end
+
+
+def errors_by_start(
+    parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float
+) -> tuple[Array, Array, Array]:
+    """Squared errors start by start, in the measured heading.
+
+    Returns:
+        Starts (n,) [s]; mean squared velocity error over the steps up to the horizon, and squared error of the end
+        point, (n, 4) each.
+    """
+    times, velocities, positions = [np.empty(0)], [np.empty((0, 4))], [np.empty((0, 4))]
+    for part, values in zip(parts, predicted, strict=True):
+        good, end = _scored(part, horizon)
+        velocity, _, position = _errors(part, values, horizon)
+        begins = np.concatenate([[0], np.cumsum((end - part.first)[good])[:-1]]).astype(np.int64)
+        if not good.any():
+            continue
+        seen = np.isfinite(velocity)
+        total = np.add.reduceat(np.where(seen, velocity, 0.0) ** 2, begins, axis=0)
+        with np.errstate(invalid="ignore"):
+            velocities.append(total / np.add.reduceat(seen, begins, axis=0, dtype=float))
+        times.append(part.start[good])
+        positions.append(position**2)
+    return np.concatenate(times), np.concatenate(velocities), np.concatenate(positions)
 
 
 def _horizon(errors: tuple[Array, Array, Array], k: int) -> Horizon:

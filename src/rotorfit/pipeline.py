@@ -12,7 +12,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
-from rotorfit.model import Model, is_model_file, load, with_findings
+from rotorfit.model import STRUCTURE, Model, is_model_file, load, with_findings
 from rotorfit.sources import read
 from rotorfit.validation import Validation, to_mapping, validate
 
@@ -68,10 +68,11 @@ def fit_logs(
     method: Method = "ml",
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
+    structure: str = STRUCTURE,
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed."""
     flights = [load_flight(log, card) for log in logs]
-    result = with_delay_profiles(fit(flights, method, axes, progress))
+    result = with_delay_profiles(fit(flights, method, axes, progress, structure))
     return replace(result, model=with_findings(result.model, findings_of_fit(result)))
 
 

@@ -20,11 +20,12 @@ from rotorfit.forecast import (
     score_predictions,
 )
 from rotorfit.frames import AXES, Array, heading_from_world
-from rotorfit.likelihood import response
+from rotorfit.likelihood import Point, response
 from rotorfit.maximum import maximise
 from rotorfit.model import Model, Predictor
 from rotorfit.modes import start_point
 from rotorfit.record import record
+from rotorfit.structure import FIRST_ORDER_DELAY, Structure, structure_named
 
 Progress = Callable[[float, str], None]
 
@@ -75,6 +76,8 @@ def dynamics_from_model(model: Model) -> dict[str, Dynamics]:
             delay=point.delay if point else 0.0,
             levels=tuple(axis.noise[level] for level in LEVELS),  # type: ignore[arg-type]
             trim_variance=axis.noise["trim_variance"],
+            structure=structure_named(axis.structure) if point else FIRST_ORDER_DELAY,
+            extra=point.extra if point else {},
         )
     return out
 
@@ -193,8 +196,9 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
         log_damping=np.log([max(point.damping, 1e-3) for point in points]),
         delay=np.array([point.delay for point in points]),
     )
+    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in group], points)
     free = np.zeros(start.flat().size, bool)
-    free[3 * len(group) : start.n] = True
+    free[start.coefficients : start.n] = True
     best = maximise([rec], start, free)
     explained = response(rec, best.point, 0, best.point.start)[0]
     if len(group) == 2:
@@ -204,3 +208,15 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
         for k, axis in enumerate(group)
         if model.axes[axis].predictor
     }
+
+
+def _with_structures(point: Point, structures: Sequence[Structure], known: Sequence[Predictor]) -> Point:
+    """The point under the structures of a model, with their further parameters; axes without numbers have none."""
+    laws = tuple(
+        s if set(p.extra) == {e.name for e in s.extras} else FIRST_ORDER_DELAY
+        for s, p in zip(structures, known, strict=True)
+    )
+    extra = np.zeros((max(len(law.extras) for law in laws), len(laws)))
+    for k, (law, one) in enumerate(zip(laws, known, strict=True)):
+        extra[: len(law.extras), k] = [e.coordinate(one.extra[e.name]) for e in law.extras]
+    return replace(point, structures=laws, extra=extra)
