@@ -12,7 +12,7 @@ from rotorfit.errors import FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, free_of, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.further import estimated_extras, further, further_combinations, structure_of
+from rotorfit.further import estimated_extras, further, further_combinations, structure_of, told_apart
 from rotorfit.likelihood import START_LEVELS, inverted
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import (
@@ -32,7 +32,7 @@ from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_varia
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
-from rotorfit.select import AUTO, Choice, choose
+from rotorfit.select import AUTO, Choice, choose, lost_candidate
 from rotorfit.structure import FIRST_ORDER_DELAY, structure_named
 
 Method = Literal["ml", "paper"]
@@ -175,6 +175,9 @@ def _other_structures(
     else:
         wanted |= dict.fromkeys(known, structure_named(structure))
     found = enriched(serving, estimates, wanted)
+    lost = [axis for axis, e in found.items() if not told_apart(e.optimum, e.place)]
+    if lost:
+        found = enriched(serving, estimates, wanted | dict.fromkeys(lost, FIRST_ORDER_DELAY))
     if any(structure_of(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
         axes, covariance = _group_axes(flights, group, found)
     else:
@@ -184,6 +187,8 @@ def _other_structures(
             one = plain[axis]
             beside = Plain(one.input, one.damping, one.delay, one.stderr, one.ci95, one.status)
             axes[axis] = replace(axes[axis], plain=beside)
+        if axis in lost:
+            axes[axis] = replace(axes[axis], candidates=(lost_candidate(structure),))
         if axis in choices:
             axes[axis] = replace(axes[axis], candidates=choices[axis].candidates, samples=choices[axis].samples)
     return found, axes, covariance

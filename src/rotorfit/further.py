@@ -26,6 +26,21 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
     return tuple(extra for extra in structure_of(optimum, k).extras if extra.estimated)
 
 
+LEAST_OWN = 1e-6
+"""Share of the information about a further parameter that the others must leave; with less it is one with them."""
+
+
+def told_apart(optimum: Optimum, k: int) -> bool:
+    """Whether each further parameter of axis k does something that no other parameter does.
+
+    A level of saturation and the gain are one where all commands are of the same size.
+    """
+    information = optimum.score.information
+    variance = np.diag(inverted(information, optimum.free))
+    places = [optimum.point.place(extra.name, k) for extra in estimated_extras(optimum, k)]
+    return all(information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
+
+
 @dataclass(frozen=True)
 class Further:
     """Further parameters of an axis, as the axis publishes them: by name."""

@@ -223,7 +223,7 @@ def predict(
         position, speed, lagged, wanted, trim, way = (
             np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)),
         )  # fmt: skip
-        u, S, series, longest = np.zeros(2), np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+        u, work, series, longest = np.zeros(2), np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
         for a in range(2):
             u[a] = command[k[a], a]
             v[0, a] = origin[a]
@@ -252,7 +252,7 @@ def predict(
             else:
                 advance(
                     pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
-                    law, series, longest, _WHAT, _WHOSE, position, speed, lagged, wanted, trim, u, S, way,
+                    law, series, longest, _WHAT, _WHOSE, position, speed, lagged, wanted, trim, u, work, way,
                 )  # fmt: skip
                 for j in range(5):
                     for a in range(2):

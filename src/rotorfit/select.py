@@ -17,6 +17,7 @@ from rotorfit.estimate import Estimate, free_of
 from rotorfit.flight import Flight
 from rotorfit.forecast import errors_by_start, predict_flight
 from rotorfit.frames import AXES, Array
+from rotorfit.further import told_apart
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Candidate
 from rotorfit.modes import between, dynamics_of, start_point, thinned
@@ -37,6 +38,10 @@ LEAST_BLOCKS = 4
 
 LAGS = 20
 """Lags of the autocorrelation of the innovations that are looked at."""
+
+
+SAME = "not identifiable: what it adds cannot be told from its other parameters with these commands"
+"""Verdict on a structure that the commands do not tell from a simpler one."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ class _Trial:
     log_likelihood: float
     bic: float
     held_out: HeldOut
+    told_apart: bool
 
 
 def choose(serving: Sequence[Flight], estimates: Mapping[str, Estimate], axes: Sequence[str]) -> dict[str, Choice]:
@@ -158,7 +164,8 @@ def _trial(
     gained = after.optimum.score.log_likelihood - before.optimum.score.log_likelihood
     size = structure.size - FIRST_ORDER_DELAY.size
     held_out = _held_out(folds, after, axis)
-    return _Trial(structure, gained, -2 * share * gained + size * float(np.log(samples)), held_out)
+    criterion = -2 * share * gained + size * float(np.log(samples))
+    return _Trial(structure, gained, criterion, held_out, told_apart(after.optimum, after.place))
 
 
 def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estimate, axis: str) -> HeldOut:
@@ -250,6 +257,8 @@ def _verdict(trial: _Trial, rival: _Trial) -> _Verdict:
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
+    if not trial.told_apart:
+        return _Verdict(trial, rival, False, SAME)
     if near is None or far is None:
         return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")
     simpler = trial.structure.size < rival.structure.size
@@ -289,3 +298,9 @@ def _candidate(verdict: _Verdict, best: _Trial) -> Candidate:
         verdict=verdict.words,
         chosen=trial is best,
     )
+
+
+def lost_candidate(structure: str) -> Candidate:
+    """The row of a structure that was asked for and cannot be told from the default."""
+    size = 2 + STRUCTURES[structure].size
+    return Candidate(structure, size, 0.0, 0.0, None, None, FIRST_ORDER_DELAY.name, None, None, SAME, False)
