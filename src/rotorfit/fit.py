@@ -433,11 +433,13 @@ def _modes(estimate: Estimate) -> tuple[Mode, ...]:
     modes: list[Mode] = []
     for number, f in enumerate(estimate.found):
         final = number == 0 and estimate.excited
-        point, rmse = (estimate.optimum if final else f.optimum).point, float(f.prediction[k])
+        point = (estimate.optimum if final else f.optimum).point
+        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other
+        rmse = float(f.prediction[min(k, f.prediction.size - 1)])
         mode = Mode(
-            delay=float(point.delay[k]),
-            damping=float(np.exp(point.log_damping[k])),
-            input=float(point.gain[k]),
+            delay=float(point.delay[at]),
+            damping=float(np.exp(point.log_damping[at])),
+            input=float(point.gain[at]),
             log_likelihood=f.optimum.score.log_likelihood - best,
             starts=f.starts,
             prediction=rmse if np.isfinite(rmse) else None,
