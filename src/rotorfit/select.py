@@ -267,7 +267,9 @@ def _verdict(trial: _Trial, rival: _Trial) -> _Verdict:
     numbers = f"squared errors {_percent(near)} at 1 s, {_percent(far)} at 5 s"
     if cheaper and kept and (simpler or better):
         return _Verdict(trial, rival, True, f"earned over {name}: {numbers}")
-    if not cheaper:
+    if simpler and not cheaper:
+        why = "the likelihood falls by more than a parameter is worth"
+    elif not cheaper:
         why = "its likelihood does not pay for its parameters"
     elif not kept:
         why = "it predicts worse"

@@ -24,11 +24,12 @@ from rotorfit.evidence import (
 )
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES, Array
-from rotorfit.model import Model
+from rotorfit.model import STRUCTURE, Model
 from rotorfit.report.drawing import Drawing, drawn
 from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of
-from rotorfit.report.words import AXIS, COEFFICIENT, TERMS, rounded
+from rotorfit.report.words import AXIS, TERMS, rounded, term_of
+from rotorfit.structure import structure_named
 from rotorfit.validation import Validation
 from rotorfit.views import MOST_POINTS, READING, Chart, FlightView, flight_view, moved_axes
 
@@ -147,6 +148,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
         useful=USEFUL,
         useless=USELESS,
         coefficients=_coefficients(model),
+        laws=_laws(model),
         reading=READING,
         validation_flights=tested,
         training_flights=fitted,
@@ -289,6 +291,12 @@ def _coefficients(model: Model) -> list[tuple[str, list[RowText]]]:
     return [(axis, [_row_text(row) for row in group]) for axis, group in rows]
 
 
+def _laws(model: Model) -> list[tuple[str, str]]:
+    """Axes that have another structure than the default, and its law."""
+    known = {name: axis.structure for name, axis in model.axes.items() if axis.structure != STRUCTURE}
+    return [(name, structure_named(structure).law) for name, structure in known.items()]
+
+
 def _row_text(row: CoefficientRow) -> RowText:
     width = None if row.low is None or row.high is None else (row.high - row.low) / 4
     scale = row.stderr or width
@@ -299,9 +307,9 @@ def _row_text(row: CoefficientRow) -> RowText:
     if row.name in ("steady_gain", "total_lag"):
         kind = "combination"
     paper = rounded(row.paper, scale)
-    told = f"{COEFFICIENT[row.name]}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
+    told = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
     return RowText(
-        term=COEFFICIENT[row.name],
+        term=term_of(row.name),
         symbol=row.symbol,
         value=rounded(row.value, scale),
         stderr=rounded(row.stderr, row.stderr),
