@@ -294,6 +294,7 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     profiles = {n: profile(records, optimum, i) for n, i in index.items() if structure.delayed or n != "delay"}
     ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
     more = further(optimum, k, ends)
+    raw = dict(ends)
     ends["damping"] = _exponential(ends["damping"])
     ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
     if _holds_zero(ends["input"]):
@@ -316,7 +317,7 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         ci95={name: ends[name] for name in COEFFICIENTS} | dict(more.ci95),
         status=status | dict(more.status),
         predictor=point,
-        combinations=_combinations(optimum, k) | further_combinations(optimum, k),
+        combinations=_combinations(optimum, k) | further_combinations(records, optimum, k, raw),
         profile=profiles["delay"].points if structure.delayed else (),
         profile_fall=profiles["delay"].fall if structure.delayed else None,
         extra=more.extra,

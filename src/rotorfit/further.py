@@ -1,6 +1,6 @@
 """What is said of a structure's further parameters: values, errors, intervals, statuses, and what follows from them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum
 from rotorfit.model import Combination, Interval
-from rotorfit.profile import quantile
+from rotorfit.profile import height, hold, quantile
+from rotorfit.record import Record
 from rotorfit.structure import FIRST_ORDER_DELAY, Extra, Structure
 
 WIDEST_RATIO = 6.0
@@ -25,6 +26,9 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
     """The further parameters of axis k that are estimated."""
     return tuple(extra for extra in structure_of(optimum, k).extras if extra.estimated)
 
+
+SUM_POINTS = 6
+"""Lags on either side of the best at which the sum of delay and lag is looked at."""
 
 LEAST_OWN = 1e-6
 """Share of the information about a further parameter that the others must leave; with less it is one with them."""
@@ -91,8 +95,18 @@ def _status(extra: Extra, ends: Interval) -> str:
     return "ok"
 
 
-def further_combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
-    """What a structure's parameters mean together, with intervals by the delta method; `total_lag` where it differs.
+def further_combinations(
+    records: Sequence[Record], optimum: Optimum, k: int, ends: Mapping[str, Interval]
+) -> dict[str, Combination]:
+    """What a structure's parameters mean together; `total_lag` where it differs.
+
+    The interval of delay plus lag is that of its profile, the others' are by the delta method.
+
+    Args:
+        records: The flights.
+        optimum: The maximum.
+        k: Which axis.
+        ends: Intervals of its further parameters in the coordinates of the estimator, by name.
 
     Source: of the second order, T v'' + v' + b v, natural frequency sqrt(b / T) and damping ratio 1 / (2 sqrt(b T)).
     """
@@ -105,7 +119,7 @@ def further_combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
 
     if structure.order == 1:
         T = value["lag"]
-        out["delay_plus_lag"] = said(tau + T, False, delay=1.0, lag=T)
+        out["delay_plus_lag"] = Combination(tau + T, _sum_interval(records, optimum, k, ends["lag"]))
         out["total_lag"] = said(tau + T + 1 / b, False, delay=1.0, lag=T, damping=-1 / b)
     if structure.order == 2:
         T = value["lag"]
@@ -120,6 +134,38 @@ def further_combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
         out["input_up"] = said(g * (1 + s), False, input=1 + s, asymmetry=g)
         out["input_down"] = said(g * (1 - s), False, input=1 - s, asymmetry=-g)
     return out
+
+
+def _sum_interval(records: Sequence[Record], optimum: Optimum, k: int, lag: Interval) -> Interval:
+    """95 % interval of delay plus lag: at each lag of its interval, the delays that the likelihood still allows.
+
+    A delay and a lag trade against each other along a curve, so the sum is walked rather than taken as linear.
+    """
+    index, low, high = optimum.point.place("lag", k), *_searched(optimum, k, lag)
+    if not structure_of(optimum, k).delayed:
+        return (None if lag[0] is None else float(np.exp(low)), None if lag[1] is None else float(np.exp(high)))
+    delay, best = optimum.point.place("delay", k), float(optimum.point.flat()[index])
+    direction = np.zeros(optimum.point.n)
+    direction[delay] = 1.0
+    direction[index] = np.exp(best)
+    reach, found = quantile(optimum, direction), []
+    for targets in (np.linspace(best, low, SUM_POINTS), np.linspace(best, high, SUM_POINTS)):
+        here = optimum
+        for target in targets:
+            here = hold(records, here, index, float(target))
+            left = reach**2 - 2 * max(height(optimum) - height(here), 0.0)
+            if left < 0:
+                break
+            spread = float(np.sqrt(left * inverted(here.score.information, here.free)[delay, delay]))
+            middle = float(here.point.flat()[delay]) + float(np.exp(target))
+            found += [middle - spread, middle + spread]
+    return min(found), max(found)
+
+
+def _searched(optimum: Optimum, k: int, ends: Interval) -> tuple[float, float]:
+    """An interval of the logarithm of the lag, its open ends at those of the search."""
+    low, high = (float(bound[optimum.point.place("lag", k)]) for bound in optimum.point.bounds())
+    return (low if ends[0] is None else ends[0]), (high if ends[1] is None else ends[1])
 
 
 def _combination(optimum: Optimum, k: int, value: float, logarithmic: bool, slopes: Mapping[str, float]) -> Combination:

@@ -123,7 +123,7 @@ def _choice(
     trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size, _near(trial)))
     best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the default, to be beaten")]
     for trial in trials[1:]:
-        verdicts.append(_verdict(trial, best))
+        verdicts.append(_verdict(trial, best, len(trials) - 1))
         best = trial if verdicts[-1].passed else best
     return Choice(best.structure, tuple(_candidate(one, best) for one in verdicts), samples)
 
@@ -204,7 +204,7 @@ def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
 
 @dataclass(frozen=True)
 class Change:
-    """Mean difference of squared errors as a share of the rival's mean, its standard error, and the t that it needs."""
+    """Mean difference of squared errors as a share of the rival's mean, its standard error, and how many it needs."""
 
     mean: float
     error: float
@@ -212,7 +212,7 @@ class Change:
 
     @property
     def better(self) -> bool:
-        """Whether it is below 0 beyond its 95 % interval."""
+        """Whether it is below 0 beyond its uncertainty."""
         return self.mean + self.reach * self.error < 0
 
     @property
@@ -221,8 +221,8 @@ class Change:
         return self.mean <= self.error
 
 
-def change_of(one: HeldOut, rival: HeldOut, horizon: float) -> Change | None:
-    """How the squared errors of one differ from those of a rival; None with too few blocks."""
+def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> Change | None:
+    """How the squared errors of one differ from those of a rival among so many tries; None with too few blocks."""
     from scipy.special import stdtrit
 
     a, b = one.squares[horizon], rival.squares[horizon]
@@ -236,7 +236,7 @@ def change_of(one: HeldOut, rival: HeldOut, horizon: float) -> Change | None:
     mean, scale = float(difference.mean()), float(b.mean())
     sums = np.bincount(place, difference - mean)
     error = float(np.sqrt(sums @ sums * blocks / (blocks - 1))) / difference.size
-    return Change(mean / scale, error / scale, float(stdtrit(blocks - 1, 0.975)))
+    return Change(mean / scale, error / scale, float(stdtrit(blocks - 1, 1 - 0.025 / tries)))
 
 
 @dataclass(frozen=True)
@@ -249,13 +249,14 @@ class _Verdict:
     words: str
 
 
-def _verdict(trial: _Trial, rival: _Trial) -> _Verdict:
+def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     """Whether a trial takes the place of its rival.
 
     A richer structure, or another of the same size, must be better by the criterion and beyond the uncertainty in one
     kind of prediction, and no worse in the other. A simpler one must be better by the criterion and no worse in both.
+    Many are tried, so each must be sure enough that all together are mistaken in 2.5 % (Bonferroni).
     """
-    near, far = (change_of(trial.held_out, rival.held_out, horizon) for horizon in (NEAR, FAR))
+    near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
     if not trial.told_apart:
         return _Verdict(trial, rival, False, SAME)
