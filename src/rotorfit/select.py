@@ -2,8 +2,9 @@
 
 The simplest structure stays unless a richer one is better by both. Held out is each flight in turn, or each half of the
 only one. Squared prediction errors of two structures are compared start by start, because the same gusts disturb both;
-starts 0.5 s apart share most of what they predict, so the standard error of the difference is that of the means of
-blocks longer than the horizon. Residuals of real flights are not quite white: the criterion counts the log-likelihood
+starts 0.5 s apart share most of what they predict, so standard errors are those of blocks longer than the horizon. To
+be better is to be better block by block (the logarithm of the ratio), where a few large errors do not rule; not to be
+worse is asked of the sum, too. Residuals of real flights are not quite white: the criterion counts the log-likelihood
 as that of as many innovations as are independent.
 """
 
@@ -120,17 +121,12 @@ def _choice(
     names = [s for s in STRUCTURES.values() if axis in s.tried and suited(s, group) == s]
     samples, share = effective_samples(estimates[axis])
     trials = [_trial(serving, folds, estimates, axis, structure, samples, share) for structure in names]
-    trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size, _near(trial)))
+    trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size))  # else as in the table
     best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the default, to be beaten")]
     for trial in trials[1:]:
         verdicts.append(_verdict(trial, best, len(trials) - 1))
         best = trial if verdicts[-1].passed else best
     return Choice(best.structure, tuple(_candidate(one, best) for one in verdicts), samples)
-
-
-def _near(trial: _Trial) -> float:
-    error = trial.held_out.rmse(NEAR)
-    return np.inf if error is None else error
 
 
 def effective_samples(estimate: Estimate) -> tuple[float, float]:
@@ -204,21 +200,40 @@ def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
 
 @dataclass(frozen=True)
 class Change:
-    """Mean difference of squared errors as a share of the rival's mean, its standard error, and how many it needs."""
+    """How squared errors differ from a rival's.
 
-    mean: float
-    error: float
+    Attributes:
+        total: Mean difference, as a share of the rival's mean.
+        total_error: Standard error of that.
+        typical: Mean over the blocks of the logarithm of the ratio of both means: what a few large errors do not rule.
+        typical_error: Standard error of that.
+        reach: How many standard errors make sure.
+    """
+
+    total: float
+    total_error: float
+    typical: float
+    typical_error: float
     reach: float
 
     @property
     def better(self) -> bool:
-        """Whether it is below 0 beyond its uncertainty."""
-        return self.mean + self.reach * self.error < 0
+        """Whether they are smaller beyond the uncertainty."""
+        return self.typical + self.reach * self.typical_error < 0 and self.total < 0
 
     @property
     def no_worse(self) -> bool:
-        """Whether it is not above 0 by more than its standard error."""
-        return self.mean <= self.error
+        """Whether they are not larger by more than a standard error, typically and in all."""
+        return self.typical <= self.typical_error and self.total <= self.total_error
+
+    @property
+    def words(self) -> str:
+        """Both in per cent."""
+        typical, error = float(np.expm1(self.typical)), self.typical_error * float(np.exp(self.typical))
+        return (
+            f"typically {100 * typical:+.1f} +- {100 * error:.1f} %, "
+            f"in all {100 * self.total:+.1f} +- {100 * self.total_error:.1f} %"
+        )
 
 
 def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> Change | None:
@@ -228,15 +243,18 @@ def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> C
     a, b = one.squares[horizon], rival.squares[horizon]
     if a.size != b.size or not a.size:
         return None
-    difference = a - b
-    _, place = np.unique(one.block[horizon], return_inverse=True)
-    blocks = int(place.max()) + 1
+    _, place, starts = np.unique(one.block[horizon], return_inverse=True, return_counts=True)
+    blocks = starts.size
     if blocks < LEAST_BLOCKS:
         return None
-    mean, scale = float(difference.mean()), float(b.mean())
+    difference, scale = a - b, float(b.mean())
+    mean = float(difference.mean())
     sums = np.bincount(place, difference - mean)
     error = float(np.sqrt(sums @ sums * blocks / (blocks - 1))) / difference.size
-    return Change(mean / scale, error / scale, float(stdtrit(blocks - 1, 1 - 0.025 / tries)))
+    ratio = np.log(np.maximum(np.bincount(place, a), 1e-30) / np.maximum(np.bincount(place, b), 1e-30))
+    spread = float(ratio.std(ddof=1)) / float(np.sqrt(blocks))
+    reach = float(stdtrit(blocks - 1, 1 - 0.025 / tries))
+    return Change(mean / scale, error / scale, float(ratio.mean()), spread, reach)
 
 
 @dataclass(frozen=True)
@@ -265,7 +283,7 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     simpler = trial.structure.size < rival.structure.size
     better = near.better or far.better
     kept = near.no_worse and far.no_worse
-    numbers = f"squared errors {_percent(near)} at 1 s, {_percent(far)} at 5 s"
+    numbers = f"squared errors at 1 s {near.words}; at 5 s {far.words}"
     if cheaper and kept and (simpler or better):
         return _Verdict(trial, rival, True, f"earned over {name}: {numbers}")
     if simpler and not cheaper:
@@ -279,15 +297,11 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     return _Verdict(trial, rival, False, f"not earned: {why} ({numbers})")
 
 
-def _percent(change: Change) -> str:
-    return f"{100 * change.mean:+.1f} +- {100 * change.error:.1f} %"
-
-
 def _candidate(verdict: _Verdict, best: _Trial) -> Candidate:
     trial, rival = verdict.trial, verdict.rival
     changes = [change_of(trial.held_out, rival.held_out, horizon) for horizon in (NEAR, FAR)]
     first = trial is rival
-    velocity, position = (None if first or change is None else (change.mean, change.error) for change in changes)
+    velocity, position = (None if first or change is None else (change.total, change.total_error) for change in changes)
     return Candidate(
         structure=trial.structure.name,
         parameters=2 + trial.structure.size,
