@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from flights import flown, steps
-from other_laws import flown_by
+from other_laws import DELAY, flown_by
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
@@ -46,6 +46,10 @@ def test_a_vehicle_of_the_default_structure_keeps_it(seed: int) -> None:
 
     assert axis.structure == "first_order_delay"
     assert axis.plain is None
+    low, high = axis.combinations["delay_plus_lag"].ci95
+    assert low is not None
+    assert high is not None
+    assert low < DELAY < high < low + 0.03
     assert all(row.verdict.startswith("not ") for row in axis.candidates[1:])
     assert axis.candidates[0].chosen
 

@@ -190,7 +190,11 @@ def _other_structures(
         if axis in lost:
             axes[axis] = replace(axes[axis], candidates=(lost_candidate(structure),))
         if axis in choices:
-            axes[axis] = replace(axes[axis], candidates=choices[axis].candidates, samples=choices[axis].samples)
+            choice = choices[axis]
+            combined = {"delay_plus_lag": choice.delay_plus_lag, **axes[axis].combinations}
+            axes[axis] = replace(
+                axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
+            )
     return found, axes, covariance
 
 

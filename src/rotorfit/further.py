@@ -8,7 +8,7 @@ import numpy as np
 from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum
 from rotorfit.model import Combination, Interval
-from rotorfit.profile import height, hold, quantile
+from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import Record
 from rotorfit.structure import FIRST_ORDER_DELAY, Extra, Structure
 
@@ -84,7 +84,7 @@ def further(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> Further:
 
 def _interval(extra: Extra, ends: Interval) -> Interval:
     low, high = (None if end is None else extra.value(end) for end in ends)
-    return low, high
+    return low, extra.high if high is None and extra.closed else high
 
 
 def _status(extra: Extra, ends: Interval) -> str:
@@ -134,6 +134,13 @@ def further_combinations(
         out["input_up"] = said(g * (1 + s), False, input=1 + s, asymmetry=g)
         out["input_down"] = said(g * (1 - s), False, input=1 - s, asymmetry=-g)
     return out
+
+
+def delay_plus_lag(records: Sequence[Record], optimum: Optimum, k: int) -> Combination:
+    """The sum of delay and lag of axis k of an optimum that has both: known where its parts are not."""
+    lag = profile(records, optimum, optimum.point.place("lag", k)).ci95
+    total = float(optimum.point.delay[k]) + optimum.point.extra_values(k)["lag"]
+    return Combination(total, _sum_interval(records, optimum, k, lag))
 
 
 def _sum_interval(records: Sequence[Record], optimum: Optimum, k: int, lag: Interval) -> Interval:

@@ -144,7 +144,8 @@ class Axis:
         trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance.
         predictor: What simulation uses; None where the axis is not excited.
-        combinations: `steady_gain` (g / b) and `total_lag` (delay + 1 / b) [s].
+        combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; of other structures
+            further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`.
         modes: Optima of the likelihood, the chosen one first.
         profile: Delays [s] and the log-likelihood, less its maximum, re-maximised over everything else at each.
         profile_fall: How far it falls to the ends of the delay's interval.

@@ -18,9 +18,10 @@ from rotorfit.estimate import Estimate, free_of
 from rotorfit.flight import Flight
 from rotorfit.forecast import errors_by_start, predict_flight
 from rotorfit.frames import AXES, Array
-from rotorfit.further import told_apart
+from rotorfit.further import delay_plus_lag, told_apart
+from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum, maximise
-from rotorfit.model import Candidate
+from rotorfit.model import Candidate, Combination
 from rotorfit.modes import between, dynamics_of, start_point, thinned
 from rotorfit.record import Record, record
 from rotorfit.structure import FIRST_ORDER_DELAY, STRUCTURES, Structure
@@ -33,6 +34,9 @@ NEAR, FAR = 1.0, 5.0
 
 BLOCK = {NEAR: 5.0, FAR: 10.0}
 """Length of the blocks over which errors of starts are averaged [s]."""
+
+NEGLIGIBLE_DELAY = 0.03
+"""A structure without a delay is chosen only where the delay is known to be shorter [s]; else damping would pay."""
 
 LEAST_BLOCKS = 4
 """Fewer blocks give no standard error, and nothing richer is chosen."""
@@ -53,11 +57,13 @@ class Choice:
         structure: The chosen one.
         candidates: All that were tried, the default first.
         samples: Effective number of independent innovations.
+        delay_plus_lag: The sum that stays known whether it is a delay, a lag or both; of `first_order_delay_lag`.
     """
 
     structure: Structure
     candidates: tuple[Candidate, ...]
     samples: float
+    delay_plus_lag: Combination
 
 
 @dataclass(frozen=True)
@@ -80,13 +86,25 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class _Trial:
-    """One structure on one axis: parameters, likelihood and criterion less the default's, and what it predicts."""
+    """One structure on one axis.
+
+    Attributes:
+        structure: Which.
+        log_likelihood: Less the default's.
+        bic: Less the default's.
+        held_out: What it predicts.
+        told_apart: Whether the commands tell what it adds from its other parameters.
+        neglected: Longest delay that the data allow and it does without [s].
+        estimate: On all data.
+    """
 
     structure: Structure
     log_likelihood: float
     bic: float
     held_out: HeldOut
     told_apart: bool
+    neglected: float
+    estimate: Estimate
 
 
 def choose(serving: Sequence[Flight], estimates: Mapping[str, Estimate], axes: Sequence[str]) -> dict[str, Choice]:
@@ -126,7 +144,9 @@ def _choice(
     for trial in trials[1:]:
         verdicts.append(_verdict(trial, best, len(trials) - 1))
         best = trial if verdicts[-1].passed else best
-    return Choice(best.structure, tuple(_candidate(one, best) for one in verdicts), samples)
+    both = next(trial.estimate for trial in trials if trial.structure.name == "first_order_delay_lag")
+    total = delay_plus_lag(both.records, both.optimum, both.place)
+    return Choice(best.structure, tuple(_candidate(one, best) for one in verdicts), samples, total)
 
 
 def effective_samples(estimate: Estimate) -> tuple[float, float]:
@@ -161,7 +181,16 @@ def _trial(
     size = structure.size - FIRST_ORDER_DELAY.size
     held_out = _held_out(folds, after, axis)
     criterion = -2 * share * gained + size * float(np.log(samples))
-    return _Trial(structure, gained, criterion, held_out, told_apart(after.optimum, after.place))
+    neglected = _longest_delay(before) if structure.size < FIRST_ORDER_DELAY.size else 0.0
+    return _Trial(structure, gained, criterion, held_out, told_apart(after.optimum, after.place), neglected, after)
+
+
+def _longest_delay(estimate: Estimate) -> float:
+    """Largest delay, of either sign, within two standard errors of the default's [s]."""
+    optimum, k = estimate.optimum, estimate.place
+    place = 2 * optimum.point.gain.size + k
+    variance = inverted(optimum.score.information, optimum.free)[place, place]
+    return float(abs(optimum.point.delay[k]) + 2 * np.sqrt(variance))
 
 
 def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estimate, axis: str) -> HeldOut:
@@ -271,7 +300,8 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     """Whether a trial takes the place of its rival.
 
     A richer structure, or another of the same size, must be better by the criterion and beyond the uncertainty in one
-    kind of prediction, and no worse in the other. A simpler one must be better by the criterion and no worse in both.
+    kind of prediction, and no worse in the other. A simpler one must be better by the criterion and no worse in both,
+    and what it does without must be known to be small.
     Many are tried, so each must be sure enough that all together are mistaken in 2.5 % (Bonferroni).
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
@@ -284,9 +314,11 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     better = near.better or far.better
     kept = near.no_worse and far.no_worse
     numbers = f"squared errors at 1 s {near.words}; at 5 s {far.words}"
-    if cheaper and kept and (simpler or better):
+    if cheaper and kept and (simpler or better) and trial.neglected <= NEGLIGIBLE_DELAY:
         return _Verdict(trial, rival, True, f"earned over {name}: {numbers}")
-    if simpler and not cheaper:
+    if trial.neglected > NEGLIGIBLE_DELAY:
+        why = f"the delay may be as long as {trial.neglected:.2f} s"
+    elif simpler and not cheaper:
         why = "the likelihood falls by more than a parameter is worth"
     elif not cheaper:
         why = "its likelihood does not pay for its parameters"

@@ -40,6 +40,7 @@ class Extra:
         estimated: Whether it is estimated at all; else it is a constant that goes with the others.
         unit: `s`, `1/s`, `speed` (m/s or rad/s), `command` (that of the command), `gain` (acceleration per command), or
             empty for a number.
+        closed: Whether the largest value is one like any other, so that an interval may end there.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Extra:
     logarithmic: bool = False
     estimated: bool = True
     unit: str = ""
+    closed: bool = False
 
     def coordinate(self, value: float) -> float:
         """What the estimator moves: the value or its logarithm."""
@@ -94,7 +96,10 @@ class Structure:
 
 
 _LAG = Extra("lag", LAG, 0.005, 2.0, logarithmic=True, unit="s")
-_DRAG = (Extra("drag_share", SHARE, 0.0, 1.0), Extra("reference_speed", SPEED, 0.0, np.inf, False, False, "speed"))
+_DRAG = (
+    Extra("drag_share", SHARE, 0.0, 1.0, closed=True),
+    Extra("reference_speed", SPEED, 0.0, np.inf, False, False, "speed"),
+)
 _CROSS = (
     Extra("cross_input", CROSS_INPUT, -np.inf, np.inf, unit="gain"),
     Extra("cross_damping", CROSS_DAMPING, -np.inf, np.inf, unit="1/s"),

@@ -162,7 +162,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield _coefficient_table(model, wanted)
     known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
     combined = any(axis.combinations for axis in known.values())
-    lag = "lag + " if any("delay_plus_lag" in axis.combinations for axis in known.values()) else ""
+    lag = "lag + " if any("lag" in axis.extra for axis in known.values()) else ""
     legend = f"; steady gain = input / damping; total lag = delay + {lag}1 / damping" if combined else ""
     yield _indented(f"input is per command of 1{legend}", 0, "dim")
     yield from _list([line for axis, one in known.items() for line in _search_lines(axis, one)])
