@@ -291,7 +291,8 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay of {axis.predictor.delay:.2f} s, and the damping pays; the likelihood keeps it",
+        f"it leaves out the delay of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s, and the "
+        "damping pays; the likelihood keeps it",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )

@@ -69,6 +69,14 @@ def _axes(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> 
     return axes
 
 
+def _structure(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> Any:
+    from rotorfit.structure import FIRST_ORDER_DELAY, STRUCTURES
+
+    if name is not None and name != "auto" and name not in STRUCTURES:
+        raise click.BadParameter(f"no such structure: {name!r}; structures are auto, {', '.join(STRUCTURES)}", ctx)
+    return name or FIRST_ORDER_DELAY.name
+
+
 def _horizons(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     from rotorfit.forecast import HORIZONS
 
@@ -162,6 +170,9 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
     default="ml",
     help="The likelihood (default), without outliers, the paper's, or a rung between them.",
 )
+@click.option(
+    "--structure", metavar="S", callback=_structure, help="The law of every axis, or auto; default: first_order_delay."
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
@@ -173,6 +184,7 @@ def fit(
     logs: Sequence[str],
     card: str | None,
     method: Any,
+    structure: Any,
     axes: Any,
     span: Any,
     leaving: bool,
@@ -192,7 +204,7 @@ def fit(
         require_two(len(logs))
     with _progress() as progress:
         spans = [parse_log(log, span) for log in logs]
-        result, left_out = fit_logs(spans, card, method, axes, progress, uncertainty, prior), None
+        result, left_out = fit_logs(spans, card, method, axes, progress, structure, uncertainty, prior), None
         if leaving:
             result, left_out = leave_one_out_logs(result, axes, progress)
     model = result.model

@@ -161,10 +161,15 @@ def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
     if rec is None or not np.any(np.diff(rec.command[:, axes.index(axis)])):
         return None
     point = replace(
-        start_point([rec], 0.0, 1.0, whole.levels), gain=whole.gain, log_damping=whole.log_damping, delay=whole.delay
+        start_point([rec], 0.0, 1.0, whole.levels),
+        gain=whole.gain,
+        log_damping=whole.log_damping,
+        delay=whole.delay,
+        structures=whole.structures,
+        extra=whole.extra,
     )
     free = np.arange(point.flat().size) < point.n
-    free[: 3 * K] = estimate.optimum.free[: 3 * K]
+    free[: whole.coefficients] = estimate.optimum.free[: whole.coefficients]
     optimum = maximise([rec], point, free)
     at = [k, K + k, 2 * K + k]
     theta = optimum.point.flat()[at]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, search, start_point, without_input
 from rotorfit.prior import GaussianPrior
 from rotorfit.record import Record, record
+from rotorfit.structure import FIRST_ORDER_DELAY, Structure
 
 EXPLAINS = 0.9
 """In a feedback loop the commands must bring the 1 s prediction error on the training flights below this share of what
@@ -67,12 +69,14 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrio
     if not _explains(parts, (axis,), short, found[0], 0):
         idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
         return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
-    return Estimate(records, _finished(records, start, [True], prior), 0, found, True)
+    return Estimate(records, finished(records, start, [True], prior), 0, found, True)
 
 
-def _finished(records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+def finished(
+    records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None = None
+) -> Optimum:
     """The top, with itself as the reference of the restricted likelihood."""
-    first = climb(records, start, free_of(records, moving))
+    first = climb(records, start, free_of(records, moving, start.structures))
     if prior is not None:
         first = maximise(records, first.point, first.free, prior=prior)
     return maximise(records, first.point, first.free, first.inverse, prior=prior)
@@ -93,7 +97,7 @@ def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Es
     out = list(estimates)
     for _ in range(COUPLING_ROUNDS):
         points = [estimate.optimum.point for estimate in out]
-        joint = Point(*(np.concatenate([getattr(p, name) for p in points], axis) for name, axis in _JOINT_AXES))
+        joint = _joined(points)
         rows = segments(records)
         offsets = [_offset(rec, joint, points, j, rows[j]) for j, rec in enumerate(records)]
         for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
@@ -108,6 +112,19 @@ def coupled(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Es
 
 
 _JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("start", 1), ("levels", 0))
+
+
+def _joined(points: Sequence[Point]) -> Point:
+    """Points of single axes as one of all."""
+    parts: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in points], axis) for n, axis in _JOINT_AXES}
+    joint = Point(**parts)
+    if not any(point.structures for point in points):
+        return joint
+    extra = np.zeros((max(len(point.extra) for point in points), len(points)))
+    for k, point in enumerate(points):
+        extra[: len(point.extra), k] = point.extra[:, 0]
+    structures = tuple(point.structures[0] if point.structures else FIRST_ORDER_DELAY for point in points)
+    return replace(joint, structures=structures, extra=extra)
 
 
 def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int, at: slice) -> Array:
@@ -139,7 +156,7 @@ def together(
         log_damping=np.where(idle, 0.0, start.log_damping),
         delay=np.where(idle, 0.0, start.delay),
     )
-    optimum = _finished(records, start, excited, prior)
+    optimum = finished(records, start, excited, prior)
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 
@@ -203,7 +220,14 @@ def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence
     return bool(error < limit * idle[k])
 
 
-def free_of(records: Sequence[Record], moving: Sequence[bool]) -> Mask:
+def free_of(records: Sequence[Record], moving: Sequence[bool], structures: Sequence[Structure] = ()) -> Mask:
     """Which parameters may move: the coefficients of the moving axes, all trims, start velocities and levels."""
     K, flights, parts = len(moving), len(records), sum(rec.starts.size for rec in records)
-    return np.concatenate([np.tile(moving, 3), np.ones((flights + parts + 4) * K, bool)])
+    coefficients = np.tile(moving, (3, 1))
+    extra = np.zeros((max((len(structure.extras) for structure in structures), default=0), K), bool)
+    for k, structure in enumerate(structures):
+        coefficients[2, k] &= structure.delayed
+        for e, one in enumerate(structure.extras):
+            extra[e, k] = moving[k] and one.estimated
+    others = np.ones((flights + parts + 4) * K, bool)
+    return np.concatenate([coefficients.ravel(), extra.ravel(), others])

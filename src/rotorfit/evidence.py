@@ -13,6 +13,7 @@ from rotorfit.frames import AXES, Array
 from rotorfit.long_run import quantile
 from rotorfit.model import COEFFICIENTS, Axis, Model
 from rotorfit.paired import PairedTest, Quantity
+from rotorfit.structure import structure_named
 from rotorfit.validation import FlightScores, Validation, coefficient_covariance, residuals
 from rotorfit.views import Chart, Line, Mark, moved_axes
 from rotorfit.whiteness import LEAST_BLOCKS, Correlogram, autocorrelation, cross_correlation
@@ -31,6 +32,10 @@ SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for 
 
 LENGTH = {axis: ("deg", 180 / np.pi) if axis == "yaw" else ("cm", 100.0) for axis in AXES}
 """Unit of a position error for people, and the factor from SI."""
+
+
+_UNITS = {"natural_frequency": "rad/s", "damping_ratio": "", "damping_at_rest": "1/s", "quadratic_drag": "1/m or 1/rad"}
+"""Units of combinations that are not seconds."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class CoefficientRow:
 
     Attributes:
         axis: Name.
-        name: `input`, `damping`, `delay`, `steady_gain` or `total_lag`.
+        name: `input`, `damping`, `delay`, a further parameter of the structure, or a combination such as `total_lag`.
         symbol: The paper's, such as g1; empty where it has none.
         unit: As text.
         value: Estimate.
@@ -91,7 +96,8 @@ def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
         if gain is not None and damping:
             papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
         rate = "rad/s" if name == "yaw" else "m/s"
-        units = {"input": f"{rate}² per {per}", "damping": "1/s", "steady_gain": f"{rate} per {per}"}
+        units = {"input": f"{rate}² per {per}", "damping": "1/s", "steady_gain": f"{rate} per {per}", **_UNITS}
+        units |= {"input_up": units["input"], "input_down": units["input"]}
         for number, coefficient in enumerate(COEFFICIENTS):
             low, high = axis.ci95.get(coefficient, (None, None))
             rows.append(
@@ -101,6 +107,12 @@ def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
                     axis.status.get(coefficient, "not_identifiable"), papers.get(coefficient),
                 )
             )  # fmt: skip
+        for extra in structure_named(axis.structure).extras if axis.predictor else ():
+            low, high = axis.ci95.get(extra.name, (None, None))
+            unit = {"speed": rate, "gain": f"{rate}² per {per}", "command": per}.get(extra.unit, extra.unit)
+            value, error = axis.extra[extra.name], axis.stderr.get(extra.name)
+            status = axis.status.get(extra.name, "given")
+            rows.append(CoefficientRow(name, extra.name, "", unit, value, error, low, high, status, None))
         for combination, known in axis.combinations.items():
             low, high = known.ci95
             status = "ok" if low is not None and high is not None else "open"

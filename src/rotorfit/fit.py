@@ -7,10 +7,12 @@ from typing import Literal
 import numpy as np
 
 from rotorfit.card import Prior
-from rotorfit.errors import CardError, FlightError
+from rotorfit.enrich import enriched
+from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
+from rotorfit.further import estimated_extras, further, further_combinations, structure_of, told_apart
 from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum
 from rotorfit.model import (
@@ -21,6 +23,7 @@ from rotorfit.model import (
     Interval,
     Mode,
     Model,
+    Plain,
     Predictor,
     Source,
     unknown_axis,
@@ -33,7 +36,9 @@ from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
 from rotorfit.robust import Outliers, without_outliers
 from rotorfit.rungs import axes_by_rung
+from rotorfit.select import AUTO, Choice, choose, lost_candidate
 from rotorfit.settle import noise_of, with_levels
+from rotorfit.structure import FIRST_ORDER_DELAY, structure_named
 
 Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
@@ -90,6 +95,7 @@ def fit(
     method: Method = "ml",
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
+    structure: str = STRUCTURE,
     prior: bool = False,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
@@ -100,6 +106,8 @@ def fit(
             `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`, the rungs between.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
+        structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis. `coupled` is of x and y
+            together and leaves the default to every other axis.
         prior: Use the priors of the card.
 
     Returns:
@@ -108,7 +116,14 @@ def fit(
     Raises:
         FlightError: If no flight is given, or their cards differ in what the coefficients mean.
         CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
+        ModelError: No such structure, or one other than the default with a method other than the likelihood.
     """
+    if structure != AUTO:
+        structure_named(structure)
+    if method != "ml" and structure != STRUCTURE:
+        raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
+    if prior and structure != STRUCTURE:
+        raise ModelError("priors are for the default structure: leave --prior or --structure out")
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
@@ -138,6 +153,10 @@ def fit(
         if method in ("ml", "robust"):
             estimated = _estimate_group(flights, group, priors)
             found, covariance = _group_axes(flights, group, estimated)
+            if structure != STRUCTURE and estimated:
+                estimated, found, covariance = _other_structures(
+                    flights, group, estimated, found, covariance, structure
+                )
             estimates |= estimated
         elif method == "paper":
             found, covariance = _paper_group(flights, group, paper)
@@ -150,7 +169,7 @@ def fit(
     names, matrix = _joined({k: v for k, v in covariances.items() if all(n.split(".")[0] in wanted for n in k)})
     model = Model(
         card=flights[0].card,
-        structure=STRUCTURE,
+        structure=_common_structure(results),
         method=method,
         axes={axis: results.get(axis, unknown_axis("not_excited")) for axis in AXES},
         covariance_names=names,
@@ -169,6 +188,54 @@ def fit(
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
     """The likelihood of every axis, without intervals."""
     return {a: e for group in _groups(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
+
+
+def _common_structure(axes: Mapping[str, Axis]) -> str:
+    """The name that all axes with numbers share."""
+    names = {axis.structure for axis in axes.values() if axis.predictor}
+    return "mixed" if len(names) > 1 else next(iter(names), STRUCTURE)
+
+
+def _other_structures(
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    estimates: dict[str, Estimate],
+    plain: dict[str, Axis],
+    covariance: Blocks,
+    structure: str,
+) -> tuple[dict[str, Estimate], dict[str, Axis], Blocks]:
+    """The axes of a group under another structure or the one that the data earn, with the default's numbers beside."""
+    serving = _serving(flights, group)
+    known = [axis for axis in group if plain[axis].predictor]
+    wanted = dict.fromkeys(group, FIRST_ORDER_DELAY)
+    choices: dict[str, Choice] = {}
+    if structure == AUTO:
+        choices = choose(serving, estimates, known)
+        wanted |= {axis: choice.structure for axis, choice in choices.items()}
+    else:
+        wanted |= dict.fromkeys(known, structure_named(structure))
+    found = enriched(serving, estimates, wanted)
+    lost = [axis for axis, e in found.items() if not told_apart(e.optimum, e.place)]
+    if lost:
+        found = enriched(serving, estimates, wanted | dict.fromkeys(lost, FIRST_ORDER_DELAY))
+    if any(structure_of(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
+        axes, covariance = _group_axes(flights, group, found)
+    else:
+        found, axes = estimates, plain
+    for axis in known:
+        if axes[axis].structure != STRUCTURE:
+            one = plain[axis]
+            beside = Plain(one.input, one.damping, one.delay, one.stderr, one.ci95, one.status)
+            axes[axis] = replace(axes[axis], plain=beside)
+        if axis in lost:
+            axes[axis] = replace(axes[axis], candidates=(lost_candidate(structure),))
+        if axis in choices:
+            choice = choices[axis]
+            combined = {"delay_plus_lag": choice.delay_plus_lag, **axes[axis].combinations}
+            axes[axis] = replace(
+                axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
+            )
+    return found, axes, covariance
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -234,7 +301,7 @@ def with_delay_profiles(fit: Fit) -> Fit:
     """
     axes = dict(fit.model.axes)
     for name, estimate in fit.estimates.items():
-        if axes[name].predictor is None:
+        if axes[name].predictor is None or not structure_of(estimate.optimum, estimate.place).delayed:
             continue
         index = 2 * estimate.optimum.point.gain.size + estimate.place
         best = float(estimate.optimum.point.flat()[index])
@@ -257,14 +324,17 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         noise=noise_of(optimum, k),
         modes=_modes(estimate),
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
+        structure=structure_of(optimum, k).name,
     )
     if not estimate.excited or _unfinished(optimum, k):
         return nothing
-    K = optimum.point.gain.size
+    structure, extras = structure_of(optimum, k), estimated_extras(optimum, k)
     variance = np.diag(inverted(optimum.score.information, optimum.free))
-    index = {"input": k, "damping": K + k, "delay": 2 * K + k}
-    profiles = {name: profile(records, optimum, i) for name, i in index.items()}
-    ends: dict[str, Interval] = {name: found.ci95 for name, found in profiles.items()}
+    index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
+    profiles = {n: profile(records, optimum, i) for n, i in index.items() if structure.delayed or n != "delay"}
+    ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
+    more = further(optimum, k, ends)
+    raw = dict(ends)
     ends["damping"] = _exponential(ends["damping"])
     ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
     if _holds_zero(ends["input"]):
@@ -276,21 +346,23 @@ def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         input=float(optimum.point.gain[k]),
         damping=float(np.exp(optimum.point.log_damping[k])),
         delay=float(optimum.point.delay[k]),
+        extra=optimum.point.extra_values(k),
     )
-    error = {n: float(np.sqrt(variance[i])) * (point.damping if n == "damping" else 1.0) for n, i in index.items()}
+    error = {n: float(np.sqrt(variance[index[n]])) * (point.damping if n == "damping" else 1.0) for n in COEFFICIENTS}
     published = {name: getattr(point, name) if status[name] == "ok" else None for name in COEFFICIENTS}
     return replace(
         nothing,
         input=published["input"],
         damping=published["damping"],
         delay=published["delay"],
-        stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS},
-        ci95=ends,
-        status=status,
+        stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS} | dict(more.stderr),
+        ci95={name: ends[name] for name in COEFFICIENTS} | dict(more.ci95),
+        status=status | dict(more.status),
         predictor=point,
-        combinations=_combinations(optimum, k),
-        profile=profiles["delay"].points,
-        profile_fall=profiles["delay"].fall,
+        combinations=_combinations(optimum, k) | further_combinations(records, optimum, k, raw),
+        profile=profiles["delay"].points if structure.delayed else (),
+        profile_fall=profiles["delay"].fall if structure.delayed else None,
+        extra=more.extra,
     )
 
 
@@ -367,20 +439,30 @@ def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
 
 
 def _covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Mapping[str, Axis]) -> Blocks:
-    """Covariance of (input, damping, delay) of the axes with a predictor, a block for each likelihood."""
+    """Covariance of what is estimated of the axes with a predictor, a block for each likelihood."""
     blocks: dict[int, list[int]] = {}
+    names = [
+        (*COEFFICIENTS, *(extra.name for extra in estimated_extras(estimate.optimum, estimate.place)))
+        for estimate in estimates
+    ]
     for number, (axis, estimate) in enumerate(zip(group, estimates, strict=True)):
         if results[axis].predictor:
             blocks.setdefault(id(estimate.optimum), []).append(number)
     out = {}
     for numbers in blocks.values():
         optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
-        K = optimum.point.gain.size
-        at = [offset + k for k in places for offset in (0, K, 2 * K)]
-        scale = np.concatenate([[1.0, np.exp(optimum.point.log_damping[k]), 1.0] for k in places])
+        at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
+        scale = np.concatenate([_natural(optimum, k) for k in places])
         C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
-        out[tuple(f"{group[n]}.{name}" for n in numbers for name in COEFFICIENTS)] = C * np.outer(scale, scale)
+        out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)
     return out
+
+
+def _natural(optimum: Optimum, k: int) -> Array:
+    """Slopes of the coefficients and further parameters of axis k by what the estimator moves."""
+    values = optimum.point.extra_values(k)
+    further = [values[extra.name] if extra.logarithmic else 1.0 for extra in estimated_extras(optimum, k)]
+    return np.array([1.0, np.exp(optimum.point.log_damping[k]), 1.0, *further])
 
 
 def _joined(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
@@ -400,11 +482,13 @@ def _modes(estimate: Estimate) -> tuple[Mode, ...]:
     modes: list[Mode] = []
     for number, f in enumerate(estimate.found):
         final = number == 0 and estimate.excited
-        point, rmse = (estimate.optimum if final else f.optimum).point, float(f.prediction[k])
+        point = (estimate.optimum if final else f.optimum).point
+        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other
+        rmse = float(f.prediction[min(k, f.prediction.size - 1)])
         mode = Mode(
-            delay=float(point.delay[k]),
-            damping=float(np.exp(point.log_damping[k])),
-            input=float(point.gain[k]),
+            delay=float(point.delay[at]),
+            damping=float(np.exp(point.log_damping[at])),
+            input=float(point.gain[at]),
             log_likelihood=f.optimum.score.log_likelihood - best,
             starts=f.starts,
             prediction=rmse if np.isfinite(rmse) else None,

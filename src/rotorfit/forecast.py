@@ -5,7 +5,7 @@ from the filter on data up to that instant; from there only the commands are kno
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.prediction import coast, predict
+from rotorfit.structure import FIRST_ORDER_DELAY, Structure, law_of
 
 SETTLING = 2.0
 """Time that a segment gives to the filter before the first start [s]."""
@@ -39,6 +40,9 @@ LEAST_SCORES = 5
 LEAST_FILTER_DAMPING = 1e-3
 """Damping below which the filter does not go, where a model is unstable [1/s]; the prediction itself does."""
 
+ORIGIN_TIME = 0.2
+"""Over so much of a segment its first velocity is measured [s]; quadratic drag is linear only about some velocity."""
+
 EDGE = 1e-9
 
 
@@ -52,6 +56,8 @@ class Dynamics:
         delay: tau [s].
         levels: q, r, alpha, kappa of the disturbance, in the order of `LEVELS`.
         trim_variance: Prior variance of the trim of a new flight [unit^2/s^4].
+        structure: Its law.
+        extra: Further parameters of the law by name.
     """
 
     input: float
@@ -59,6 +65,13 @@ class Dynamics:
     delay: float
     levels: tuple[float, float, float, float]
     trim_variance: float
+    structure: Structure = FIRST_ORDER_DELAY
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def law(self) -> Array:
+        """Numbers of the general law, shape (LAW_SIZE,)."""
+        return law_of(self.structure, self.input, self.damping, self.delay, self.extra)
 
 
 UNMODELLED = Dynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 2.5, 0.64), 1e-6)
@@ -172,6 +185,7 @@ def _predict_segment(
             first,
             last,
             future,
+            *_general_law(chosen, t, pose[:, pair]),
         )
 
     side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
@@ -192,6 +206,17 @@ def _predict_segment(
         ),
         heading=heading,
     )
+
+
+def _general_law(axes: Sequence[Dynamics], t: Array, pose: Array) -> tuple[Array | None, Array | None]:
+    """Law of two axes and the velocity at the start about which they are linear; None where both are of the default."""
+    if all(axis.structure == FIRST_ORDER_DELAY for axis in axes):
+        return None, None
+    origin = np.zeros(2)
+    if any(axis.structure.kicks % 2 for axis in axes):
+        i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
+        origin = (pose[i] - pose[0]) / max(t[i] - t[0], EDGE)
+    return np.array([axis.law for axis in axes]), origin
 
 
 def hold_velocity(part: Predictions) -> Array:

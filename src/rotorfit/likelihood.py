@@ -8,14 +8,16 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 import functools
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from rotorfit.disturbance import whiten_axis, whiten_plane
-from rotorfit.frames import Array, Mask
+from rotorfit.frames import Array, Indices, Mask
+from rotorfit.motion import MEAN, NOTHING, START, motion_response
 from rotorfit.record import DELAY_RANGE, Record
 from rotorfit.response import axis_response, plane_response
+from rotorfit.structure import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, TRIM, Structure, law_of
 
 DAMPING_RANGE = (1e-3, 100.0)
 """Damping that is searched [1/s]."""
@@ -38,6 +40,9 @@ class Point:
         trim: c in the heading frame, shape (F, K).
         start: Velocity at the start of each segment, shape (S, K), over the segments of all flights in turn.
         levels: log of q, r, alpha, kappa, shape (K, 4).
+        structures: Of each axis; none means the default of all.
+        extra: Coordinates of the E further parameters, shape (E, K): as many as the axis with the most has; those that
+            an axis does not have are not looked at.
     """
 
     gain: Array
@@ -46,21 +51,27 @@ class Point:
     trim: Array
     start: Array
     levels: Array
+    structures: tuple[Structure, ...] = ()
+    extra: Array = field(default_factory=lambda: np.empty((0, 1)))
 
     def flat(self) -> Array:
-        """g of all axes, log b, tau, trims, start velocities, levels: shape (n + 4 K,)."""
-        return np.concatenate(
-            [self.gain, self.log_damping, self.delay, self.trim.ravel(), self.start.ravel(), self.levels.ravel()]
-        )
+        """g of all axes, log b, tau, further ones, trims, start velocities, levels: shape (n + 4 K,)."""
+        parts = (self.gain, self.log_damping, self.delay, self.extra, self.trim, self.start, self.levels)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @property
+    def coefficients(self) -> int:
+        """Number of parameters before the trims: 3 + E of each axis."""
+        return 3 * self.gain.size + self.extra.size
 
     @property
     def n(self) -> int:
         """Number of parameters before the levels."""
-        return 3 * self.gain.size + self.trim.size + self.start.size
+        return self.coefficients + self.trim.size + self.start.size
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper ends of the searched ranges, in the order of `flat`."""
-        return _bounds(self.gain.size, self.trim.size + self.start.size)
+        return _bounds(self.gain.size, self.structures, len(self.extra), self.trim.size + self.start.size)
 
     def moved(self, step: Array) -> "Point":
         """The point plus a step in the order of `flat`, kept inside the searched ranges."""
@@ -77,20 +88,48 @@ class Point:
     def with_flat(self, values: Array) -> "Point":
         """The point with all parameters replaced, in the order of `flat`."""
         K = self.gain.size
-        ends = np.cumsum([K, K, K, self.trim.size, self.start.size])
-        gain, log_damping, delay, trim, start, levels = np.split(values, ends)
-        return Point(gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, 4))
+        ends = np.cumsum([K, K, K, self.extra.size, self.trim.size, self.start.size])
+        gain, log_damping, delay, extra, trim, start, levels = np.split(values, ends)
+        return Point(
+            gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, 4),
+            self.structures, extra.reshape(self.extra.shape),
+        )  # fmt: skip
+
+    def place(self, name: str, k: int) -> int:
+        """Where a coefficient or further parameter of axis k stands in `flat`."""
+        K = self.gain.size
+        if name in ("input", "damping", "delay"):
+            return ("input", "damping", "delay").index(name) * K + k
+        return (3 + [extra.name for extra in self.structures[k].extras].index(name)) * K + k
+
+    def extra_values(self, k: int) -> dict[str, float]:
+        """Further parameters of axis k by name."""
+        extras = self.structures[k].extras if self.structures else ()
+        return {extra.name: extra.value(self.extra[e, k]) for e, extra in enumerate(extras)}
+
+    @property
+    def laws(self) -> Array | None:
+        """The general law of each axis without its trim, shape (K, LAW_SIZE); None where all are of the default."""
+        if all(structure == FIRST_ORDER_DELAY for structure in self.structures):
+            return None
+        coefficients = zip(self.structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
+        return np.array([law_of(*each, self.extra_values(k)) for k, each in enumerate(coefficients)])
 
 
 @functools.cache
-def _bounds(K: int, others: int) -> tuple[Array, Array]:
-    """Bounds of a point of K axes and so many trims and start velocities."""
+def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int) -> tuple[Array, Array]:
+    """Bounds of a point of K axes, E further parameters, and so many trims and start velocities."""
+    extra = np.tile(np.array([-np.inf, np.inf]), (E, K, 1))
+    for k, structure in enumerate(structures):
+        for e, one in enumerate(structure.extras):
+            extra[e, k] = one.coordinate(one.low), one.coordinate(one.high)
     low, high = (
         np.concatenate(
             [
                 np.full(K, sign * np.inf),
                 np.full(K, np.log(DAMPING_RANGE)[end]),
                 np.full(K, DELAY_RANGE[end]),
+                extra[:, :, end].ravel(),
                 np.full(others, sign * np.inf),
                 np.tile(LEVEL_RANGE[:, end], K),
             ]
@@ -116,9 +155,12 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
         start: Velocity at the start of its segments, world where K is 2, shape (S, K).
 
     Returns:
-        World position (B, K), and d/d(g, log b, tau, c, v0) in that order with K columns each, (B, 5 K, K); v0 is
-        that of the block's own segment.
+        World position (B, K), and d/d(g, log b, tau, further ones, c, v0) in that order with K columns each,
+        (B, (5 + E) K, K); v0 is that of the block's own segment.
     """
+    laws = point.laws
+    if laws is not None:
+        return _general_response(rec, point, laws, point.trim[flight], start)
     common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
     weight, segment = 1.0 / rec.count, np.cumsum(rec.fresh) - 1
     damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
@@ -133,6 +175,42 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
     mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
     damping_columns = damping_columns * damping[None, :, None]
     return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns, start_columns], axis=1)
+
+
+def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start: Array) -> tuple[Array, Array]:
+    """The same under the general law."""
+    laws[:, TRIM] = trim
+    what, whose, scale = _columns(point.structures, len(point.extra))
+    out = motion_response(
+        rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time, rec.command,
+        1.0 / rec.count, rec.yaw, laws, what, whose, start,
+    )  # fmt: skip
+    values = np.ones(what.size - 1)
+    for j in np.flatnonzero(scale):
+        values[j - 1] = laws[whose[j], what[j]]
+    return out[:, 0], out[:, 1:] * values[:, None]
+
+
+@functools.cache
+def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indices, Mask]:
+    """What each column of the general response is, whose, and whether it is by a logarithm."""
+    K = len(structures)
+    what, whose = [MEAN], [0]
+    for place in (GAIN, DAMPING, DELAY):
+        what += [place] * K
+        whose += range(K)
+    scaled = [place == DAMPING for place in what]
+    for e in range(E):
+        for k, structure in enumerate(structures):
+            there = e < len(structure.extras) and structure.extras[e].estimated
+            what.append(structure.extras[e].place if there else NOTHING)
+            whose.append(k)
+            scaled.append(there and structure.extras[e].logarithmic)
+    for place in (TRIM, START):
+        what += [place] * K
+        whose += range(K)
+        scaled += [False] * K
+    return np.array(what), np.array(whose), np.array(scaled)
 
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
@@ -182,8 +260,8 @@ class Restriction:
 
     Attributes:
         active: Coefficients and trims that are being fitted, shape (n,).
-        sensitivities: Per flight, of the response at a fixed reference point near the top, (B, 5 K, K). Fixed, so that
-            the coefficients themselves are judged by the plain likelihood.
+        sensitivities: Per flight, of the response at a fixed reference point near the top, (B, (5 + E) K, K). Fixed, so
+            that the coefficients themselves are judged by the plain likelihood.
     """
 
     active: Mask
@@ -215,6 +293,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     B 49 (1987), pp. 1-39.
     """
     K, n, F = point.gain.size, point.n, len(records)
+    first_trim = point.coefficients
+    width = first_trim + 2 * K
     information, gradient = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K)
     projected, slopes, cross = np.zeros((n, n)), np.zeros((4 * K, n, n)), np.zeros((n, 4 * K))
     log_likelihood, innovations = 0.0, []
@@ -224,13 +304,13 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         fixed = [] if restricted is None else [restricted.sensitivities[j]]
         rows, log_variance = _rows(rec, np.concatenate([residual, sensitivity, *fixed], axis=1), point.levels)
         parts = [
-            (np.r_[: 3 * K, 3 * K + j * K : 3 * K + (j + 1) * K, first : first + K], part)
-            for first, part in zip(_start_places(K, F, at), _segment_parts(rec, K), strict=True)
+            (np.r_[:first_trim, first_trim + j * K : first_trim + (j + 1) * K, first : first + K], part)
+            for first, part in zip(_start_places(first_trim, K, F, at), _segment_parts(rec, K), strict=True)
         ]
         products = [rows[part].T @ rows[part] for _, part in parts]
         for (where, _), product in zip(parts, products, strict=True):
-            information[np.ix_(where, where)] += product[1 : 1 + 5 * K, 1 : 1 + 5 * K]
-            gradient[where] += product[1 : 1 + 5 * K, 0]
+            information[np.ix_(where, where)] += product[1 : 1 + width, 1 : 1 + width]
+            gradient[where] += product[1 : 1 + width, 0]
             log_likelihood -= 0.5 * float(product[0, 0])
         log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
         e = rows[:, 0]
@@ -247,9 +327,9 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             moved, moved_log_variance = _rows(rec, columns, levels)
             d_innovation[i], d_log_variance[i] = moved[:, 0] - e, moved_log_variance - log_variance
             for (where, part), product in zip(parts, products, strict=True):
-                change = moved[part, 1:].T @ moved[part, 1:] - product[1 + 5 * K :, 1 + 5 * K :]
+                change = moved[part, 1:].T @ moved[part, 1:] - product[1 + width :, 1 + width :]
                 slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
-                turned = moved[part, 1:].T @ moved[part, 0] - product[1 + 5 * K :, 0]
+                turned = moved[part, 1:].T @ moved[part, 0] - product[1 + width :, 0]
                 cross[where, i] += turned / LEVEL_STEP
         if K == 1:
             # q and r together only scale every variance but that of the unknown start: one filter pass saved.
@@ -257,9 +337,9 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
-            projected[np.ix_(where, where)] += product[1 + 5 * K :, 1 + 5 * K :]
+            projected[np.ix_(where, where)] += product[1 + width :, 1 + width :]
             if K == 1:  # minus the gradient, of which the second level's share is taken off below
-                cross[where, 0] -= product[1 + 5 * K :, 0]
+                cross[where, 0] -= product[1 + width :, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
         raw = d_innovation + 0.5 * e * d_log_variance
@@ -275,9 +355,9 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     return Score(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations))
 
 
-def _start_places(K: int, F: int, at: slice) -> range:
+def _start_places(first_trim: int, K: int, F: int, at: slice) -> range:
     """First place of the start velocity of each segment among all parameters."""
-    first = 3 * K + F * K
+    first = first_trim + F * K
     return range(first + at.start * K, first + at.stop * K, K)
 
 

@@ -90,7 +90,7 @@ def maximise(
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
             break
-        step = limited(step, point.gain.size)
+        step = limited(step, point.gain.size, point.extra.size)
         step = point.reach(step) * step
         trial, result, tried = _line_search(records, point, best, step, restricted, prior)
         passes += tried
@@ -172,7 +172,10 @@ def pressed(point: Point, gradient: Array) -> Mask:
     return ((value <= low + EDGE) & (gradient < 0)) | ((value >= high - EDGE) & (gradient > 0))
 
 
-def limited(step: Array, K: int) -> Array:
-    """Shortens a step that moves log b by more than 1.5, the delay by more than 0.08 s or a level by more than e^2."""
-    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (step[-4 * K :], 2.0))
-    return step / max(*(float(np.abs(part).max()) / most for part, most in parts), 1.0)
+def limited(step: Array, K: int, extra: int = 0) -> Array:
+    """Shortens a step that moves log b or a further one by more than 1.5, the delay by 0.08 s, or a level by more
+    than e^2.
+    """
+    further = step[3 * K : 3 * K + extra]
+    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (further, 1.5), (step[-4 * K :], 2.0))
+    return step / max(*(float(np.abs(part).max(initial=0.0)) / most for part, most in parts), 1.0)

@@ -16,11 +16,12 @@ from rotorfit.finding import Finding
 from rotorfit.flight import Note
 from rotorfit.frames import AXES, Array
 from rotorfit.settings import Conversion, Figure, Quantity
+from rotorfit.structure import FIRST_ORDER_DELAY, law_of, structure_named
 
 FORMAT = "rotorfit-model"
 VERSION = 1
 COEFFICIENTS = ("input", "damping", "delay")
-STRUCTURE = "first_order_delay"
+STRUCTURE = FIRST_ORDER_DELAY.name
 
 Interval = tuple[float | None, float | None]
 
@@ -46,11 +47,66 @@ class Predictor:
         input: g.
         damping: b [1/s].
         delay: tau [s].
+        extra: Further parameters of its structure by name.
     """
 
     input: float
     damping: float
     delay: float
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A structure that was tried for an axis, and how it compares with the one it had to beat.
+
+    Attributes:
+        structure: Name.
+        parameters: How many it estimates for the axis.
+        log_likelihood: Less that of the default structure.
+        bic: Bayesian information criterion less that of the default structure, over `samples`.
+        velocity: Held-out RMSE of 1 s velocity predictions [m/s or rad/s]; None where none could be made.
+        position: Held-out RMSE of the end points of 5 s predictions [m or rad]; None likewise.
+        rival: The structure that it had to beat; empty for the first.
+        velocity_change: Mean of its squared velocity errors less the rival's, as a share of the rival's mean, and the
+            standard error of that; None where there is none.
+        position_change: The same of the squared end point errors.
+        verdict: What follows, in a sentence.
+        chosen: Whether the model has this one.
+    """
+
+    structure: str
+    parameters: int
+    log_likelihood: float
+    bic: float
+    velocity: float | None
+    position: float | None
+    rival: str
+    velocity_change: tuple[float, float] | None
+    position_change: tuple[float, float] | None
+    verdict: str
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Plain:
+    """The default structure's coefficients of an axis that has another: what the paper's eight are compared with.
+
+    Attributes:
+        input: g.
+        damping: b [1/s].
+        delay: tau [s].
+        stderr: Coefficient name to standard error.
+        ci95: Coefficient name to 95 % interval.
+        status: Coefficient name to status.
+    """
+
+    input: float | None
+    damping: float | None
+    delay: float | None
+    stderr: Mapping[str, float | None]
+    ci95: Mapping[str, Interval]
+    status: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -90,10 +146,17 @@ class Axis:
         trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance.
         predictor: What simulation uses; None where the axis is not excited.
-        combinations: `steady_gain` (g / b) and `total_lag` (delay + 1 / b) [s].
+        combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; of other structures
+            further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`.
         modes: Optima of the likelihood, the chosen one first.
         profile: Delays [s] and the log-likelihood, less its maximum, re-maximised over everything else at each.
         profile_fall: How far it falls to the ends of the delay's interval.
+        structure: Name of its law.
+        extra: Further parameters of that law, published as the coefficients are; their standard errors, intervals and
+            statuses stand beside those of the coefficients.
+        plain: Coefficients of the default structure where this one is another.
+        candidates: Structures that were tried, where the structure was chosen.
+        samples: Effective number of independent innovations that the candidates' criterion counts; None likewise.
     """
 
     input: float | None
@@ -109,6 +172,11 @@ class Axis:
     modes: tuple[Mode, ...] = ()
     profile: tuple[tuple[float, float], ...] = ()
     profile_fall: float | None = None
+    structure: str = STRUCTURE
+    extra: Mapping[str, float | None] = field(default_factory=dict)
+    plain: Plain | None = None
+    candidates: tuple[Candidate, ...] = ()
+    samples: float | None = None
 
 
 def unknown_axis(status: str) -> Axis:
@@ -149,7 +217,7 @@ class Model:
 
     Attributes:
         card: The card that was applied.
-        structure: Name of the model structure.
+        structure: Name of the model structure; `mixed` where the axes have different ones.
         method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
         axes: Axis name to what is known of it, for all four axes.
         covariance_names: Rows of the covariance, such as `x.input`, over (input, damping, delay) of the excited axes.
@@ -198,10 +266,11 @@ class StateSpace:
     """Linear model of the excited axes in a frame that keeps the heading: x' = A x + B u(t - delay), y = C x.
 
     Attributes:
-        axes: The n axes; the states are their positions, then their velocities.
-        A: Shape (2 n, 2 n).
-        B: Shape (2 n, n).
-        C: Positions, shape (n, 2 n).
+        axes: The n axes; the states are their positions, then their velocities, then what structures with a lag add:
+            its lagged input, or the acceleration of a second order, axis by axis.
+        A: Shape (2 n + lags, 2 n + lags).
+        B: Shape (2 n + lags, n).
+        C: Positions, shape (n, 2 n + lags).
         delay: One per input, shape (n,) [s].
     """
 
@@ -216,20 +285,39 @@ def state_space(model: Model) -> StateSpace:
     """Linear state space of the excited axes in the heading frame.
 
     Raises:
-        ModelError: If no axis has a predictor.
+        ModelError: If no axis has a predictor, or the structure of one is not linear.
 
-    Source: paper, eq. (4), with an input delay.
+    Source: paper, eq. (4), with an input delay; the linear laws of `structure`.
     """
     axes = tuple(axis for axis in AXES if model.axes[axis].predictor)
     if not axes:
         raise ModelError("the model has no excited axis: nothing to build a state space from; fit a flight that moves")
     points = [predictor_of(model, axis) for axis in axes]
+    structures = [structure_named(model.axes[axis].structure) for axis in axes]
+    bent = [axis for axis, structure in zip(axes, structures, strict=True) if not structure.linear]
+    if bent:
+        raise ModelError(f"the structure of {', '.join(bent)} is not linear and has no state space; fit a linear one")
     n = len(axes)
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.eye(n)
-    A[n:, n:] = -np.diag([point.damping for point in points])
-    B = np.vstack([np.zeros((n, n)), np.diag([point.input for point in points])])
-    return StateSpace(axes, A, B, np.hstack([np.eye(n), np.zeros((n, n))]), np.array([p.delay for p in points]))
+    lags = [i for i, structure in enumerate(structures) if structure.order]
+    A, B = np.zeros((2 * n + len(lags),) * 2), np.zeros((2 * n + len(lags), n))
+    A[:n, n : 2 * n] = np.eye(n)
+    for i, (point, structure) in enumerate(zip(points, structures, strict=True)):
+        v = at = n + i
+        if structure.order:
+            at, T = 2 * n + lags.index(i), point.extra["lag"]
+            A[v, at], A[at, at], B[at, i] = 1.0, -1 / T, point.input / T
+            if structure.order == 2:
+                A[at, v] = -point.damping / T
+        else:
+            B[v, i] = point.input
+        if structure.order < 2:
+            A[v, v] = -point.damping
+        other = {"x": "y", "y": "x"}.get(axes[i])
+        if structure.kicks >= 2 and other in axes:
+            j = axes.index(other)
+            B[v, j], A[v, n + j] = point.extra["cross_input"], -point.extra["cross_damping"]
+    C = np.hstack([np.eye(n), np.zeros((n, len(A) - n))])
+    return StateSpace(axes, A, B, C, np.array([p.delay for p in points]))
 
 
 def predictor_of(model: Model, axis: str) -> Predictor:
@@ -286,10 +374,17 @@ def simulate(
     points = [model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0) for axis in AXES]
     gain, damping, delay = (np.array([getattr(p, name) for p in points]) for name in COEFFICIENTS)
 
+    structures = [structure_named(model.axes[axis].structure) for axis in AXES]
+    general = any(s != FIRST_ORDER_DELAY and model.axes[a].predictor for s, a in zip(structures, AXES, strict=True))
+    laws = np.array([
+        law_of(s if model.axes[a].predictor else FIRST_ORDER_DELAY, p.input, p.damping, p.delay, p.extra)
+        for s, p, a in zip(structures, points, AXES, strict=True)
+    ])  # fmt: skip
+
     def run(pair: list[int], heading: Array) -> Array:
         return coast(
             command_time, np.ascontiguousarray(command[:, pair]), gain[pair], damping[pair], delay[pair],
-            pose[pair], velocity[pair], time, heading,
+            pose[pair], velocity[pair], time, heading, laws[pair] if general else None,
         )  # fmt: skip
 
     side = run([2, 3], np.zeros(time.size))
@@ -335,7 +430,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "structure": model.structure,
         "method": model.method,
         "gamma": list(model.gamma),
-        "axes": {name: asdict(axis) for name, axis in model.axes.items()},
+        "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
         "paper": {"gamma": list(model.paper)},
         "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
@@ -346,6 +441,17 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "uncertainty": model.uncertainty and asdict(model.uncertainty),
         "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
     }
+
+
+def _axis_mapping(axis: Axis) -> dict[str, Any]:
+    """An axis as plain types; what only other structures have is left out where it is empty."""
+    raw = asdict(axis)
+    if raw["predictor"] and not raw["predictor"]["extra"]:
+        del raw["predictor"]["extra"]
+    for name in ("extra", "plain", "candidates", "samples"):
+        if not raw[name]:
+            del raw[name]
+    return raw
 
 
 def from_mapping(raw: Any, where: str) -> Model:
@@ -401,6 +507,9 @@ def _axis(raw: Mapping[str, Any]) -> Axis:
             },
             "modes": tuple(Mode(**mode) for mode in raw["modes"]),
             "profile": tuple((delay, value) for delay, value in raw["profile"]),
+            "structure": structure_named(raw.get("structure", STRUCTURE)).name,
+            "plain": _plain(raw["plain"]) if raw.get("plain") else None,
+            "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
         }
     )
 
@@ -409,6 +518,15 @@ def _quantity(raw: Mapping[str, Any]) -> Quantity:
     figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
     known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
     return Quantity(**{**raw, **known})
+
+
+def _plain(raw: Mapping[str, Any]) -> Plain:
+    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}})
+
+
+def _candidate(raw: Mapping[str, Any]) -> Candidate:
+    changes = {name: tuple(raw[name]) if raw[name] else None for name in ("velocity_change", "position_change")}
+    return Candidate(**{**raw, **changes})
 
 
 def _source(raw: Mapping[str, Any]) -> Source:

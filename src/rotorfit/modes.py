@@ -17,6 +17,7 @@ from rotorfit.frames import AXES, Array, Mask
 from rotorfit.likelihood import START_LEVELS, Point, inverted
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.record import BLOCK_RATE, Record
+from rotorfit.structure import FIRST_ORDER_DELAY
 
 STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
 """Delay [s] and damping [1/s] of the starts."""
@@ -133,17 +134,16 @@ def _crossed(
     points = [found[i].optimum.point for i in best]
     point = replace(
         points[0],
-        **{name: np.stack([getattr(p, name)[k] for k, p in enumerate(points)]) for name in _OF_AXES},
+        gain=np.stack([p.gain[k] for k, p in enumerate(points)]),
+        log_damping=np.stack([p.log_damping[k] for k, p in enumerate(points)]),
+        delay=np.stack([p.delay[k] for k, p in enumerate(points)]),
+        levels=np.stack([p.levels[k] for k, p in enumerate(points)]),
         trim=np.stack([p.trim[:, k] for k, p in enumerate(points)], axis=1),
     )
     climbed = climb(records, point, free, tolerance=0.3, most=FINISH)
     if _same(climbed.point, [f.optimum.point for f in found]) is not None:
         return ()
     return (Found(climbed, 0, *prediction_error(flights, records[0].axes, climbed)),)
-
-
-_OF_AXES = ("gain", "log_damping", "delay", "levels")
-"""What a point holds per axis, the axes first."""
 
 
 def _best_on(found: Sequence[Found], k: int) -> int:
@@ -203,7 +203,7 @@ def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Op
     dynamics = dynamics_of(axes, optimum)
     squares, count = np.zeros((2, len(axes))), np.zeros(len(axes))
     for flight in flights:
-        parts = predict_flight(_thinned(flight), dynamics, JUDGE_HORIZON, axes)
+        parts = predict_flight(thinned(flight), dynamics, JUDGE_HORIZON, axes)
         for row, predicted in enumerate(([p.predicted for p in parts], [hold_velocity(p) for p in parts])):
             errors = horizon_errors(parts, predicted, JUDGE_HORIZON)
             for k, axis in enumerate(axes):
@@ -226,10 +226,17 @@ def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
     begins = np.arange(start, end - EXCERPT + 1e-9, EXCERPT / 6)
     inside = energy[np.searchsorted(t, begins + EXCERPT)] - energy[np.searchsorted(t, begins)]
     best = float(begins[int(np.argmax(inside))])
-    low, high = float(t[np.searchsorted(t, best, side="right") - 1]), best + EXCERPT  # from a command that acts
+    return between(flight, best, best + EXCERPT)
+
+
+def between(flight: Flight, low: float, high: float) -> Flight:
+    """What a flight holds between two times [s], from the command that acts at the first of them."""
+    t = flight.command_time
+    low = float(t[max(int(np.searchsorted(t, low, side="right")) - 1, 0)])
     commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
     return replace(
         flight,
+        span=(max(low, flight.span[0]), min(high, flight.span[1])),
         command_time=t[commands],
         command=flight.command[commands],
         pose_time=flight.pose_time[poses],
@@ -243,7 +250,7 @@ def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
     )
 
 
-def _thinned(flight: Flight) -> Flight:
+def thinned(flight: Flight) -> Flight:
     """The flight with its poses thinned to about the rate of the blocks: enough to judge."""
     every = max(1, int(flight.pose_time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
     return replace(
@@ -254,7 +261,8 @@ def _thinned(flight: Flight) -> Flight:
 def trim_variance(optimum: Optimum) -> Array:
     """Mean square of the flights' trims with their uncertainty: the prior of a new flight's trim, shape (K,)."""
     K, F = optimum.point.gain.size, len(optimum.point.trim)
-    variance = np.diag(inverted(optimum.score.information, optimum.free))[3 * K : 3 * K + F * K].reshape(F, K)
+    first = optimum.point.coefficients
+    variance = np.diag(inverted(optimum.score.information, optimum.free))[first : first + F * K].reshape(F, K)
     return np.mean(optimum.point.trim**2 + variance, axis=0) + 1e-12  # type: ignore[no-any-return]
 
 
@@ -268,6 +276,8 @@ def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, Dynamics]
             delay=float(point.delay[k]),
             levels=tuple(float(level) for level in np.exp(point.levels[k])),  # type: ignore[arg-type]
             trim_variance=float(variance[k]),
+            structure=point.structures[k] if point.structures else FIRST_ORDER_DELAY,
+            extra=point.extra_values(k),
         )
         for k, axis in enumerate(axes)
     }

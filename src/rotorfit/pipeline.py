@@ -20,7 +20,7 @@ from rotorfit.influence import with_influence
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
-from rotorfit.model import Model, is_model_file, load, with_findings
+from rotorfit.model import STRUCTURE, Model, is_model_file, load, with_findings
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
@@ -85,6 +85,7 @@ def fit_logs(
     method: Method = "ml",
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
+    structure: str = STRUCTURE,
     uncertainty: bool = False,
     prior: bool = False,
 ) -> Fit:
@@ -96,7 +97,7 @@ def fit_logs(
         raw, applied, flight = _flown(log, chosen)
         flights.append(flight)
         before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
-    result = with_delay_profiles(fit(flights, method, axes, progress, prior))
+    result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:

@@ -17,7 +17,12 @@ from rotorfit.disturbance import (
     update_covariance,
 )
 from rotorfit.frames import Array
+from rotorfit.motion import MEAN, START, advance, demands, lag_series, longest_step
 from rotorfit.response import transition
+from rotorfit.structure import DAMPING, ORDER, TRIM
+
+_WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0, 1])
+"""Columns of the driven response: the motion, two unit trims, two unit start velocities."""
 
 START_VELOCITY_VARIANCE = 10.0
 """Prior variance of the vehicle's velocity at the first pose, which decays with its own damping [m^2/s^2]."""
@@ -73,6 +78,27 @@ def _drive_until(
             k[switch] += 1
 
 
+@numba.njit(cache=True)
+def _settle(law: Array, v: Array, drive: Array, trim: Array, yaw: float, q: Array) -> None:
+    """Fills the lagged parts (2, C) as after long holding the command in force, at world velocities v (2, C)."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    for j in range(v.shape[1]):
+        along = (c * v[0, j] + s * v[1, j], c * v[1, j] - s * v[0, j])
+        for a in range(2):
+            q[a, j] = drive[a, j]
+            if law[a, ORDER] == 2:
+                q[a, j] += trim[a, j] - law[a, DAMPING] * along[a]
+
+
+@numba.njit(cache=True)
+def _one_column(law: Array, p: Array, v: Array) -> Any:
+    """A single column, the motion: what it is, its position and velocity (2, 1) from p, v (1, 2), demand and trim."""
+    position, speed, trim = np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1))
+    for a in range(2):
+        position[a, 0], speed[a, 0], trim[a, 0] = p[0, a], v[0, a], law[a, TRIM]
+    return np.full(1, MEAN), position, speed, np.zeros((2, 1)), trim
+
+
 @numba.njit(cache=True, fastmath={"contract"})
 def _run_free(
     command_time: Array,
@@ -94,12 +120,32 @@ def _run_free(
     Fy: Array,
     step: Any,
     out: Array,
+    law: Any,
+    lagged: Any,
 ) -> None:
-    """Predicts the poses after `before` up to `last` from the driven state p, v (1, 2) and the disturbance z (6,)."""
+    """Predicts the poses after `before` up to `last` from the driven state p, v (1, 2) and the disturbance z (6,).
+
+    Under a general law (2, LAW_SIZE) its lagged part (2, 1) goes with the state, else both are None.
+    """
     t, psi = pose_time[before], yaw
+    if law is not None:
+        column, position, speed, wanted, trim = _one_column(law, p, v)
+        u, S, way = np.zeros(2), np.zeros((2, 3, 12)), np.zeros((2, 1))
+        series, longest = lag_series(law), longest_step(law)
+        for j in range(2):
+            u[j] = command[k[j], j]
+        demands(law, column, column, u, wanted)
     for m in range(before + 1, last):
         t_next, psi_next = pose_time[m], future_yaw[m - before - 1]
-        _drive_until(t, t_next, psi, psi_next, k, command_time, command, gain, damping, delay, p, v, drive)
+        if law is None:
+            _drive_until(t, t_next, psi, psi_next, k, command_time, command, gain, damping, delay, p, v, drive)
+        else:
+            advance(
+                t, t_next, psi, psi_next, k, command_time.size, command_time, command, law, series, longest, column,
+                column, position, speed, lagged, wanted, trim, u, S, way,
+            )  # fmt: skip
+            for j in range(2):
+                p[0, j], v[0, j] = position[j, 0], speed[j, 0]
         half = 0.5 * (psi_next - psi)
         c, s = np.cos(half), np.sin(half)
         rotate(z, c, s)
@@ -131,6 +177,8 @@ def predict(
     first: Any,
     last: Any,
     future_yaw: Array,
+    law: Any = None,
+    origin: Any = None,
 ) -> Any:
     """Predicts one segment from many starts.
 
@@ -152,6 +200,10 @@ def predict(
         first: Index of the first pose after each start, shape (S,).
         last: One past the last pose to predict from each start, shape (S,).
         future_yaw: Heading at the predicted poses, shape (S, E) [rad].
+        law: Numbers of the general law of both axes, shape (2, LAW_SIZE), in place of gain, damping and delay; None
+            for the default law.
+        origin: With a general law, the world velocity at the first pose about which the driven response is taken,
+            shape (2,): what the data add to it and to the trim is estimated linearly.
 
     Returns:
         Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's
@@ -167,6 +219,19 @@ def predict(
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= pose_time[0]:
             k[j] += 1
         drive[0, j] = gain[j] * command[k[j], j]
+    if law is not None:
+        position, speed, lagged, wanted, trim, way = (
+            np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)),
+        )  # fmt: skip
+        u, work, series, longest = np.zeros(2), np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+        for a in range(2):
+            u[a] = command[k[a], a]
+            v[0, a] = origin[a]
+            trim[a, 1 + a] = 1.0
+            for j in range(5):
+                speed[a, j] = v[j, a]
+        demands(law, _WHAT, _WHOSE, u, wanted)
+        _settle(law, speed, wanted, trim, yaw[0], lagged)
     Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
     Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
     P = np.zeros((3, 3, 3))
@@ -179,21 +244,19 @@ def predict(
     s = 0
     for i in range(pose_time.size):
         if i:
-            _drive_until(
-                pose_time[i - 1],
-                pose_time[i],
-                yaw[i - 1],
-                yaw[i],
-                k,
-                command_time,
-                command,
-                gain,
-                filter_damping,
-                delay,
-                p,
-                v,
-                drive,
-            )
+            if law is None:
+                _drive_until(
+                    pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time, command, gain,
+                    filter_damping, delay, p, v, drive,
+                )  # fmt: skip
+            else:
+                advance(
+                    pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
+                    law, series, longest, _WHAT, _WHOSE, position, speed, lagged, wanted, trim, u, work, way,
+                )  # fmt: skip
+                for j in range(5):
+                    for a in range(2):
+                        p[j, a], v[j, a] = position[a, j], speed[a, j]
             fx, fy = Fx[step[i]], Fy[step[i]]
             half = 0.5 * (yaw[i] - yaw[i - 1])
             c, sn = np.cos(half), np.sin(half)
@@ -236,10 +299,22 @@ def predict(
                     w[0, 1] + sn * z[1] + c * z[4],
                 ]
             )
-            _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w, d,
-                z, Fx, Fy, step, out[s],
-            )  # fmt: skip
+            if law is None:
+                _run_free(
+                    command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w,
+                    d, z, Fx, Fy, step, out[s], None, None,
+                )  # fmt: skip
+            else:
+                known_law, known_lag = law.copy(), np.zeros((2, 1))
+                for a in range(2):
+                    known_law[a, TRIM] = known[a]
+                    known_lag[a, 0] = lagged[a, 0]
+                    for j in range(4):
+                        known_lag[a, 0] += known[j] * lagged[a, 1 + j]
+                _run_free(
+                    command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w,
+                    d, z, Fx, Fy, step, out[s], known_law, known_lag,
+                )  # fmt: skip
             s += 1
     return out, begin
 
@@ -255,6 +330,7 @@ def coast(
     velocity: Array,
     time: Array,
     yaw: Array,
+    law: Any = None,
 ) -> Array:
     """Motion of two axes from a known state under held commands, without trim and disturbance.
 
@@ -268,6 +344,8 @@ def coast(
         velocity: World, at the first time, shape (2,).
         time: Increasing, shape (N,) [s].
         yaw: Heading at those times, shape (N,) [rad].
+        law: Numbers of the general law of both axes, shape (2, LAW_SIZE), in place of gain, damping and delay; its lag
+            starts as after long holding the command in force. None for the default law.
 
     Returns:
         Position and velocity, shape (N, 4).
@@ -279,10 +357,26 @@ def coast(
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + delay[j] <= time[0]:
             k[j] += 1
         drive[0, j] = gain[j] * command[k[j], j]
+    if law is not None:
+        column, place, speed, wanted, trim = _one_column(law, p, v)
+        u, S, way, lagged = np.zeros(2), np.zeros((2, 3, 12)), np.zeros((2, 1)), np.zeros((2, 1))
+        series, longest = lag_series(law), longest_step(law)
+        for j in range(2):
+            u[j] = command[k[j], j]
+        demands(law, column, column, u, wanted)
+        _settle(law, speed, wanted, trim, yaw[0], lagged)
     for i in range(time.size):
-        if i:
+        before = max(i - 1, 0)
+        if law is None:
             _drive_until(
-                time[i - 1], time[i], yaw[i - 1], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
+                time[before], time[i], yaw[before], yaw[i], k, command_time, command, gain, damping, delay, p, v, drive
             )
+        else:
+            advance(
+                time[before], time[i], yaw[before], yaw[i], k, command_time.size, command_time, command, law, series,
+                longest, column, column, place, speed, lagged, wanted, trim, u, S, way,
+            )  # fmt: skip
+            for j in range(2):
+                p[0, j], v[0, j] = place[j, 0], speed[j, 0]
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = p[0, 0], p[0, 1], v[0, 0], v[0, 1]
     return out

@@ -110,7 +110,7 @@ def axis_of_rung(rung: RungFit, axis: str) -> tuple[Axis, str]:
         stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS},
         ci95={name: ends[name] if _bounded(name, value) else (None, None) for name in COEFFICIENTS},
         status=status,
-        predictor=Predictor(**value),
+        predictor=Predictor(value["input"], value["damping"], value["delay"]),
         combinations=_combinations(rung, k),
     ), reason
 

@@ -53,8 +53,8 @@ def _partly_known(axis: str, known: Axis) -> str:
     """What is known of an axis of which not every coefficient is."""
     good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok"]
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] != "ok"]
-    names = {"steady_gain": "steady gain", "total_lag": "total lag"}
-    combined = [f"{names[name]} {_range(part)}" for name, part in known.combinations.items() if None not in part.ci95]
+    whole = {name: part for name, part in known.combinations.items() if None not in part.ci95}
+    combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in whole.items()]
     instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
     head = f"Known of {axis}: {_listed(good)}; " if good else f"Of {axis}, "
     return f"{head}{_listed(lost)} cannot be identified from these data{instead}."

@@ -17,6 +17,7 @@ from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Interval, Mode, Model
 from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.proof import leave_one_out_view, paired_view, residuals_view
+from rotorfit.structure import structure_named
 from rotorfit.summary import summary_of_model
 from rotorfit.tables import View
 from rotorfit.tables import bullets as _list
@@ -39,13 +40,18 @@ _UNITS = {
     "delay": ("s", "s"),
     "steady_gain": ("m/s", "rad/s"),
     "total_lag": ("s", "s"),
+    "delay_plus_lag": ("s", "s"),
+    "natural_frequency": ("rad/s", "rad/s"),
+    "quadratic_drag": ("1/m", "1/rad"),
+    "damping_at_rest": ("1/s", "1/s"),
+    "input_up": ("m/s^2", "rad/s^2"),
+    "input_down": ("m/s^2", "rad/s^2"),
 }
 """Of an axis of translation and of yaw; `input` and `steady_gain` per unit of the command."""
 
 LEAST_JITTER = 0.01
 """Jitter below which its figures say nothing [ms]."""
 
-_WORDS = {"steady_gain": "steady gain", "total_lag": "total lag"}
 _UNBROKEN = 2000  # columns: more than any line has
 _AT_ONCE = 4  # horizons beside each other in 80 columns
 
@@ -164,7 +170,8 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield _coefficient_table(model, wanted)
     known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
     combined = any(axis.combinations for axis in known.values())
-    legend = "; steady gain = input / damping; total lag = delay + 1 / damping" if combined else ""
+    lag = "lag + " if any("lag" in axis.extra for axis in known.values()) else ""
+    legend = f"; steady gain = input / damping; total lag = delay + {lag}1 / damping" if combined else ""
     yield _indented(f"input is per command of 1{legend}", 0, "dim")
     yield from _list([line for axis, one in known.items() for line in _search_lines(axis, one)])
     if model.uncertainty:
@@ -180,6 +187,8 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         yield ""
         yield _physics_table(rows)
         yield from _list([line for line in implied_limits(model) if line.partition(":")[0] in wanted])
+    for axis, one in known.items():
+        yield from _structure_view(axis, one)
     for flight in model.flights:
         yield ""
         start, end = flight.span
@@ -210,9 +219,14 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
                 "" if beside is None else f"{beside:.3g}",
                 known.status[name],
             )
+        for name, further in known.extra.items():
+            ends, unit = known.ci95.get(name, (None, None)), _unit(axis, known.structure, name)
+            value = "-" if further is None else _number(further, ends)
+            table.add_row("", _words(name), value, _interval(ends), unit, "", known.status.get(name, "given"))
         for name, part in known.combinations.items():
             value = "-" if part.ci95 == (None, None) else _number(part.value, part.ci95)
-            table.add_row("", _WORDS[name], value, _interval(part.ci95), _UNITS[name][axis == "yaw"], "", "")
+            unit = _UNITS.get(name, ("", ""))[axis == "yaw"]
+            table.add_row("", _words(name), value, _interval(part.ci95), unit, "", "")
     return table
 
 
@@ -235,6 +249,44 @@ def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
         )  # fmt: skip
         shown = row.axis
     return table
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _unit(axis: str, structure: str, name: str) -> str:
+    """Unit of a further parameter of a structure."""
+    unit = next(extra.unit for extra in structure_named(structure).extras if extra.name == name)
+    speed = "rad/s" if axis == "yaw" else "m/s"
+    return {"speed": speed, "gain": f"{speed}^2"}.get(unit, unit)
+
+
+def _structure_view(axis: str, known: Axis) -> View:
+    """The law of an axis where it is not the default, the default's coefficients, and what it was chosen from."""
+    if known.plain:
+        yield ""
+        numbers = [
+            f"{name} {'-' if value is None else _number(value, known.plain.ci95[name])}"
+            f" ({_interval(known.plain.ci95[name])})"
+            for name in COEFFICIENTS
+            for value in (getattr(known.plain, name),)
+        ]
+        yield _title(f"{axis}: structure {known.structure}, {structure_named(known.structure).law}")
+        yield _indented(f"With the default structure instead: {', '.join(numbers)}")
+    if not known.candidates:
+        return
+    yield ""
+    yield _title(f"{axis}: structures tried")
+    scale, unit = (180 / math.pi, "deg") if axis == "yaw" else (100.0, "cm")
+    table = _table("structure", "log L", "BIC", f"1 s [{unit}/s]", f"5 s [{unit}]", left=(0,))
+    for one in known.candidates:
+        errors = ["-" if e is None else _three_digits(scale * e) for e in (one.velocity, one.position)]
+        mark = " *" if one.chosen else ""
+        table.add_row(f"{one.structure}{mark}", f"{one.log_likelihood:+.1f}", f"{one.bic:+.1f}", *errors)
+    yield table
+    yield from _list([f"{one.structure}: {one.verdict}" for one in known.candidates if one.rival or not one.chosen])
+    yield _indented("log L and BIC less the default's; errors of predictions of what was held out; * chosen", 0, "dim")
 
 
 def _search_lines(axis: str, known: Axis) -> Iterator[str]:

@@ -23,12 +23,13 @@ from rotorfit.forecast import (
     start_errors,
 )
 from rotorfit.frames import AXES, Array, heading_from_world
-from rotorfit.likelihood import response, whiten
+from rotorfit.likelihood import Point, response, whiten
 from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.modes import start_point
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.record import Record, record
+from rotorfit.structure import FIRST_ORDER_DELAY, Structure, structure_named
 from rotorfit.whiteness import REACH, Innovations, ResidualTests, findings_of_residuals, residual_tests
 
 Progress = Callable[[float, str], None]
@@ -91,6 +92,8 @@ def dynamics_from_model(model: Model) -> dict[str, Dynamics]:
             delay=point.delay if point else 0.0,
             levels=tuple(axis.noise[level] for level in LEVELS),  # type: ignore[arg-type]
             trim_variance=axis.noise["trim_variance"],
+            structure=structure_named(axis.structure) if point else FIRST_ORDER_DELAY,
+            extra=point.extra if point else {},
         )
     return out
 
@@ -287,8 +290,9 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
         log_damping=np.log([max(point.damping, 1e-3) for point in points]),
         delay=np.array([point.delay for point in points]),
     )
+    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in group], points)
     free = np.zeros(start.flat().size, bool)
-    free[3 * len(group) : None if own_levels else start.n] = True
+    free[start.coefficients : None if own_levels else start.n] = True
     best = maximise([rec], start, free)
     explained, sensitivity = response(rec, best.point, 0, best.point.start)
     rows = whiten(rec, sensitivity, best.point.levels)[0]
@@ -323,10 +327,22 @@ def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
 
     Args:
         rec: The flight.
-        rows: Whitened sensitivities of the axis, d/d(g, log b, tau, c, v0) with K columns each, shape (B, 5 K).
+        rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
         k: Which of the K axes.
     """
     K, segment = len(rec.axes), np.cumsum(rec.fresh)
-    starts = [rows[:, 4 * K :] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
-    own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, 3 * K : 4 * K], *starts])
+    starts = [rows[:, -K:] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, -2 * K : -K], *starts])
     return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])
+
+
+def _with_structures(point: Point, structures: Sequence[Structure], known: Sequence[Predictor]) -> Point:
+    """The point under the structures of a model, with their further parameters; axes without numbers have none."""
+    laws = tuple(
+        s if set(p.extra) == {e.name for e in s.extras} else FIRST_ORDER_DELAY
+        for s, p in zip(structures, known, strict=True)
+    )
+    extra = np.zeros((max(len(law.extras) for law in laws), len(laws)))
+    for k, (law, one) in enumerate(zip(laws, known, strict=True)):
+        extra[: len(law.extras), k] = [e.coordinate(one.extra[e.name]) for e in law.extras]
+    return replace(point, structures=laws, extra=extra)

@@ -13,7 +13,7 @@ from rotorfit.derivative import local_polynomial
 from rotorfit.flight import Flight
 from rotorfit.forecast import LONGEST_GAP, START_EVERY, Predictions, coast_prediction, predict_flight
 from rotorfit.frames import AXES, Array, Mask, heading_from_world
-from rotorfit.model import Model
+from rotorfit.model import STRUCTURE, Model
 from rotorfit.regression import modelled_acceleration, motion_from_flight
 from rotorfit.validation import dynamics_from_model
 
@@ -127,7 +127,8 @@ def flight_view(
     """Measured against modelled velocity (heading frame) and acceleration (world frame) of one flight.
 
     The modelled velocity is stitched from predictions: at every pose the one from the start that lies 0.5 to 1 s back.
-    The modelled acceleration is the paper's eq. (6) with the delayed command and the measured velocity.
+    The modelled acceleration is the paper's eq. (6) with the delayed command and the measured velocity; it is not drawn
+    for structures that have another law.
 
     Args:
         model: The model.
@@ -200,6 +201,9 @@ def _accelerations(model: Model, flight: Flight) -> dict[tuple[str, str], Array]
     if _known(model).any():
         lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
         lines["model"][:, ~_known(model)] = np.nan
+        plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
+        plain[:2] = [all(plain[:2])] * 2  # the world's axes hold both
+        lines["model"][:, ~np.array(plain)] = np.nan
     at, out = np.searchsorted(flight.pose_time, motion.time), {}
     for name, values in lines.items():
         out["acceleration", name] = np.full((flight.pose_time.size, 4), np.nan)

@@ -23,13 +23,14 @@ from rotorfit.evidence import (
 )
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES, Array
-from rotorfit.model import Model, with_findings
+from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.report.drawing import Drawing, drawn
 from rotorfit.report.physics import physics_text
 from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.rows import paired_rows, pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of
-from rotorfit.report.words import AXIS, COEFFICIENT, TERMS, rounded
+from rotorfit.report.words import AXIS, TERMS, rounded, term_of
+from rotorfit.structure import structure_named
 from rotorfit.validation import Validation, residual_tests_of_flight
 from rotorfit.views import MOST_POINTS, READING, Chart, FlightView, flight_view, moved_axes
 from rotorfit.whiteness import narrows_intervals
@@ -156,6 +157,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
         useless=USELESS,
         coefficients=_coefficients(model),
         physics=physics_text(model),
+        laws=_laws(model),
         reading=READING,
         validation_flights=tested,
         training_flights=fitted,
@@ -298,6 +300,12 @@ def _coefficients(model: Model) -> list[tuple[str, list[RowText]]]:
     return [(axis, [_row_text(row) for row in group]) for axis, group in rows]
 
 
+def _laws(model: Model) -> list[tuple[str, str]]:
+    """Axes that have another structure than the default, and its law."""
+    known = {name: axis.structure for name, axis in model.axes.items() if axis.structure != STRUCTURE}
+    return [(name, structure_named(structure).law) for name, structure in known.items()]
+
+
 def _row_text(row: CoefficientRow) -> RowText:
     width = None if row.low is None or row.high is None else (row.high - row.low) / 4
     scale = row.stderr or width
@@ -308,9 +316,9 @@ def _row_text(row: CoefficientRow) -> RowText:
     if row.name in ("steady_gain", "total_lag"):
         kind = "combination"
     paper = rounded(row.paper, scale)
-    told = f"{COEFFICIENT[row.name]}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
+    told = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
     return RowText(
-        term=COEFFICIENT[row.name],
+        term=term_of(row.name),
         symbol=row.symbol,
         value=rounded(row.value, scale),
         stderr=rounded(row.stderr, row.stderr),

@@ -11,7 +11,7 @@ from typing import Any
 from rotorfit import __version__
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES
-from rotorfit.model import Model
+from rotorfit.model import STRUCTURE, Model
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
     """
     training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
     tested = [LogUsed(f.path, "validation", f.sha256, f.span) for f in flights]
-    fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_axes(model)]
+    fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_options(model)]
     fit += ["--prior"] * (model.prior is not None)
     commands = [shlex.join([*fit, "-o", "fitted.json" if model.conversion else "model.json"]), *_converting(model)]
     if tested:
@@ -75,6 +75,14 @@ def _converting(model: Model) -> list[str]:
     changed = (f"{name}={value:.15g}" for name, value in model.card.limits.items() if now[name] != flown[name])
     limits = ",".join(changed)
     return [shlex.join(["rotorfit", "convert", "fitted.json", "--limits", limits, "-o", "model.json"])]
+
+
+def _options(model: Model) -> list[str]:
+    """Structure and axes, where they are not the default."""
+    tried = any(candidate.chosen for axis in model.axes.values() for candidate in axis.candidates)
+    others = {axis.structure for axis in model.axes.values() if axis.structure != STRUCTURE}
+    structure = "auto" if tried else next(iter(others), STRUCTURE)
+    return [*([] if structure == STRUCTURE else ["--structure", structure]), *_axes(model)]
 
 
 def _axes(model: Model) -> list[str]:

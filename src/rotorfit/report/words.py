@@ -43,6 +43,12 @@ COEFFICIENT = MappingProxyType(
 )
 """Coefficient to its term."""
 
+
+def term_of(name: str) -> str:
+    """Term of a coefficient, a further parameter of a structure, or a combination."""
+    return COEFFICIENT.get(name, name.replace("_", " "))
+
+
 AXIS = MappingProxyType({"x": "forward", "y": "left", "z": "up", "yaw": "turn"})
 """Axis to its positive direction in the heading frame."""
 

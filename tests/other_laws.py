@@ -1,0 +1,140 @@
+"""Flights under laws that the simulator does not know: integrated by scipy from one switch to the next."""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from flights import by_hand
+from rotorfit.flight import Flight
+from rotorfit.frames import AXES, Array
+
+G, B, DELAY, LAG = 3.0, 1.2, 0.12, 0.15
+SLOW_LAG = 0.3  # of the second order: its poles are complex
+
+Law = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
+"""v, q, u and the wind, each (K,), to v' and q'; q is what a lag remembers."""
+
+
+def bounded(u: Array, level: float) -> Array:
+    return np.sign(u) * np.minimum(np.abs(u), level)
+
+
+def without_middle(u: Array, width: float) -> Array:
+    return np.sign(u) * np.maximum(np.abs(u) - width, 0.0)
+
+
+LAWS: dict[str, Law] = {
+    "first_order": lambda v, q, u, w: (G * u - B * v + w, 0 * q),
+    "first_order_delay": lambda v, q, u, w: (G * u - B * v + w, 0 * q),
+    "first_order_lag": lambda v, q, u, w: (q - B * v + w, (G * u - q) / LAG),
+    "first_order_delay_lag": lambda v, q, u, w: (q - B * v + w, (G * u - q) / LAG),
+    "quadratic_drag": lambda v, q, u, w: (G * u - 0.4 * v - 1.5 * np.abs(v) * v + w, 0 * q),
+    "climb_descent": lambda v, q, u, w: (np.where(u > 0, 3.6, 2.4) * u - B * v + w, 0 * q),
+    "saturation": lambda v, q, u, w: (G * bounded(u, 0.35) - B * v + w, 0 * q),
+    "dead_zone": lambda v, q, u, w: (G * without_middle(u, 0.08) - B * v + w, 0 * q),
+    "second_order": lambda v, q, u, w: (q, (G * u - B * v + w - q) / SLOW_LAG),
+    "coupled": lambda v, q, u, w: (
+        np.array([[G, 0.5], [-0.4, 2.5]]) @ u - np.array([[B, 0.15], [-0.2, 0.8]]) @ v + w,
+        0 * q,
+    ),
+}
+"""As they are written on paper, with the numbers of `TRUTH`."""
+
+TRUTH: dict[str, dict[str, float]] = {
+    "first_order": {"input": G, "damping": B},
+    "first_order_delay": {"input": G, "damping": B, "delay": DELAY},
+    "first_order_lag": {"input": G, "damping": B, "lag": LAG},
+    "first_order_delay_lag": {"input": G, "damping": B, "delay": DELAY, "lag": LAG, "delay_plus_lag": DELAY + LAG},
+    "quadratic_drag": {"input": G, "delay": DELAY, "quadratic_drag": 1.5, "damping_at_rest": 0.4},
+    "climb_descent": {"input": G, "damping": B, "delay": DELAY, "asymmetry": 0.2, "input_up": 3.6, "input_down": 2.4},
+    "saturation": {"input": G, "damping": B, "delay": DELAY, "level": 0.35},
+    "dead_zone": {"input": G, "damping": B, "delay": DELAY, "dead_zone": 0.08},
+    "second_order": {"input": G, "damping": B, "delay": DELAY, "lag": SLOW_LAG, "natural_frequency": 2.0},
+    "coupled": {"input": G, "damping": B, "delay": DELAY, "cross_input": 0.5, "cross_damping": 0.15},
+}
+"""Coefficients, further parameters and combinations of the first axis."""
+
+
+def delay_of(name: str) -> float:
+    return TRUTH[name].get("delay", 0.0)
+
+
+def flown_by(
+    name: str,
+    axes: Sequence[str] = ("z",),
+    duration: float = 40.0,
+    seed: int = 1,
+    wind: float = 0.0,
+    noise: float = 0.0,
+    turn: float = 0.0,
+    amplitude: float = 0.5,
+) -> Flight:
+    """A flight under a law, from rest, with commands of all sizes that change about every 0.5 s.
+
+    Args:
+        name: In `LAWS`.
+        axes: That move.
+        duration: [s].
+        seed: Of commands, wind and noise.
+        wind: Standard deviation of an acceleration with a memory of 1 s, held for 0.1 s at a time [m/s^2].
+        noise: Of the measured pose [m].
+        turn: Amplitude of a slow turn of the heading [rad].
+        amplitude: Largest command.
+    """
+    rng, K = np.random.default_rng(seed), len(axes)
+    command_time = np.cumsum(np.append(0.0, rng.uniform(0.2, 0.8, int(2 * duration))))
+    command_time = command_time[command_time < duration]
+    command = rng.uniform(-amplitude, amplitude, (command_time.size, K))
+    command[:4] = 0.0
+    pose_time = np.arange(0.0, duration, 1 / 100) + 0.003
+    gust_time = np.arange(0.0, duration + 0.1, 0.1)
+    gust = np.zeros((gust_time.size, K))
+    for i in range(1, gust_time.size):
+        gust[i] = np.exp(-0.1) * gust[i - 1] + wind * np.sqrt(1 - np.exp(-0.2)) * rng.standard_normal(K)
+    heading = lambda t: turn * np.sin(0.5 * np.asarray(t))  # noqa: E731
+    position = _integrated(LAWS[name], pose_time, command_time + delay_of(name), command, gust_time, gust, heading)
+    pose, whole = np.zeros((pose_time.size, 4)), np.zeros((command_time.size, 4))
+    column = [AXES.index(axis) for axis in axes]
+    pose[:, 3] = heading(pose_time)
+    pose[:, column] = position
+    whole[:, column] = command
+    pose[:, :3] += noise * rng.standard_normal((pose_time.size, 3))
+    return by_hand(pose_time, pose, command_time, whole)
+
+
+def _integrated(
+    law: Law,
+    pose_time: Array,
+    switch: Array,
+    command: Array,
+    gust_time: Array,
+    gust: Array,
+    heading: Callable[[Array], Array],
+) -> Array:
+    """World positions at the poses, (N, K)."""
+    K = command.shape[1]
+
+    def slope(t: float, state: Array, u: Array, w: Array) -> Array:
+        _, v, q = state.reshape(3, K)
+        if K == 1:
+            dv, dq = law(v, q, u, w)
+            return np.concatenate([v, dv, dq])
+        c, s = np.cos(heading(t)), np.sin(heading(t))
+        R = np.array([[c, -s], [s, c]])
+        dv, dq = law(R.T @ v, q, u, R.T @ w)
+        return np.concatenate([v, R @ dv, dq])
+
+    events = np.unique(np.concatenate([[0.0], switch[switch > 0], gust_time if gust.any() else [], pose_time[-1:]]))
+    events = events[events <= pose_time[-1]]
+    state, out = np.zeros(3 * K), np.zeros((pose_time.size, K))
+    for begin, end in itertools.pairwise(events):
+        u = command[max(int(np.searchsorted(switch, begin + 1e-9)) - 1, 0)]
+        w = gust[int(np.searchsorted(gust_time, begin + 1e-9)) - 1]
+        inside = np.flatnonzero((pose_time > begin) & (pose_time <= end))
+        run = solve_ivp(slope, (begin, end), state, "DOP853", dense_output=True, args=(u, w), rtol=1e-9, atol=1e-11)
+        if inside.size:
+            out[inside] = run.sol(pose_time[inside])[:K].T
+        state = run.y[:, -1]
+    return out
