@@ -43,6 +43,9 @@ from rotorfit.model import Model
 from rotorfit.validation import dynamics_from_model
 
 SCORES = {"velocity_1s": 1.0, "position_5s": 5.0}
+OWN = ("ml", "auto")
+"""rotorfit's rows: the default structure, and the one that the training flights earn."""
+
 RMSE = {"velocity_1s": "velocity_rmse", "position_5s": "position_rmse"}
 HERE = Path(__file__).resolve().parent
 
@@ -119,7 +122,7 @@ def baselines(model: Model, flight: Flight, parts: Sequence[Predictions]) -> dic
 def run(case: Case) -> dict[str, Any]:
     """Everything about one set: per axis and method the scores, the setting, and the paired test against ml."""
     training, test = case.make()
-    model = fit(training).model
+    model, auto = fit(training).model, fit(training, structure="auto").model
     axes = [axis for axis in case.axes if model.axes[axis].predictor]
     series = training_series(training)
     models: dict[str, Chosen] = {}
@@ -131,7 +134,7 @@ def run(case: Case) -> dict[str, Any]:
         }
         taken[peer.name] = time.perf_counter() - began
     dynamics, horizon = dynamics_from_model(model), max(SCORES.values())
-    methods = ("ml", "hold", "paper", *models)
+    methods = (*OWN, "hold", "paper", *models)
     if case.truth:
         methods = (*methods, "truth")
     errors: dict[str, dict[str, list[Array]]] = {name: {score: [] for score in SCORES} for name in methods}
@@ -140,16 +143,20 @@ def run(case: Case) -> dict[str, Any]:
         parts = predict_flight(flight, dynamics, horizon)
         predicted = baselines(model, flight, parts)
         predicted |= {name: peer_predictions(models[name], flight, parts) for name in models}
+        own_parts = dict.fromkeys(methods, parts)
+        own_parts["auto"] = predict_flight(flight, dynamics_from_model(auto), horizon)
+        predicted["auto"] = [part.predicted for part in own_parts["auto"]]
         if case.truth:
             predicted["truth"] = [part.predicted for part in predict_flight(flight, case.truth, horizon)]
         for name, values in predicted.items():
-            scores[name].append(score_predictions(parts, values, tuple(SCORES.values())))
+            scores[name].append(score_predictions(own_parts[name], values, tuple(SCORES.values())))
             for number, (score, length) in enumerate(SCORES.items()):
-                errors[name][score].append(errors_by_start(parts, values, length)[number])
+                errors[name][score].append(errors_by_start(own_parts[name], values, length)[number])
     return {
         "set": case.name,
         "kind": case.kind,
         "axes": {axis: _axis_result(axis, errors, scores, models) for axis in axes},
+        "structures": {axis: auto.axes[axis].structure for axis in axes},
         "loop": {axis: round(later_command(series[min(series)][AXES.index(axis)]), 1) for axis in axes},
         "seconds": {name: round(value, 1) for name, value in taken.items()},
     }
@@ -170,13 +177,14 @@ def _axis_result(
             row[f"n_{score}"] = [flight.n for flight in flights]
         if name in models:
             row["setting"] = dict(models[name][axis][0])
-        if name != "ml":
-            row["ml_against"] = {
-                score: asdict(
-                    compared([v[:, k] for v in errors["ml"][score]], [v[:, k] for v in by_score[score]], length)
-                )
-                for score, length in SCORES.items()
-            }
+        for own in OWN:
+            if name != own and (own == "ml" or name not in OWN):
+                row[f"{own}_against"] = {
+                    score: asdict(
+                        compared([v[:, k] for v in errors[own][score]], [v[:, k] for v in by_score[score]], length)
+                    )
+                    for score, length in SCORES.items()
+                }
         out[name] = row
     return out
 

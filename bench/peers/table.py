@@ -7,7 +7,7 @@ from typing import Any
 
 from peers.paired import RAN_AWAY
 
-NAMES = ("hold", "paper", "PySINDy", "SysIdentPy", "N4SID", "statsmodels", "ml", "truth")
+NAMES = ("hold", "paper", "PySINDy", "SysIdentPy", "N4SID", "statsmodels", "ml", "auto", "truth")
 SIGNS = {"better": "+", "tie": "=", "worse": "-", "short": "?"}
 EXPLAINED = """Everybody fits the same training flights and predicts the same test flights by
 [one protocol](method.md#prediction-and-scores): 2 s to find the state, starts every 0.5 s, from a start on only the
@@ -21,10 +21,12 @@ commands are known.
   last samples. `SysIdentPy`: FROLS on lags, linear or of degree 2, order by information criterion. `N4SID`: nfoursid
   with its own Kalman filter. `statsmodels`: least squares on lags (ARX). `hold` keeps the velocity; `paper` is the
   paper's regression; `truth` is the simulated vehicle itself, with its own wind levels.
-- The sign says how `ml` does against the method, by a paired test over starts that respects their overlap, at 5 %:
-  `+` ml predicts better, `=` tie, `-` worse, `?` too few starts to say. Of 100 true ties about five come out as + or -.
+- `ml` is the default, `auto` the structure that the training flights earn (`--structure auto`).
+- The two signs say how `ml` and `auto` do against the method, by a paired test over starts that respects their overlap,
+  at 5 %: `+` rotorfit predicts better, `=` tie, `-` worse, `?` too few starts to say. Of 100 true ties about five come
+  out as + or -. The sign beside `auto` is that of `ml` against it.
 - `loop` is the t value of the command that follows an output. Beyond 4.5 the commands answer the motion: from them a
-  free regression reads what the vehicle has done after the start. That is no prediction, and no controller can use
+  free regression can read what the vehicle has done after the start. That is no prediction, and no controller can use
   it: in the simulated set that is held in place such models beat the true vehicle."""
 
 BEGIN, END = "<!-- peers: begin -->", "<!-- peers: end -->"
@@ -45,7 +47,8 @@ def cell(row: Mapping[str, Any], score: str) -> str:
     if value is None:
         return "n/a"
     text = f"{100 * value:.2f}" if value < RAN_AWAY / 10 else "ran away"
-    return f"{text} {SIGNS[row['ml_against'][score]['verdict']]}" if "ml_against" in row else text
+    signs = [SIGNS[row[key][score]["verdict"]] for key in ("ml_against", "auto_against") if key in row]
+    return f"{text} {''.join(signs)}" if signs else text
 
 
 def print_case(result: Mapping[str, Any]) -> None:
@@ -60,9 +63,10 @@ def print_case(result: Mapping[str, Any]) -> None:
         for name, row in rows.items():
             if "setting" in row:
                 print(f"      {name}: {row['setting']}")
-                for score, test in row["ml_against"].items():
-                    if test["p"] is not None and test["difference"] > 0:
-                        print(f"        ml is behind at {score}: p {test['p']:.3f}, freedom {test['freedom']}")
+                for own in ("ml", "auto"):
+                    for score, test in row[f"{own}_against"].items():
+                        if test["p"] is not None and test["difference"] > 0:
+                            print(f"        {own} is behind at {score}: p {test['p']:.3f}, freedom {test['freedom']}")
 
 
 def document(result: Mapping[str, Any], path: Path) -> None:
@@ -104,22 +108,23 @@ def _markdown(sets: Sequence[Mapping[str, Any]], score: str, title: str) -> str:
 
 
 def _counts(sets: Sequence[Mapping[str, Any]]) -> str:
-    """Verdicts on ml against each other method, recorded flights only."""
+    """Verdicts on rotorfit's two rows against each other method, recorded flights only."""
     lines = [
         "Verdicts on recorded flights, both scores together:",
         "",
-        "| ml against | better | tie | worse | too few |",
+        "| | against | better | tie | worse | too few |",
     ]
-    lines.append("|---|--:|--:|--:|--:|")
-    for name in NAMES:
-        verdicts = [
-            test["verdict"]
-            for one in sets
-            if one["kind"] == "recorded"
-            for rows in one["axes"].values()
-            for test in rows.get(name, {}).get("ml_against", {}).values()
-        ]
-        if verdicts:
-            counts = [str(verdicts.count(word)) for word in SIGNS]
-            lines.append(f"| {name} | " + " | ".join(counts) + " |")
+    lines.append("|---|---|--:|--:|--:|--:|")
+    for own in ("ml", "auto"):
+        for name in NAMES:
+            verdicts = [
+                test["verdict"]
+                for one in sets
+                if one["kind"] == "recorded"
+                for rows in one["axes"].values()
+                for test in rows.get(name, {}).get(f"{own}_against", {}).values()
+            ]
+            if verdicts:
+                counts = [str(verdicts.count(word)) for word in SIGNS]
+                lines.append(f"| {own} | {name} | " + " | ".join(counts) + " |")
     return "\n".join(lines)
