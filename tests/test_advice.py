@@ -1,10 +1,8 @@
 """Findings: each of them where it belongs, with numbers in it, and none where all is well."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 
-import numpy as np
 import pytest
 
 from flights import flown, muddled, steps
@@ -12,7 +10,7 @@ from rotorfit.advice import findings_of_fit
 from rotorfit.excitation import two_sines
 from rotorfit.finding import Finding
 from rotorfit.fit import Fit, fit
-from rotorfit.flight import Flight, Note, Segment
+from rotorfit.flight import Segment
 from rotorfit.model import Mode, Predictor
 from rotorfit.record import DELAY_RANGE
 from rotorfit.simulator import GAMMA_B, Truth
@@ -34,11 +32,6 @@ def changed(result: Fit, name: str = "z", **parts: object) -> Fit:
     """The fit with other facts about one axis."""
     axes = {**result.model.axes, name: replace(result.model.axes[name], **parts)}  # type: ignore[arg-type]
     return replace(result, model=replace(result.model, axes=axes))
-
-
-def with_commands(result: Fit, change: Callable[[np.ndarray], np.ndarray]) -> Fit:
-    (flight,) = result.flights
-    return replace(result, flights=(replace(flight, command=change(flight.command)),))
 
 
 def test_where_all_is_well_nothing_is_said() -> None:
@@ -200,26 +193,30 @@ def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
     assert "30 %" in found(weak)["weak_excitation", "z"].evidence
 
 
-def test_commands_that_stand_at_their_limit_are_told_and_those_of_two_levels_are_not() -> None:
-    def clipped(command: np.ndarray) -> np.ndarray:
-        rng = np.random.default_rng(0)
-        out: np.ndarray = np.clip(rng.standard_normal(command.shape), -1.0, 1.0)
-        return out
+def test_what_the_fit_says_better_is_not_repeated_and_what_only_the_flight_says_stays() -> None:
+    short, stale = (Finding(code, "info", "1", "2", "3") for code in ("short_data", "stale_poses"))
 
-    assert ("saturated_commands", "z") in found(with_commands(well(), clipped))
-    assert ("saturated_commands", "z") not in found(with_commands(well(), lambda c: np.sign(c) * 0.2))
-    smooth = np.random.default_rng(0).standard_normal(well().flights[0].command.shape)
-    assert ("saturated_commands", "z") not in found(with_commands(well(), lambda _c: smooth))
+    told = findings_of_fit(well(), (short, stale))
+    assert told == (stale,)
 
 
-def test_stale_poses_are_counted_per_flight() -> None:
-    flight: Flight = flown(Truth(), steps(("z",), seed=2), 30.0, 2)
-    counts = {note.code: note.count for note in flight.notes}
+def test_excitation_that_a_flight_doubts_is_not_doubted_where_the_fit_knows_the_axis_well() -> None:
+    wind = Finding("wind_dominates", "warning", "1", "2", "3", "z")
 
-    result = fit([flight], axes=("z",))
-    assert str(counts["stale_poses"]) in found(result)["stale_poses", None].evidence
-    few = replace(flight, notes=(Note("stale_poses", "1 of 1000", 1),))
-    assert ("stale_poses", None) not in found(replace(result, flights=(few,)))
+    assert findings_of_fit(well(), (wind,)) == ()
+    weak = changed(well(), stderr=dict.fromkeys(("input", "damping", "delay"), 9.0))
+    assert wind in findings_of_fit(weak, (wind,))
+    unknown = changed(well(), status={"input": "ok", "damping": "not_identifiable", "delay": "ok"})
+    assert wind in findings_of_fit(unknown, (wind,))
+
+
+def test_where_the_frame_is_wrong_the_sign_of_a_gain_is_not_told() -> None:
+    flight = flown(NO_STALE, steps(("x",), seed=2), 40.0, 2)
+    backwards = fit([replace(flight, command=-flight.command)], axes=("x",))
+    frame = Finding("yaw_offset", "error", "1", "2", "3")
+
+    assert ("sign_flipped", "x") in found(backwards)
+    assert {finding.code for finding in findings_of_fit(backwards, (frame,))} == {"yaw_offset"}
 
 
 @pytest.mark.parametrize("method", ["ml", "paper"])

@@ -21,7 +21,7 @@ from rotorfit.model import load, to_mapping
 from rotorfit.simulator import Truth, simulate_flight, write_bag
 from rotorfit.sources import FORMATS
 
-VERBS = ["demo", "info", "fit", "validate", "compare", "report", "convert", "cards", "formats"]
+VERBS = ["demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "cards", "formats"]
 ANSI = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 
@@ -194,13 +194,38 @@ def test_an_earlier_model_may_be_written_over(folder: Path, tmp_path: Path) -> N
     assert load(output).method == "paper"
 
 
+def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(folder: Path, tmp_path: Path) -> None:
+    logs, output = (folder / "first.bag", folder / "second.bag"), tmp_path / "model.json"
+    found = done("fit", *logs, "--axes", "x", "--leave-one-out", "-o", output)
+
+    proof = found.partition("Leave one out")[2]
+    assert all(f"{log.name}, 0.00 to" in proof for log in logs)
+    assert "No proof" not in proof
+    assert re.search(r"^x +vs hold +-[\d.]+ \+- [\d.]+ +better ", proof, re.MULTILINE)
+    assert re.search(r"^ +damping +[\d.]+ +[\d.]+ +[\d.]+ +[\d.]+$", proof, re.MULTILINE)
+    kept = json.loads(output.read_text())["leave_one_out"]
+    assert [Path(flight["path"]).name for flight in kept["flights"]] == ["first.bag", "second.bag"]
+    assert kept == to_mapping(load(output))["leave_one_out"]
+    assert json_of("fit", logs[0], "--axes", "x")["leave_one_out"] is None
+
+
+def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
+    log = folder / "first.bag"
+    refused = run("fit", log, "--leave-one-out")
+
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert re.fullmatch(r"Error: one flight cannot be left out .*LOG@:60 LOG@60:\n", refused.stderr)
+    parts = json_of("fit", f"{log}@:15", f"{log}@15:", "--method", "paper", "--axes", "x", "--leave-one-out")
+    assert [flight["fitted"] for flight in parts["leave_one_out"]["flights"]] == [False, False]
+
+
 # Validate and compare
 
 
 def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Path) -> None:
     found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.5,1")
 
-    assert list(found) == ["flights", "baselines"]
+    assert list(found) == ["flights", "baselines", "paired", "residuals", "findings"]
     assert list(found["baselines"]) == ["hold", "paper"]
     (flight,) = found["flights"]
     assert list(flight["axes"]["x"]["horizons"]) == ["0.5", "1"]
@@ -215,6 +240,7 @@ def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Pat
 def test_scores_are_printed_for_every_horizon_however_many(folder: Path) -> None:
     found = done("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.2,0.5,1,2,3,5")
 
+    found = found.partition("Is the difference")[0]
     assert re.findall(r"v ([\d.]+) s", found) == ["0.2", "0.5", "1", "2", "3", "5"]
     assert found.count("hold") == 5  # x and y, each in two tables, and the legend
     assert "No scores of z, yaw" in found
@@ -250,6 +276,77 @@ def test_compared_models_are_shown_side_by_side_with_their_files(folder: Path) -
         "hold",
         "paper",
     ]
+
+
+def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:
+    models, log = (folder / "ml.json", folder / "paper.json"), folder / "second.bag"
+    found = json_of("compare", *models, log)
+
+    pairs = [(test["first"], test["second"]) for test in found["paired"]]
+    assert pairs == [
+        ("model 1", "hold"), ("model 1", "paper"), ("model 2", "model 1"), ("model 2", "hold"), ("model 2", "paper"),
+    ]  # fmt: skip
+    against = found["paired"][2]["axes"]["x"]["1"]["velocity"]
+    errors = [each["flights"][0]["axes"]["x"]["horizons"]["1"]["velocity_rmse"] for each in found["models"]]
+    assert against["pooled"]["rmse"] == pytest.approx(errors[1] - errors[0], rel=1e-3)
+    assert against["flights"][0]["rmse"] == against["pooled"]["rmse"]
+    assert found["paired"][3]["axes"]["x"]["1"]["velocity"]["pooled"]["verdict"] == "better"
+    assert found["paired"][0]["axes"]["z"]["1"]["velocity"]["flights"] == [None]
+    text = done("compare", *models, log)
+    assert re.search(r"2 vs 1 +\+[\d.]+ \+- [\d.]+ +(worse|none shown)", text)
+
+
+def test_a_model_beside_itself_is_not_told_apart(folder: Path) -> None:
+    found = json_of("compare", folder / "ml.json", folder / "ml.json", folder / "second.bag")
+
+    itself = next(test for test in found["paired"] if test["second"] == "model 1")["axes"]["x"]["1"]["velocity"]
+    assert (itself["pooled"]["rmse"], itself["pooled"]["verdict"]) == (0.0, "no_difference_shown")
+
+
+def test_a_flight_that_was_fitted_is_compared_but_proves_nothing(folder: Path) -> None:
+    found = json_of("compare", folder / "ml.json", folder / "first.bag", folder / "second.bag")
+
+    x = found["paired"][0]["axes"]["x"]["1"]["velocity"]
+    assert x["flights"][0] is not None
+    assert x["pooled"]["n"] == x["flights"][1]["n"]
+
+
+def test_a_model_that_reads_other_motion_from_the_logs_is_not_paired(folder: Path, tmp_path: Path) -> None:
+    raw = json.loads((folder / "ml.json").read_text())
+    raw["card"]["frame"] = "NED"
+    other = tmp_path / "ned.json"
+    other.write_text(json.dumps(raw))
+
+    found = json_of("compare", folder / "ml.json", other, folder / "second.bag")
+    assert {test["first"] for test in found["paired"]} == {"model 1"}
+    assert found["notes"][0].startswith("model 2: its card reads other motion")
+
+
+def test_what_the_residuals_say_is_printed_axis_by_axis_and_in_the_json(folder: Path) -> None:
+    text = done("validate", folder / "ml.json", folder / "second.bag")
+    found = json_of("validate", folder / "ml.json", folder / "second.bag")
+
+    assert re.findall(r"^  - (\w): (?:not )?white \(p = ", text, re.MULTILINE) == ["x", "y"]
+    axes = found["residuals"][0]["axes"]
+    assert list(axes) == ["x", "y"]
+    assert axes["x"]["lags"] == 30
+    assert 0.5 < axes["x"]["variance_ratio"] < 2.0
+    assert set(axes["x"]["optimism"]) == {"input", "damping", "delay"}
+
+
+def test_a_model_whose_answer_is_wrong_gets_findings_from_validate(folder: Path, tmp_path: Path) -> None:
+    raw = json.loads((folder / "ml.json").read_text())
+    raw["axes"]["x"]["predictor"]["delay"] += 0.1
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text(json.dumps(raw))
+
+    found = json_of("validate", wrong, folder / "second.bag")["findings"]
+    assert {"residuals_follow_command"} <= {finding["code"] for finding in found if finding["axis"] == "x"}
+    text = done("validate", wrong, folder / "second.bag")
+    assert "warning residuals_follow_command: " in text
+    page = tmp_path / "report.html"
+    done("report", wrong, folder / "second.bag", "-o", page)
+    assert "residuals follow command" in page.read_text()
 
 
 # Report
@@ -393,7 +490,7 @@ def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None
     os.close(writer)
 
     assert json.loads(found.stdout)["format"] == "rotorfit-model"
-    assert "likelihood of x" in ANSI.sub("", os.read(reader, 1 << 16).decode())
+    assert "likelihood of x" in ANSI.sub("", os.read(reader, 1 << 16).decode(errors="replace"))
     os.close(reader)
 
 

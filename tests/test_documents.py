@@ -18,7 +18,24 @@ from click.testing import CliRunner
 from mypy import api as mypy
 
 import rotorfit
-from rotorfit import advice, card, estimate, forecast, likelihood, modes, plausibility, record, regression
+from rotorfit import (
+    advice,
+    card,
+    clock_checks,
+    command_checks,
+    doctor,
+    estimate,
+    forecast,
+    frame_checks,
+    likelihood,
+    modes,
+    motion_checks,
+    plausibility,
+    pose_checks,
+    record,
+    regression,
+    whiteness,
+)
 from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
@@ -34,6 +51,10 @@ CARDS, FINDINGS, METHOD, ARCHITECTURE = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     for name in ("cards", "findings", "method", "architecture")
 )
+CHECKS = (
+    "advice", "clock_checks", "command_checks", "constancy", "convert", "doctor", "frame_checks", "influence",
+    "motion_checks", "plausibility", "pose_checks", "robust", "uncertainty", "whiteness",
+)  # fmt: skip
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (
     "RotorfitError", "__version__", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
@@ -192,9 +213,8 @@ def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> N
 
 def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
     described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
-
-    modules = ("advice.py", "plausibility.py", "convert.py", "robust.py", "uncertainty.py", "influence.py")
-    assert sorted(described) == sorted(code for module in modules for code in codes_in(module, "Finding"))
+    told = set[str]().union(*(codes_in(f"{module}.py", "Finding") for module in CHECKS))
+    assert sorted(described) == sorted(told)
 
 
 def test_every_note_of_the_code_is_in_the_documents() -> None:
@@ -234,6 +254,9 @@ def test_the_figures_of_the_method_are_those_of_the_code() -> None:
         f"every {forecast.START_EVERY:g} s",
         f"fewer than {forecast.LEAST_SCORES} give no score",
         f"a hole of {forecast.LONGEST_GAP:g} s",
+        f"autocorrelations over {whiteness.REACH:g} s",
+        f"command of up to {whiteness.REACH:g} s before, every {whiteness.COMMAND_EVERY:g} s",
+        f"ask for p below {whiteness.FINDING_LEVEL:g}",
         f"degree {regression.DEGREE} over +-{regression.HALF_WIDTH:g} s, at least {regression.LEAST} poses",
         {6: "six starts"}[len(modes.STARTS)],
         {60.0: "the minute"}[modes.EXCERPT],
@@ -252,12 +275,35 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"is wider than {WIDEST_DELAY:g} s or open",
         f"spans more than a factor of {WIDEST_DAMPING:g}",
         f"more than {100 * advice.WEAK_GAIN:g} % of it",
-        f"less than {advice.SHORT_TIME:g} s together",
-        f"more than {100 * advice.SATURATED_SHARE:g} % of its samples",
-        f"More than {100 * advice.STALE_SHARE:g} % of the poses",
         f"above {plausibility.LIMIT_MARGIN:g} times, or below 1 / {plausibility.LIMIT_MARGIN:g} times",
         f"beyond {plausibility.GAIN_SYMMETRY:g}, or that of their dampings beyond {plausibility.DAMPING_SYMMETRY:g}",
         f"more than a factor of {plausibility.ALIKE:g} apart",
+        f"A warning where it is {whiteness.OPTIMISTIC:g} or more",
+        f"beyond chance (p below {whiteness.FINDING_LEVEL:g})",
+        f"less than {doctor.SHORT_TIME:g} s together",
+        f"more than {100 * command_checks.SATURATED_SHARE:g} % of its samples",
+        f"More than {100 * clock_checks.STALE_SHARE:g} % of the poses",
+        f"less than {100 * command_checks.SLOW_SHARE:g} % of the power lies above {command_checks.SLOW_FREQUENCY:g} Hz",
+        f"less than {100 * advice.NEEDED_SHARE:g} % lies in the band",
+        f"correlation is beyond {command_checks.ALIKE:g}",
+        f"correlation beyond {motion_checks.FOLLOWS:g}",
+        f"less than {100 * motion_checks.EXPLAINED:g} % of the acceleration",
+        f"more than {motion_checks.LATCH_TIME:g} s and {motion_checks.LATCH_CHANGES:g} times the usual time",
+        f"at least {100 * motion_checks.LATCH_MOTION:g} % as much",
+        f"more than {estimate.LOOP_SIGMAS:g} standard deviations of an open loop",
+        f"of more than {np.degrees(frame_checks.OFF):g} degrees and {frame_checks.TOLD:g} standard errors",
+        f"more than {pose_checks.FASTEST:g} m/s or {pose_checks.HARDEST:g} m/s^2",
+        f"no more than {100 * pose_checks.SMALLEST:g} cm of travel",
+        f"more than {pose_checks.FASTEST_TURN:g} rad/s of turning",
+        f"beyond {command_checks.FRACTION_LIMIT:g} where they are a fraction",
+        f"{pose_checks.LEAP_SIGMAS:g} robust standard deviations",
+        f"come back within {pose_checks.RETURN:g} s",
+        f"from {clock_checks.LONG_HOLE:g} s or {100 * clock_checks.LOST_SHARE:g} % on",
+        f"Warning from {100 * clock_checks.LARGE_LOSS:g} % of the time on",
+        f"each loses its first {clock_checks.SETTLING_LOSS:g} s",
+        f"more than {1e3 * clock_checks.LEAST_JITTER:g} ms",
+        f"more than {1e3 * clock_checks.DRIFT_GROWTH:g} ms on that of the commands",
+        f"more than {1e3 * clock_checks.CLOCK_OFFSET:g} ms apart",
     )
 
     assert [phrase for phrase in told if phrase not in FINDINGS] == []

@@ -9,6 +9,7 @@ from rotorfit.evidence import coefficient_rows, horizon_charts, profile_charts, 
 from rotorfit.flight import Flight
 from rotorfit.forecast import AxisScore, Horizon
 from rotorfit.frames import AXES
+from rotorfit.long_run import quantile
 from rotorfit.model import unknown_axis
 from rotorfit.validation import FlightScores, Validation, residuals, validate
 from test_views import flown, known_axis, known_model
@@ -61,6 +62,19 @@ def test_horizon_charts_hold_the_scores_in_units_for_people(flight: Flight) -> N
     assert velocity.lines[-1].y[1] == pytest.approx(np.degrees(error.velocity_rmse))
     assert position.lines[-1].y[1] == pytest.approx(np.degrees(error.position_rmse))
     assert "[deg/s]" in velocity.y_label
+
+
+def test_the_band_of_a_horizon_chart_is_the_paired_interval_around_the_model(flight: Flight) -> None:
+    validation = validate(known_model(), [flight])
+    chart = horizon_charts(scores_of(validation, [flight]), validation.paired)[0]
+    against = next(test for test in validation.paired if test.second == "paper").axes["x"]["1"]["velocity"].pooled
+
+    low, high = (line.y for line in chart.lines if line.role == "band")
+    own = next(line.y for line in chart.lines if line.role == "model")
+    assert against is not None
+    assert against.rmse_stderr is not None
+    assert high[1] - own[1] == pytest.approx(100 * quantile(against.freedom or 0.0) * against.rmse_stderr)
+    assert np.all((low[:2] < own[:2]) | np.isnan(low[:2]))
 
 
 def test_an_axis_without_a_model_has_no_horizon_chart(flight: Flight) -> None:
@@ -118,15 +132,36 @@ def test_no_profile_no_chart() -> None:
 
 
 def test_the_autocorrelation_is_that_of_the_innovations_and_the_true_model_is_white(flight: Flight) -> None:
-    innovation = residuals(known_model(), flight)["z"].innovation
+    innovation = residuals(known_model(), flight, own_levels=True)["z"].innovation
     centred = innovation - innovation.mean()
 
     chart = next(chart for chart in residual_charts(known_model(), [flight]) if chart.axis == "z")
-    r, band = chart.lines[0].y, chart.levels[0][0]
-    assert r[2] == pytest.approx(centred[3:] @ centred[:-3] / (centred @ centred))
-    assert band == pytest.approx(1.96 / np.sqrt(centred.size))
+    bars, high, low = (line.y for line in chart.lines)
+    assert [line.role for line in chart.lines] == ["residual", "band", "band"]
+    assert bars[2] == pytest.approx(centred[3:] @ centred[:-3] / (centred @ centred), abs=2e-3)
+    assert np.median(high) == pytest.approx(1.96 / np.sqrt(centred.size), rel=0.1)
+    np.testing.assert_array_equal(low, -high)
     assert chart.x[0] == pytest.approx(1 / 30, rel=0.05)
-    assert np.mean(np.abs(r) > band) < 0.15
+    assert np.mean(np.abs(bars) > high) < 0.15
+
+
+def test_past_commands_have_a_chart_of_their_own_without_those_that_came_after(flight: Flight) -> None:
+    charts = [chart for chart in residual_charts(known_model(), [flight]) if chart.axis == "yaw"]
+
+    assert [chart.y_label for chart in charts] == ["autocorrelation", "correlation"]
+    assert charts[1].x.min() > 0
+    assert charts[1].x.max() == pytest.approx(1.0, abs=0.05)
+
+
+def test_flights_are_pooled_in_the_charts_by_what_they_know() -> None:
+    flights = [flown(8.0, ("z",), seed=3), flown(16.0, ("z",), seed=4)]
+    alone = [residual_charts(known_model(("z",)), [flight])[0].lines for flight in flights]
+
+    together = residual_charts(known_model(("z",)), flights)[0].lines
+    weight = [1 / lines[1].y[:40] ** 2 for lines in alone]
+    expected = sum(w * lines[0].y[:40] for w, lines in zip(weight, alone, strict=True)) / sum(weight)
+    np.testing.assert_allclose(together[0].y[:40], expected, rtol=0, atol=1e-12)
+    assert np.all(together[1].y[:40] < np.minimum(alone[0][1].y[:40], alone[1][1].y[:40]))
 
 
 def test_residuals_need_a_flight_that_commands_an_axis_with_a_model() -> None:

@@ -119,6 +119,9 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
     assert flight.sha256 in text
     assert "rotorfit validate model.json validation.bag@0:" in text
     assert "numba" in text
+    assert "Is the difference from the baselines real?" in text
+    assert re.search(r"validation\.bag x paper 1 s −[\d.]+ ± [\d.]+ cm/s (better|no difference shown|too short)", text)
+    assert re.search(r"validation\.bag z white \(p = [\d.]+\) \d+, 30 free of them", text)
     assert 'name = "rotorfit demo quadrotor"' in text
 
 
@@ -138,7 +141,7 @@ def test_every_chart_has_a_text_alternative_and_every_anchor_a_place(html: str) 
     anchors = {a["href"][1:] for tag, a in page.elements if tag == "a" and a["href"]}
     assert anchors <= set(ids)
     pictures = [a for tag, a in page.elements if tag == "svg" and a.get("class") == "chart"]
-    assert len(pictures) == 2 * 8 + 8 + 4 + 4
+    assert len(pictures) == 2 * 8 + 8 + 4 + 2 * 4
     assert all(a["role"] == "img" and len(a["aria-label"] or "") > 30 for a in pictures)
 
 
@@ -314,6 +317,8 @@ def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.
         (None, (ERROR,), "red"),
         (0.05, (replace(WARNING, axis="x"),), "yellow"),
         (0.05, (WARNING,), "green"),
+        (0.05, (replace(ERROR, axis=None),), "red"),
+        (0.05, (replace(WARNING, axis=None),), "yellow"),
     ],
 )
 def test_the_light_follows_from_the_gain_over_holding_and_from_findings(

@@ -101,3 +101,9 @@ def test_errors_forbid_the_use_of_their_axis_and_warnings_are_counted() -> None:
     found = summary_of_model(model({"x": axis(), "y": axis()}, findings))
 
     assert "Do not use x before you have read the findings. 2 findings are warnings." in found
+
+
+def test_an_error_of_the_whole_flight_forbids_every_axis_that_has_numbers() -> None:
+    found = summary_of_model(model({"x": axis(), "z": axis()}, [finding("error", None)]))
+
+    assert "Do not use x and z before you have read the findings." in found

@@ -1,60 +1,89 @@
 """What the data can and cannot tell: findings from a fit and its flights."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from rotorfit.finding import Finding
+from rotorfit.command_checks import share_above
+from rotorfit.constancy import changed_coefficients
+from rotorfit.doctor import SHORT_TIME
+from rotorfit.estimate import LOOP_SIGMAS, Estimate, answer
+from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array
+from rotorfit.frames import AXES
 from rotorfit.influence import prior_findings
 from rotorfit.model import Axis
-from rotorfit.record import DELAY_RANGE
+from rotorfit.record import BLOCK_RATE, DELAY_RANGE
 from rotorfit.robust import outlier_findings
+from rotorfit.rungs import NOT_VALID
 from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
 """Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
 
-SHORT_TIME = 20.0
-"""Flight time of an axis below which it is called short [s]."""
+NEEDED_SHARE = 0.05
+"""Share of the command's power that must lie where delay and damping show; with less they are told from each other by
+the noise. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
 
-SATURATED_SHARE = 0.1
-"""Share of the commanded time at the largest command beyond which it is called saturated."""
+WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
+"""Findings of a flight under which the sign of the gain of x or y says nothing of its own."""
 
-STALE_SHARE = 0.05
-"""Share of repeated poses that is worth a word."""
+SAID_BETTER = ("short_data", "slow_commands")
+"""Findings of single flights that the fit of all of them says itself, or takes back."""
+
+ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
+"""Findings of single flights that do not matter where all coefficients of the axis came out well."""
 
 LIKELIHOOD_DOUBT = 2.0
 """Log-likelihood by which a disbelieved optimum must stand above the chosen one to be a finding."""
 
 
-def findings_of_fit(fit: Fit) -> tuple[Finding, ...]:
+def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, ...]:
     """Everything that a user should know about a fit, the gravest first.
 
     Args:
         fit: The fit with its flights.
+        before: What the flights told of themselves; what the fit knows better is left out.
     """
-    found: list[Finding] = []
+    found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
+    framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += _status_findings(name, axis, bool(flights))
+        found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
         if axis.predictor:
+            if framed or name not in ("x", "y"):
+                found += _sign_findings(fit, name, axis)
             found += _coefficient_findings(name, axis)
             found += _mode_findings(name, axis)
-            found += _excitation_findings(name, k, axis, flights)
+            found += _excitation_findings(name, axis, flights)
+        if axis.predictor and name in fit.estimates:
+            found += _slow_findings(name, k, axis, flights)
+            found += _feedback_findings(name, fit.estimates[name])
+            found += changed_coefficients(fit, name)
         found += _paper_findings(fit, k)
-    found += _flight_findings(fit.flights)
+        found += _instrument_findings(name, fit.remarks.get(name, ""))
     found += prior_findings(fit)
     found += outlier_findings(fit.flights, fit.outliers)
     found += disagreement_findings(fit)
-    rank = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+    return by_gravity(found)
 
 
-def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
+def _settled(finding: Finding, fit: Fit) -> bool:
+    """Whether the fit knows better than a flight alone."""
+    if finding.code not in ABOUT_EXCITATION or finding.axis is None:
+        return finding.code in SAID_BETTER
+    axis = fit.model.axes[finding.axis]
+    return all(status == "ok" for status in axis.status.values()) and not _weak(axis)
+
+
+def _weak(axis: Axis) -> bool:
+    error = axis.stderr.get("input")
+    return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
+
+
+def _status_findings(name: str, axis: Axis, moved: bool, remark: str) -> Iterator[Finding]:
     status = axis.status["input"]
     if status == "not_excited" and moved and axis.noise:
         yield Finding(
@@ -78,25 +107,38 @@ def _status_findings(name: str, axis: Axis, moved: bool) -> Iterator[Finding]:
         yield Finding(
             "diverged",
             "error",
-            f"the likelihood of {name} has no clear maximum: the climb did not end",
+            f"the estimate of {name} has no end: {remark}"
+            if remark
+            else f"the likelihood of {name} has no clear maximum: the climb did not end",
             f"no coefficient of {name} is a number",
             "check the card's columns and signs for this axis, or give a span without take-off and landing",
             name,
         )
 
 
+def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
+    assert axis.predictor is not None
+    if axis.predictor.input >= 0:
+        return
+    other = {"x": "y", "y": "x"}.get(name)
+    beside = fit.model.axes[other].predictor if other else None
+    half_turn = ", or, as both x and y are backwards, turn yaw by half a turn" if beside and beside.input < 0 else ""
+    channel = fit.model.card.command.get(name)
+    scale = channel.scale if channel else 1.0  # a world command of one axis moves along both
+    yield Finding(
+        "sign_flipped",
+        "warning",
+        f"the input gain of {name} is {axis.predictor.input:.3g}: a positive command moves {name} backwards",
+        f"the model is right for these logs, but input gain and trim of {name} are not in the sign that other flights "
+        "and controllers expect",
+        f"give the {name} channel of [command] in the card scale = {-scale:g} (now {scale:g}){half_turn}",
+        name,
+    )
+
+
 def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
     point = axis.predictor
     assert point is not None
-    if point.input < 0:
-        yield Finding(
-            "sign_flipped",
-            "warning",
-            f"the input gain of {name} is {point.input:.3g}: a positive command moves {name} backwards",
-            "the model is right for these logs, but the card's sign is not what other flights and controllers expect",
-            f"give the {name} channel of [command] in the card scale = -1",
-            name,
-        )
     if point.damping < 0:
         _, high = axis.ci95["damping"]
         yield _unstable(name, point.input, point.damping, high is not None and high < 0)
@@ -177,9 +219,9 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
         )
 
 
-def _excitation_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+def _excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
     error = axis.stderr["input"]
-    if axis.input and error and error > WEAK_GAIN * abs(axis.input):
+    if axis.input and error and _weak(axis):
         yield Finding(
             "weak_excitation",
             "warning",
@@ -198,23 +240,46 @@ def _excitation_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight
             f"fly {name} for a minute or more",
             name,
         )
-    share = max((_saturated(flight.command[:, k]) for flight in flights), default=0.0)
-    if share > SATURATED_SHARE:
+
+
+def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Commands without power where the delay, or the damping, of this very model shows; only where it is not known."""
+    point = axis.predictor
+    assert point is not None
+    unknown = [part for part in ("damping", "delay") if axis.status.get(part) == "not_identifiable"]
+    bands = {
+        "damping": (point.damping / (2 * np.pi), "b/(2 pi)"),
+        "delay": (1 / (4 * np.pi * max(point.delay, 0.05)), "half of 1/(2 pi tau)"),
+    }
+    for part in unknown:
+        frequency, formula = bands[part]
+        share = max((share_above(f.command_time, f.command[:, k], frequency) for f in flights), default=0.0)
+        if share < NEEDED_SHARE:
+            yield Finding(
+                "slow_commands",
+                "warning",
+                f"{100 * share:.2g} % of the power of the {name} command lies above {frequency:.2g} Hz, {formula}, "
+                f"where the {part} of {name} shows; {100 * NEEDED_SHARE:g} % are needed",
+                f"the {part} of {name} is not identifiable, and what it costs, the others pay",
+                f"command {name} with steps or sines that reach {2 * frequency:.2g} Hz",
+                name,
+            )
+            return
+
+
+def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
+    found = answer(estimate.records, estimate.optimum, estimate.place)
+    if found.sigmas > LOOP_SIGMAS:
         yield Finding(
-            "saturated_commands",
+            "feedback",
             "info",
-            f"the {name} command stands at its largest value in {100 * share:.0f} % of the samples",
-            "harmless if the vehicle received what was logged; else the gain comes out too small",
-            "log the command as sent, after its limits",
+            f"the {name} command answers the motion: its changes correlate by {found.correlation:+.2f} with what the "
+            f"model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms before, {found.sigmas:.0f} standard "
+            "deviations of an open loop",
+            f"the likelihood allows for it; regressions, the paper's too, get gain and damping of {name} wrong",
+            f"nothing for this model; to know {name} better, add a signal to the command that the loop does not know",
             name,
         )
-
-
-def _saturated(command: Array) -> float:
-    """Share of samples at the largest magnitude, where that is held rather than touched."""
-    top = np.abs(command) >= np.abs(command).max() * (1 - 1e-9)
-    levels = np.unique(command).size
-    return float(top.mean()) if levels > 5 else 0.0
 
 
 def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
@@ -232,31 +297,28 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     )
 
 
+def _instrument_findings(name: str, remark: str) -> Iterator[Finding]:
+    if NOT_VALID in remark:
+        yield Finding(
+            "instrument_not_valid",
+            "warning",
+            f"the commands of {name} answer its motion, and the instrument is simulated from them",
+            f"the instrument holds the wind that it should be free of: the coefficients of {name} are biased",
+            "name what the controller was told in [reference] of the card, or use --method ml",
+            name,
+        )
+
+
 def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
     return Finding(
         "damping_unstable",
         "error" if certain else "warning",
         f"the regression gives {name} a damping of {damping:.2g} 1/s and a gain of {gain:.3g}: speed grows by itself",
-        "a multirotor does not do that: the delay between command and motion is left out and the damping pays for it, "
-        "feedback and noisy derivatives add to it",
+        "a multirotor does not do that: feedback, noise in the regressors, and above all a delay between command and "
+        "motion that is left out pull the damping down",
         "use --method ml, which estimates the delay and keeps the damping positive",
         name,
     )
-
-
-def _flight_findings(flights: Sequence[Flight]) -> Iterator[Finding]:
-    for flight in flights:
-        stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
-        outside = sum(note.count for note in flight.notes if note.code == "poses_outside")
-        share = stale / max(stale + outside + flight.pose_time.size, 1)
-        if share > STALE_SHARE:
-            yield Finding(
-                "stale_poses",
-                "info",
-                f"{flight.path}: {stale} poses ({100 * share:.0f} %) repeat the one before under a fresh stamp",
-                "they were dropped; kept, they would move gain and delay",
-                "let the motion capture bridge publish new frames only",
-            )
 
 
 def _end(value: float | None) -> str:

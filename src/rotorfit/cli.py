@@ -129,19 +129,19 @@ def demo(directory: Path, as_json: bool) -> None:
 def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
     """Show what is inside logs.
 
-    Tables, columns, rates, gaps; which card fits; stale frames, clocks and the excitation of each axis.
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
     """
     from dataclasses import asdict
 
     from rotorfit.draft import write_draft
     from rotorfit.sources import read
-    from rotorfit.survey import survey_logs
+    from rotorfit.survey import survey_draft, survey_logs
 
     if draft and len(logs) > 1:
         raise click.UsageError("--draft-card drafts for one log: give one")
-    surveys = survey_logs(logs, card)
     if draft:
         write_draft(read(logs[0]), draft)
+    surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
     from rotorfit.terminal import show, survey_view
@@ -158,14 +158,15 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
 @_card("the one that fits")
 @click.option(
     "--method",
-    type=click.Choice(["ml", "robust", "paper"]),
+    type=click.Choice(["ml", "robust", "paper", "svf", "weak", "iv", "oe"]),
     default="ml",
-    help="Likelihood (default), without outliers, the paper's.",
+    help="The likelihood (default), the same without outliers, the paper's, or a rung between them.",
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
 @_span_option
 @click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")
 @click.option("--prior", is_flag=True, help="Use the priors of the card; what they did is reported.")
+@click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
 @click.option("-o", "output", type=_file(), metavar="model.json", help="Write the model file.")
 @_json
 def fit(
@@ -176,27 +177,57 @@ def fit(
     span: Any,
     uncertainty: bool,
     prior: bool,
+    leaving: bool,
     output: Path | None,
     as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
+    from rotorfit.leave_one_out import require_two
     from rotorfit.model import save, to_mapping
-    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, parse_log
+    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs, parse_log
 
     if output:
         check_destination(output, MODEL_MARK)
+    if leaving:
+        require_two(len(logs))
     with _progress() as progress:
-        flights = [parse_log(log, span) for log in logs]
-        model = fit_logs(flights, card, method, axes, progress, uncertainty, prior).model
+        spans = [parse_log(log, span) for log in logs]
+        result, left_out = fit_logs(spans, card, method, axes, progress, uncertainty, prior), None
+        if leaving:
+            result, left_out = leave_one_out_logs(result, axes, progress)
+    model = result.model
     if output:
         save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import model_view, show
+    from rotorfit.terminal import left_out_view, model_view, show
 
     show(model_view(model, axes))
+    if left_out:
+        show(left_out_view(left_out, model))
     click.echo(f"\nModel written to {output}." if output else "\nNothing was written; -o model.json keeps the model.")
     return None
+
+
+@main.command()
+@_logs
+@_card("the one that fits")
+@click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to fit; default: all.")
+@_span_option
+@_json
+def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json: bool) -> None:
+    """Fit by every method, side by side, and test their agreement."""
+    from rotorfit.ladder import to_mapping
+    from rotorfit.pipeline import ladder_logs, parse_log
+
+    with _progress() as progress:
+        result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
+    if as_json:
+        return _print_json(to_mapping(result))
+    from rotorfit.side_by_side import ladder_view
+    from rotorfit.terminal import show
+
+    return show(ladder_view(result))
 
 
 @main.command()
@@ -246,6 +277,7 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 @_json
 def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof."""
+    from rotorfit.forecast import CURVE
     from rotorfit.model import load
     from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
     from rotorfit.report import write_figures, write_report
@@ -253,7 +285,7 @@ def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | N
     check_destination(output, REPORT_MARK)
     model = load(model_path)
     with _progress() as progress:
-        validation, flights = validate_logs(model, [parse_log(log) for log in logs], progress=progress)
+        validation, flights = validate_logs(model, [parse_log(log) for log in logs], horizons=CURVE, progress=progress)
     training, left_out = training_flights(model)
     write_report(model, training, validation, flights, output)
     drawn = write_figures(model, training, validation, flights, figures) if figures else []

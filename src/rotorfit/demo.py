@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from rotorfit.errors import LogError
+from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Interval, Model, save
 from rotorfit.pipeline import (
@@ -114,7 +115,7 @@ def demo(directory: Path, progress: Progress | None = None) -> Demo:
     say(0.7, "the paper's method")
     regressed = fit_logs(train, CARD, "paper")
     validation, flights = validate_logs(
-        fitted.model, others, progress=lambda fraction, text: say(0.8 + 0.1 * fraction, text)
+        fitted.model, others, horizons=CURVE, progress=lambda fraction, text: say(0.8 + 0.1 * fraction, text)
     )
     save(fitted.model, model)
     save(regressed.model, paper)

@@ -143,8 +143,28 @@ def together(
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 
+@dataclass(frozen=True)
+class Answer:
+    """How far changes of a command follow what the model did not foresee.
+
+    Attributes:
+        correlation: Of the innovation with the change of the command, where it is largest; 0 where no command changes.
+        lag: Blocks by which the change comes later.
+        sigmas: The correlation in standard deviations of that of an open loop.
+    """
+
+    correlation: float
+    lag: int
+    sigmas: float
+
+
 def answers_motion(records: Sequence[Record], optimum: Optimum, k: int) -> bool:
-    """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop.
+    """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop."""
+    return answer(records, optimum, k).sigmas > LOOP_SIGMAS
+
+
+def answer(records: Sequence[Record], optimum: Optimum, k: int) -> Answer:
+    """How far changes of the command follow what the model did not foresee.
 
     Innovations are white, so their correlation with what an open loop commands later has a standard deviation of one
     over the root of their number, however the commands are correlated among themselves.
@@ -159,7 +179,11 @@ def answers_motion(records: Sequence[Record], optimum: Optimum, k: int) -> bool:
         e = innovation[:, k] / max(float(innovation[:, k].std()), 1e-12)
         products += [float(e[:-lag] @ change[lag:]) / spread for lag in range(1, LOOP_BLOCKS + 1)]
         number += e.size
-    return bool(number and np.abs(products).max() > LOOP_SIGMAS * np.sqrt(number))
+    if not number:
+        return Answer(0.0, 0, 0.0)
+    at = int(np.argmax(np.abs(products)))
+    correlation = float(products[at]) / number
+    return Answer(correlation, at + 1, abs(correlation) * float(np.sqrt(number)))
 
 
 def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], found: Found, k: int) -> bool:

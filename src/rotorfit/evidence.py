@@ -10,18 +10,18 @@ import numpy as np
 
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
+from rotorfit.long_run import quantile
 from rotorfit.model import COEFFICIENTS, Axis, Model
-from rotorfit.validation import FlightScores, Residuals, Validation, residuals
+from rotorfit.paired import PairedTest, Quantity
+from rotorfit.validation import FlightScores, Validation, coefficient_covariance, residuals
 from rotorfit.views import Chart, Line, Mark, moved_axes
+from rotorfit.whiteness import LEAST_BLOCKS, Correlogram, autocorrelation, cross_correlation
 
 LAGS = 2.0
 """Longest lag of the residuals' autocorrelation [s]."""
 
 FALL = 1.92
 """Fall of the profile at the ends of an interval: half the 95 % point of chi-squared with one degree of freedom."""
-
-BAND = 1.96
-"""95 % point of the normal distribution, both sides."""
 
 PROFILE_REACH = 25.0
 """How far above and below its maximum a profile is drawn: beyond, all delays are equally impossible."""
@@ -161,17 +161,34 @@ NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": 
 """Predictors that are compared, in the order of drawing."""
 
 
-def horizon_charts(scores: Sequence[Score]) -> tuple[Chart, ...]:
-    """Velocity and position error over the horizon of the axes that have a model, beside the naive baselines."""
+def horizon_charts(scores: Sequence[Score], paired: Sequence[PairedTest] = ()) -> tuple[Chart, ...]:
+    """Velocity and position error over the horizon of the axes that have a model, beside the naive baselines.
+
+    Args:
+        scores: As `scores_of` gives them.
+        paired: Tests of the model against the baselines, for the band of what cannot be told from it.
+    """
     charts = []
     for axis in AXES:
         mine = [score for score in scores if score.axis == axis]
         if any(score.velocity.get("model") is not None for score in mine):
-            charts += [_horizon_chart(mine, "velocity", *SPEED[axis]), _horizon_chart(mine, "position", *LENGTH[axis])]
+            charts.append(_horizon_chart(mine, "velocity", *SPEED[axis], _band(mine, paired, "velocity")))
+            charts.append(_horizon_chart(mine, "position", *LENGTH[axis], _band(mine, paired, "position")))
     return tuple(charts)
 
 
-def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float) -> Chart:
+def _band(scores: Sequence[Score], paired: Sequence[PairedTest], what: Quantity) -> Array:
+    """Half width of the 95 % interval of the difference from the nearest baseline that was tested; NaN without."""
+    half = np.full(len(scores), np.nan)
+    for test in sorted(paired, key=lambda test: test.second == "paper"):  # the paper's, where there is one, stays
+        for i, score in enumerate(scores):
+            found = test.axes[score.axis].get(f"{score.horizon:g}", {}).get(what)
+            if found and found.pooled and found.pooled.rmse_stderr is not None and found.pooled.freedom is not None:
+                half[i] = quantile(found.pooled.freedom) * found.pooled.rmse_stderr
+    return half
+
+
+def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float, half: Array) -> Chart:
     """Errors of one axis over the horizon."""
     x = np.array([score.horizon for score in scores])
     errors: list[Mapping[str, float | None]] = [getattr(score, what) for score in scores]
@@ -179,6 +196,8 @@ def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float)
     positive = {role: np.where(y > 0, y, np.nan) for role, y in series.items()}
     lines = tuple(Line(NAMES[role], role, y) for role, y in positive.items() if np.isfinite(y).any())
     told = "; ".join(f"{line.name} {_listed(x, line.y)} {unit}" for line in lines)
+    sides = [positive["model"] + sign * factor * half for sign in (-1, 1)]
+    lines += tuple(Line("95 % band", "band", np.where(y > 0, y, np.nan)) for y in sides if np.isfinite(y).any())
     axis = scores[0].axis
     return Chart(
         kind=f"horizon_{what}",
@@ -189,7 +208,7 @@ def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float)
         x=x,
         lines=lines,
         reading="Lower is better. The gap to the dotted line is what the model knows beyond 'it keeps its velocity'; "
-        "the scale is logarithmic, so equal gaps are equal factors.",
+        "the scale is logarithmic, so equal gaps are equal factors. Thin lines: what cannot be told from this model.",
         summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
         y_log=True,
     )
@@ -251,38 +270,69 @@ def _end(value: float | None) -> str:
 
 
 def residual_charts(model: Model, flights: Sequence[Flight]) -> tuple[Chart, ...]:
-    """Autocorrelation of the standardised innovations, pooled over the flights that command the axis, with 95 % bands.
+    """Autocorrelation of the innovations, and their correlation with past commands, with 95 % bands.
 
-    Source: G. E. P. Box, G. M. Jenkins, Time series analysis, 1970, section 8.2: bands of 1.96 over the root of N.
+    Pooled over the flights that command the axis, with the levels of the disturbance that each flight has; what each
+    flight says alone is in `Validation.residuals`.
+
+    Source: see `whiteness`.
     """
-    every = [(moved_axes(flight), residuals(model, flight)) for flight in flights]
-    parts = {axis: [found[axis] for moved, found in every if axis in moved and axis in found] for axis in AXES}
-    charts = (_residual_chart(axis, found) for axis, found in parts.items() if found)
-    return tuple(chart for chart in charts if chart is not None)
+    every = [(moved_axes(flight), residuals(model, flight, own_levels=True)) for flight in flights]
+    parts = {
+        axis: [found[axis].innovations for moved, found in every if axis in moved and axis in found] for axis in AXES
+    }
+    parts = {axis: [p for p in found if p.time.size >= LEAST_BLOCKS] for axis, found in parts.items()}
+    covariances = {axis: coefficient_covariance(model, axis) for axis, found in parts.items() if found}
+    white = [_colour_chart(axis, _pooled_lags([autocorrelation(p.time, p.innovation, LAGS) for p in found]))
+             for axis, found in parts.items() if found]  # fmt: skip
+    free = [_command_chart(axis, _pooled_lags([cross_correlation(p, covariances[axis]) for p in found]))
+            for axis, found in parts.items() if found]  # fmt: skip
+    return (*white, *free)
 
 
-def _residual_chart(axis: str, parts: Sequence[Residuals]) -> Chart | None:
-    """One axis; None where the flights are too short for a lag."""
-    step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
-    longest = min(round(LAGS / step), min(part.innovation.size for part in parts) // 4)
-    if longest < 1:
-        return None
-    values = [part.innovation - part.innovation.mean() for part in parts]
-    power, n = sum(float(v @ v) for v in values), sum(v.size for v in values)
-    r = np.array([sum(float(v[lag:] @ v[: v.size - lag]) for v in values) / power for lag in range(1, longest + 1)])
-    band = BAND / float(np.sqrt(n))
-    outside, spread = int(np.sum(np.abs(r) > band)), float(np.sqrt(power / n))
+def _pooled_lags(parts: Sequence[Correlogram]) -> Correlogram:
+    """Mean of correlograms up to the shortest, each weighted by what its bands say it knows."""
+    n = min(part.lag.size for part in parts)
+    band = np.stack([part.band[:n] for part in parts])
+    weight = np.divide(1.0, band**2, out=np.zeros_like(band), where=band > 0)
+    total = weight.sum(axis=0)
+    value = np.sum(weight * [part.value[:n] for part in parts], axis=0)
+    lag = np.median([part.lag[:n] for part in parts], axis=0)
+    known = total > 0
+    return Correlogram(lag[known], value[known] / total[known], 1 / np.sqrt(total[known]))
+
+
+def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, reading: str) -> Chart:
+    outside, n = int(np.sum(np.abs(found.value) > found.band)), found.lag.size
+    size = f"of about ±{float(np.median(found.band)):.3f} " if n else ""
     return Chart(
         kind="correlation",
         axis=axis,
-        title=f"{axis}: what the residuals say",
+        title=f"{axis}: {title}",
         x_label="lag [s]",
-        y_label="autocorrelation",
-        x=np.array(step * np.arange(1, longest + 1), dtype=np.float64),
-        lines=(Line("residual autocorrelation", "residual", r),),
-        reading="Bars inside the band: the model has used up what the past can tell. Bars that stand out: something "
-        "regular is left, and the stated intervals are rather too narrow.",
-        summary=f"{axis}: {outside} of {longest} lags lie outside the 95 % band of ±{band:.3f} "
-        f"({0.05 * longest:.0f} expected by chance); the residuals' standard deviation is {spread:.2f} (expected: 1).",
-        levels=((band, "95 %"), (-band, "95 %")),
+        y_label=label,
+        x=found.lag,
+        lines=(
+            Line(title, "residual", found.value),
+            Line("95 % band", "band", found.band),
+            Line("95 % band", "band", -found.band),
+        ),
+        reading=reading,
+        summary=f"{axis}: {outside} of {n} lags lie outside the 95 % band {size}({0.05 * n:.0f} expected by chance).",
     )
+
+
+def _colour_chart(axis: str, found: Correlogram) -> Chart:
+    reading = (
+        "Bars inside the band: the model has used up what the past can tell. Bars that stand out: something regular is "
+        "left, and the table says by how much the stated intervals are then too narrow."
+    )
+    return _correlogram_chart(axis, found, "what the residuals say", "autocorrelation", reading)
+
+
+def _command_chart(axis: str, found: Correlogram) -> Chart:
+    reading = (
+        "Residuals against commands from before them: bars that stand out mean that the model leaves out part of the "
+        "answer. Commands from after them are not asked, for a controller answers residuals."
+    )
+    return _correlogram_chart(axis, found, "residuals and past commands", "correlation", reading)

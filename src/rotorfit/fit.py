@@ -1,4 +1,4 @@
-"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or by the paper's method."""
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or a lower rung."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,13 +7,12 @@ from typing import Literal
 import numpy as np
 
 from rotorfit.card import Prior
-from rotorfit.disturbance import LEVELS
 from rotorfit.errors import CardError, FlightError
-from rotorfit.estimate import Estimate, alone, answers_motion, coupled, free_of, together
+from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import START_LEVELS, inverted
-from rotorfit.maximum import Optimum, maximise
+from rotorfit.likelihood import inverted
+from rotorfit.maximum import Optimum
 from rotorfit.model import (
     COEFFICIENTS,
     STRUCTURE,
@@ -26,15 +25,17 @@ from rotorfit.model import (
     Source,
     unknown_axis,
 )
-from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING, start_point, trim_variance
+from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.physics import with_physics
 from rotorfit.prior import gaussian_prior
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
 from rotorfit.robust import Outliers, without_outliers
+from rotorfit.rungs import axes_by_rung
+from rotorfit.settle import noise_of, with_levels
 
-Method = Literal["ml", "robust", "paper"]
+Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
 Blocks = dict[tuple[str, ...], Array]
 
@@ -71,7 +72,8 @@ class Fit:
         model: Coefficients, intervals, statuses.
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
-        estimates: Axis name to the maximum of its likelihood; none for the paper's method.
+        estimates: Axis name to the maximum of its likelihood; none for other methods.
+        remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
         outliers: Poses of each flight that the robust method left out.
     """
 
@@ -79,6 +81,7 @@ class Fit:
     flights: tuple[Flight, ...]
     paper: PaperFit
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
     outliers: Outliers = ()
 
 
@@ -93,8 +96,8 @@ def fit(
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
-        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was; or
-            `paper`, the regression of the paper.
+        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was; `paper`,
+            the regression of the paper; or `svf`, `weak`, `iv`, `oe`.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
         prior: Use the priors of the card.
@@ -110,8 +113,8 @@ def fit(
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
-    if prior and method == "paper":
-        raise CardError("the paper's method takes no prior: leave --prior out, or use --method ml")
+    if prior and method not in ("ml", "robust"):
+        raise CardError(f"--method {method} takes no prior: leave --prior out, or use --method ml")
     if prior and not flights[0].card.prior:
         raise CardError(
             "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
@@ -128,15 +131,19 @@ def fit(
     results: dict[str, Axis] = {}
     covariances: Blocks = {}
     estimates: dict[str, Estimate] = {}
+    remarks: dict[str, str] = {}
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if method != "paper":
+        if method in ("ml", "robust"):
             estimated = _estimate_group(flights, group, priors)
             found, covariance = _group_axes(flights, group, estimated)
             estimates |= estimated
-        else:
+        elif method == "paper":
             found, covariance = _paper_group(flights, group, paper)
+        else:
+            found, covariance, said = _rung_group(flights, group, method)
+            remarks |= said
         results |= {axis: found[axis] for axis in group if axis in wanted}
         covariances |= covariance
     report(1.0, "done")
@@ -154,8 +161,9 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    kept = {axis: e for axis, e in estimates.items() if axis in wanted}
-    return Fit(with_physics(model), tuple(flights), paper, kept, outliers)
+    estimates = {axis: e for axis, e in estimates.items() if axis in wanted}
+    remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
+    return Fit(with_physics(model), tuple(flights), paper, estimates, remarks, outliers)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
@@ -241,20 +249,12 @@ def with_delay_profiles(fit: Fit) -> Fit:
     return replace(fit, model=replace(fit.model, axes=axes))
 
 
-def _noise(optimum: Optimum, k: int) -> dict[str, float]:
-    """Disturbance levels of an axis, by name."""
-    levels = np.exp(optimum.point.levels[k])
-    return {name: float(v) for name, v in zip(LEVELS, levels, strict=True)} | {
-        "trim_variance": float(trim_variance(optimum)[k])
-    }
-
-
 def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     """Everything that is said of one axis."""
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     nothing = replace(
         unknown_axis("not_excited" if not estimate.excited else "diverged"),
-        noise=_noise(optimum, k),
+        noise=noise_of(optimum, k),
         modes=_modes(estimate),
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
     )
@@ -449,19 +449,22 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
             ci95={**ends, "delay": (None, None)},
             status={"input": "ok", "damping": "ok", "delay": "not_identifiable"},
             trim=(None,) * len(flights),
-            noise=_levels_at(flights, axis, value["input"], value["damping"]),
             predictor=Predictor(value["input"], value["damping"], 0.0),
         )
         covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-    return results, covariance
+    serving = [f for f in flights if any(_moves(f, axis) for axis in results if results[axis].predictor)]
+    return with_levels(serving, results), covariance
 
 
-def _levels_at(flights: Sequence[Flight], axis: str, gain: float, damping: float) -> dict[str, float]:
-    """Disturbance levels of an axis at given coefficients without delay; a damping below the range is its end."""
-    records = [rec for f in flights if _moves(f, axis) and (rec := record(f, (axis,)))]
-    start = replace(
-        start_point(records, 0.0, 1.0, START_LEVELS[None]),
-        gain=np.array([gain]),
-        log_damping=np.log([max(damping, 1e-3)]),
-    )
-    return _noise(maximise(records, start, free_of(records, [False])), 0)
+def _rung_group(
+    flights: Sequence[Flight], group: Sequence[str], method: str
+) -> tuple[dict[str, Axis], Blocks, dict[str, str]]:
+    """Axes by a rung between the paper and the likelihood, their covariance, and what it says of its numbers."""
+    serving = [f for f in flights if any(_moves(f, axis) for axis in group)]
+    found, covariance, remarks = axes_by_rung(serving, group, method)
+    places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
+    results = {
+        axis: replace(known, trim=tuple(None if place is None else known.trim[place] for place in places))
+        for axis, known in found.items()
+    }
+    return results, covariance, remarks

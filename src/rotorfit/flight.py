@@ -10,7 +10,7 @@ from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.log import Log
-from rotorfit.stream import Note, Stream, commands_of, poses_of
+from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
 
 __all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
 
@@ -40,6 +40,8 @@ class Flight:
         yaw: Unwrapped heading, shape (N,) [rad].
         segments: Where the commands are known, in order, not overlapping.
         notes: Every repair, with its count.
+        reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
+            the card does not name and before the first value; None where it names none.
     """
 
     path: str
@@ -54,6 +56,7 @@ class Flight:
     yaw: Array
     segments: tuple[Segment, ...]
     notes: tuple[Note, ...] = ()
+    reference: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -124,6 +127,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         yaw=yaw,
         segments=segments,
         notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
+        reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from rotorfit.derivative import local_polynomial
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
-from rotorfit.frames import AXES, Array, Indices, heading_from_world
+from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.prediction import coast, predict
 
 SETTLING = 2.0
@@ -23,6 +23,9 @@ START_EVERY = 0.5
 
 HORIZONS = (0.5, 1.0, 2.0, 5.0)
 """Default horizons [s]."""
+
+CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
+"""Horizons of the report's curves [s]."""
 
 FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""
@@ -256,6 +259,46 @@ def horizon_errors(parts: Sequence[Predictions], predicted: Sequence[Array], hor
     return {axis: _horizon(errors, k) for k, axis in enumerate(AXES)}
 
 
+@dataclass(frozen=True)
+class StartErrors:
+    """Squared errors start by start, over all segments of a flight; what a paired test compares. S starts.
+
+    Their sums give the scores: velocity RMSE = sqrt(velocity.sum() / steps.sum()), position RMSE = sqrt(mean position).
+
+    Attributes:
+        start: Shape (S,) [s].
+        velocity: Sum over the steps up to the horizon, shape (S, 4) [m^2/s^2 or rad^2/s^2].
+        steps: How many steps that are, shape (S, 4).
+        position: Of the end point, shape (S, 4) [m^2 or rad^2].
+    """
+
+    start: Array
+    velocity: Array
+    steps: Array
+    position: Array
+
+
+def start_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> StartErrors:
+    """The squared errors behind the scores at one horizon, x and y resolved in the measured heading.
+
+    Args:
+        parts: What was measured, segment by segment.
+        predicted: What was predicted there, each (S, E, 2, 4).
+        horizon: [s].
+    """
+    starts, sums, counts, ends = [np.empty(0)], [np.empty((0, 4))], [np.empty((0, 4))], [np.empty((0, 4))]
+    for part, values in zip(parts, predicted, strict=True):
+        velocity, _, position = _errors(part, values, horizon)
+        good, end = _complete(part, horizon)
+        run = np.repeat(np.arange(len(position)), end[good] - part.first[good])
+        known = np.isfinite(velocity)
+        starts.append(part.start[good])
+        for out, column in ((sums, np.where(known, velocity, 0.0) ** 2), (counts, known.astype(float))):
+            out.append(np.stack([np.bincount(run, c, len(position)) for c in column.T], axis=1))
+        ends.append(position**2)
+    return StartErrors(*(np.concatenate(pieces) for pieces in (starts, sums, counts, ends)))
+
+
 def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> tuple[Array, Array, Array]:
     """Of all segments in a row; see `_errors`."""
     pieces = [_errors(part, values, horizon) for part, values in zip(parts, predicted, strict=True)]
@@ -263,8 +306,8 @@ def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizo
     return velocity, measured, position
 
 
-def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
-    """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
+def _complete(part: Predictions, horizon: float) -> tuple[Mask, Indices]:
+    """Which starts have poses up to the horizon and no hole before it, and one past the last pose of each, (S,)."""
     time, period = part.time, float(np.median(np.diff(part.time)))
     target = part.start + horizon
     end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon
@@ -275,6 +318,12 @@ def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array,
         & (time[end - 1] > target - 3 * period)
         & (gaps[end - 1] == gaps[part.first - 1])
     )
+    return good, end
+
+
+def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
+    """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
+    good, end = _complete(part, horizon)
     first, end, runs = part.first[good], end[good], predicted[good]
     if not first.size:
         return np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))

@@ -150,7 +150,7 @@ class Model:
     Attributes:
         card: The card that was applied.
         structure: Name of the model structure.
-        method: `ml`, `robust` or `paper`.
+        method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
         axes: Axis name to what is known of it, for all four axes.
         covariance_names: Rows of the covariance, such as `x.input`, over (input, damping, delay) of the excited axes.
         covariance: Shape (P, P).
@@ -162,6 +162,8 @@ class Model:
         prior: Coefficient, such as `x.input`, to what the card's prior did to it; None where no prior was used.
         physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
         conversion: Set where the model was converted to other limits than those of its flights.
+        leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
+            asked for. See `leave_one_out.LeaveOneOut`.
     """
 
     card: Card
@@ -178,6 +180,7 @@ class Model:
     prior: Mapping[str, PriorUse] | None = None
     physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
+    leave_one_out: Mapping[str, Any] | None = None
 
     @property
     def gamma(self) -> tuple[float | None, ...]:
@@ -341,6 +344,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "flights": [asdict(flight) for flight in model.flights],
         "uncertainty": model.uncertainty and asdict(model.uncertainty),
         "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
+        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
     }
 
 
@@ -375,6 +379,7 @@ def from_mapping(raw: Any, where: str) -> Model:
                 for name, parts in raw.get("physics", {}).items()
             },
             conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
+            leave_one_out=raw.get("leave_one_out"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None

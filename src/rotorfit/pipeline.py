@@ -1,20 +1,27 @@
 """Log -> Flight -> Fit -> Validation: the compositions that the command line and the report share."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rotorfit.advice import findings_of_fit
 from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
+from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
-from rotorfit.finding import by_gravity
+from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.influence import with_influence
+from rotorfit.ladder import Ladder, ladder
+from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
+from rotorfit.log import Log
 from rotorfit.model import Model, is_model_file, load, with_findings
+from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
@@ -62,8 +69,14 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
+    return _flown(log, chosen)[2]
+
+
+def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
+    """A log, the card that was applied, and what came of them."""
     raw = read(log.path)
-    return flight_from_log(raw, chosen or card_that_fits(raw), log.span)
+    card = card or card_that_fits(raw)
+    return raw, card, flight_from_log(raw, card, log.span)
 
 
 def fit_logs(
@@ -76,14 +89,39 @@ def fit_logs(
     prior: bool = False,
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
-    flights = [load_flight(log, card) for log in logs]
+    chosen = load_card(card) if isinstance(card, str) else card
+    flights: list[Flight] = []
+    before: list[Finding] = []
+    for log in logs:
+        raw, applied, flight = _flown(log, chosen)
+        flights.append(flight)
+        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
     result = with_delay_profiles(fit(flights, method, axes, progress, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
-    findings = by_gravity((*findings_of_fit(result), *findings_of_settings(result.model)))
+    findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
+
+
+def leave_one_out_logs(
+    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None
+) -> tuple[Fit, LeaveOneOut]:
+    """Leaves out each flight of a fit in turn; the model keeps the result."""
+    method: Method = "paper" if fit.model.method == "paper" else "ml"
+    result = leave_one_out(fit.flights, method, axes, progress=progress)
+    return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
+
+
+def ladder_logs(
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+) -> Ladder:
+    """Reads logs and fits every rung of the ladder to them together."""
+    return ladder([load_flight(log, card) for log in logs], axes, progress)
 
 
 def validate_logs(
@@ -105,10 +143,14 @@ class Comparison:
     Attributes:
         paths: Of the model files.
         validations: One each model, in that order.
+        paired: `model 2` and on against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
+        notes: Models that could not be paired, with the reason.
     """
 
     paths: tuple[str, ...]
     validations: tuple[Validation, ...]
+    paired: tuple[PairedTest, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def compare_logs(
@@ -129,15 +171,47 @@ def compare_logs(
     logs = [parse_log(path) for path in paths if path not in files]
     if not files:
         raise ModelError(f"no model among {', '.join(paths)}; give files written by `rotorfit fit -o` before the logs")
-    validations = []
+    validations, flights = [], []
     for number, path in enumerate(files):
 
         def report(fraction: float, text: str, done: int = number) -> None:
             if progress:
                 progress((done + fraction) / len(files), f"{files[done]} on {text}")
 
-        validations.append(validate_logs(load(path), logs, horizons=horizons, progress=report)[0])
-    return Comparison(tuple(files), tuple(validations))
+        validation, seen = validate_logs(load(path), logs, horizons=horizons, progress=report)
+        validations.append(validation)
+        flights.append(seen)
+    alike = [all(map(_same_motion, seen, flights[0])) for seen in flights]
+    notes = tuple(
+        f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
+        for number, same in enumerate(alike, 1)
+        if not same
+    )
+    return Comparison(tuple(files), tuple(validations), _paired(validations, alike), notes)
+
+
+def _same_motion(one: Flight, other: Flight) -> bool:
+    """Whether two cards read the same poses at the same times, so that errors can be subtracted start by start."""
+    pairs = ((one.pose_time, other.pose_time), (one.position, other.position), (one.yaw, other.yaw))
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[PairedTest, ...]:
+    """Each model against the first and against the first one's baselines."""
+    first = validations[0]
+    tests = []
+    for number, (validation, same) in enumerate(zip(validations, alike, strict=True), 1):
+        fresh = (
+            () if a.fitted or b.fitted else a.moved for a, b in zip(validation.flights, first.flights, strict=True)
+        )
+        counted = tuple(fresh)
+        others = {"model 1": first.errors["model"], "hold": first.errors["hold"], "paper": first.errors["paper"]}
+        tests += [
+            paired_test((f"model {number}", name), validation.errors["model"], errors, counted)
+            for name, errors in others.items()
+            if same and name != f"model {number}"
+        ]
+    return tuple(tests)
 
 
 def comparison_mapping(comparison: Comparison) -> dict[str, Any]:
@@ -147,6 +221,8 @@ def comparison_mapping(comparison: Comparison) -> dict[str, Any]:
     return {
         "models": [{"path": path, "flights": mapping["flights"]} for path, mapping in pairs],
         "baselines": mappings[0]["baselines"],
+        "paired": [asdict(test) for test in comparison.paired],
+        "notes": list(comparison.notes),
     }
 
 

@@ -322,8 +322,8 @@ def _solve(stack: _Stack, window: float) -> _Solution:
     bread = inverse @ inverse.T
     scores = np.einsum("nrp,nr->np", design, residual)
     by_flight = np.split(scores, np.cumsum([len(time) for time in stack.times])[:-1])
-    lag = _lag(stack.times, by_flight, window)
-    middle = np.sum([_newey_west(t, g, lag) for t, g in zip(stack.times, by_flight, strict=True)], axis=0)
+    lag = bartlett_lag(stack.times, by_flight, window)
+    middle = np.sum([newey_west(t, g, lag) for t, g in zip(stack.times, by_flight, strict=True)], axis=0)
     # Along the heading, the residual of x is of x alone; that of an axis without commands is not of this regression.
     measured, left = _along_heading(stack.target, stack.yaw), _along_heading(residual, stack.yaw)
     pairs = {axis: (measured[mine, place], left[mine, place]) for axis, (place, mine) in stack.own.items()}
@@ -345,7 +345,7 @@ def _along_heading(rows: Array, yaw: Array) -> Array:
     return heading_from_world(rows, yaw) if rows.shape[1] == 2 else rows
 
 
-def _newey_west(time: Array, score: Array, lag: float) -> Array:
+def newey_west(time: Array, score: Array, lag: float) -> Array:
     """Sum over all pairs of stamps of (1 - |t_i - t_j| / lag)+ g_i g_j^T, shape (P, P), from scores g of shape (N, P).
 
     The triangle is a positive definite function of time, so the sum is positive semidefinite on irregular stamps, too.
@@ -361,7 +361,7 @@ def _newey_west(time: Array, score: Array, lag: float) -> Array:
     return np.asarray(score.T @ score + cross + cross.T)
 
 
-def _lag(times: Sequence[Array], scores: Sequence[Array], window: float) -> float:
+def bartlett_lag(times: Sequence[Array], scores: Sequence[Array], window: float) -> float:
     """Lag of the Bartlett kernel [s]: at least a window, at most a quarter of the longest flight.
 
     In between, the plug-in of Andrews for a first-order autoregression of the scores summed over window-long blocks:

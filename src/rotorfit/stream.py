@@ -10,9 +10,11 @@ from rotorfit.clock import (
     GAP_PERIODS,
     GAP_TOLERANCE,
     MISSING_STAMP,
+    ClockDrift,
     Mask,
     Stamps,
     degrees_for_radians,
+    drift,
     fresh,
     held,
     increasing,
@@ -128,6 +130,50 @@ def poses_of(log: Log, card: Card) -> Stream:
     return stream
 
 
+def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
+    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock.
+        channels: What it consists of.
+
+    Returns:
+        Shape (N,), True where any channel is a number; N is the number of stamps.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    stamps = stamps_of(log, time)
+    rows = np.zeros(len(stamps), dtype=np.bool_)
+    for channel in channels.values():
+        if isinstance(channel.source, str):  # a constant is no sample
+            there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
+            rows[: len(there)] |= there
+    return rows
+
+
+def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
+    """The recorder's `log_time` against the `header.stamp` of a stream's samples; None where one of them is missing.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock; the two stamps are looked for in its table.
+        channels: What the stream consists of.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    name = split_source(time.source)[0]
+    table = log.tables.get(name) or (next(iter(log.tables.values())) if len(log.tables) == 1 else None)
+    if table is None or not {"header.stamp", "log_time"} <= table.columns.keys():
+        return None
+    prefix = f"{table.name}:" if len(log.tables) > 1 else ""
+    rows = sample_rows(log, time, channels)
+    header, recorded = (stamps_of(log, Channel(prefix + column)) for column in ("header.stamp", "log_time"))
+    return drift(header[rows], recorded[rows])
+
+
 def _read(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
@@ -176,7 +222,12 @@ def _numbers(stream: Stream, log: Log) -> Stream:
         raise FlightError(
             f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
         )
-    return _kept(stream, np.all(finite, axis=1), f"nan_{stream.what}s", "are not numbers: taken as absent")
+    whole = np.all(finite, axis=1)
+    kept, absent = _kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
+    if not absent:
+        return stream
+    text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
+    return replace(kept, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
 def _in_order(stream: Stream, log: Log) -> Stream:
@@ -214,13 +265,44 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
 
 
 def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Array:
-    """The window's column held onto the commands' stamps; NaN before its first value.
+    """The window's column held onto the commands' stamps; NaN before its first value."""
+    return _held_onto(log, card, window, stamps, "window")
+
+
+def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
+    """What a position controller was told, held onto stamps.
+
+    Args:
+        log: As recorded.
+        card: Which column is what; its reference is in the frame of the pose.
+        stamps: Where it is wanted, shape (M,) [ns].
+
+    Returns:
+        x, y, z, yaw, z up, shape (M, 4), NaN where unknown; None where the card names no reference.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+    """
+    if not card.reference:
+        return None
+    values = np.full((stamps.size, len(AXES)), np.nan)
+    for axis, channel in card.reference.items():
+        values[:, AXES.index(axis)] = _held_onto(log, card, channel, stamps, "reference")
+    if card.frame == "NED":
+        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], np.pi / 2 - values[:, 3]], axis=1)
+    return values
+
+
+def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str) -> Array:
+    """A column held onto the commands' stamps; NaN before its first value.
 
     Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
     column of its own table that is named as the commands' clock.
     """
-    values = column(log, window)
-    table, (_, name) = split_source(window.source)[0], split_source(card.command_time.source)
+    values = column(log, channel)
+    if not isinstance(channel.source, str):
+        return np.full(stamps.size, values[0])
+    table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
     own = replace(card.command_time, source=f"{table}:{name}" if table else name)
     beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
     for time in [*beside, own]:
@@ -228,7 +310,7 @@ def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Arr
         if abs(len(clock) - len(values)) <= 1:
             break
     else:
-        raise CardError(f"{log.path}: nothing tells the time of window {window.source} ({len(values)} values)")
+        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
     shared = min(len(clock), len(values))
     return held(clock[:shared], values[:shared], stamps)
 

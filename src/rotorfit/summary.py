@@ -9,6 +9,10 @@ _METHODS = {
     "ml": "the likelihood",
     "robust": "the likelihood without outliers",
     "paper": "the paper's regression, which knows no delay",
+    "svf": "least squares behind a state-variable filter",
+    "weak": "least squares on the weak form",
+    "iv": "refined instrumental variables",
+    "oe": "output error",
 }
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 _REASONS = {
@@ -31,7 +35,7 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     time = sum(end - start for start, end in (flight.span for flight in model.flights))
     count = len(model.flights)
     flights = f"1 flight of {time:.0f} s" if count == 1 else f"{count} flights, {time:.0f} s in all,"
-    coefficients = COEFFICIENTS if model.method != "paper" else COEFFICIENTS[:2]
+    coefficients = COEFFICIENTS[:2] if model.method == "paper" else COEFFICIENTS
     whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
     sentences = [f"Fitted to {flights} by {_METHODS[model.method]}{BELIEVED * bool(model.prior)}."]
@@ -64,7 +68,8 @@ def _range(part: Combination) -> str:
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     """What must be read first; nothing where there is nothing."""
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
-    spoiled = [axis for axis in AXES if any(f.axis == axis and f.severity == "error" for f in concerned)]
+    errors = {finding.axis for finding in concerned if finding.severity == "error"}
+    spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
     warnings = sum(finding.severity == "warning" for finding in concerned)
     if spoiled:
         yield f"Do not use {_listed(spoiled)} before you have read the findings."

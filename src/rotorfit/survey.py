@@ -1,27 +1,23 @@
 """Survey: what is in a log, which card fits, what the flight excites."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, card_that_fits, fitting_cards, load_card, split_source
-from rotorfit.clock import (
-    ClockDrift,
-    ClockRelation,
-    Rate,
-    drift,
-    increasing,
-    rate,
-    relation,
-    stamps_of,
-)
+from rotorfit.card import Card, card_that_fits, fitting_cards, load_card
+from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
+from rotorfit.command_checks import spectrum
+from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import CardError, FlightError
+from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
 from rotorfit.log import Log, Table
 from rotorfit.sources import read
+from rotorfit.stream import recorder_clock, sample_rows
 
 
 @dataclass(frozen=True)
@@ -75,14 +71,15 @@ class FlightSurvey:
     Attributes:
         duration: Length of the segments together [s].
         segments: Start and end of each [s].
-        command: Rate of the commands as recorded.
-        pose: Rate of the poses as recorded.
+        command: Rate of the commands as recorded, of the rows that hold one.
+        pose: Rate of the poses as recorded, of the rows that hold one.
         fresh: Rate of the fresh poses in the flight.
         stale_share: Share of the recorded poses that repeat the one before.
         clocks: The poses' clock against the commands'.
         recorder: `command` and `pose` to the recorder's `log_time` against the `header.stamp`, where both exist.
         axes: Excitation of each commanded axis.
         notes: Repairs.
+        findings: What the data doctor says before any fit.
     """
 
     duration: float
@@ -95,6 +92,7 @@ class FlightSurvey:
     recorder: Mapping[str, ClockDrift]
     axes: tuple[Excitation, ...]
     notes: tuple[Note, ...]
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -172,6 +170,26 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
     return tuple(survey(read(path), chosen) for path in paths)
 
 
+def survey_draft(path: str, draft: Path) -> Survey:
+    """Reads a log and looks through it by the card that was drafted for it.
+
+    Args:
+        path: Of the log.
+        draft: The card; as drafted it need not be complete.
+
+    Raises:
+        LogError: The log cannot be read.
+    """
+    log = read(path)
+    try:
+        return survey(log, load_card(str(draft)))
+    except CardError:
+        found = survey(log)
+    if found.flight:
+        return found
+    return replace(found, problem=f"the card drafted in {draft} is not complete: fill in the lines marked EDIT")
+
+
 def excitation(flight: Flight) -> tuple[Excitation, ...]:
     """How each commanded axis of a flight is excited."""
     starts, ends = (np.array([getattr(part, end) for part in flight.segments]) for end in ("start", "end"))
@@ -200,19 +218,16 @@ def _bandwidth(time: Array, values: Array) -> float | None:
     """Frequency below which 95 % of the power of held values lies [Hz]."""
     if len(time) < 8 or np.ptp(values) == 0:
         return None
-    period = float(np.median(np.diff(time)))
-    grid = np.arange(time[0], time[-1], period)
-    held = values[np.searchsorted(time, grid + 1e-9, side="right") - 1]
-    power = np.cumsum(np.abs(np.fft.rfft(held - np.mean(held))) ** 2)
-    if power[-1] == 0:
-        return None
-    return float(np.fft.rfftfreq(len(grid), period)[np.searchsorted(power, 0.95 * power[-1])])
+    frequency, power = spectrum(time, values)
+    total = np.cumsum(power)
+    return None if total[-1] == 0 else float(frequency[np.searchsorted(total, 0.95 * total[-1])])
 
 
 def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
-    command, pose = stamps_of(log, card.command_time), stamps_of(log, card.pose_time)
+    streams = {"command": (card.command_time, card.command), "pose": (card.pose_time, card.pose)}
+    command, pose = (stamps_of(log, time)[sample_rows(log, time, parts)] for time, parts in streams.values())
     stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
-    recorder = {"command": _recorder(log, card.command_time), "pose": _recorder(log, card.pose_time)}
+    recorder = {name: recorder_clock(log, time, parts) for name, (time, parts) in streams.items()}
     return FlightSurvey(
         duration=flight.duration,
         segments=tuple((part.start, part.end) for part in flight.segments),
@@ -224,16 +239,8 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
         recorder={name: value for name, value in recorder.items() if value is not None},
         axes=excitation(flight),
         notes=flight.notes,
+        findings=findings_of_flight(log, card, flight),
     )
-
-
-def _recorder(log: Log, time: Channel) -> ClockDrift | None:
-    """Recorder's time against the header's, in the table of a message's stamp."""
-    table, _ = split_source(time.source)
-    if table not in log.tables or not {"header.stamp", "log_time"} <= log.tables[table].columns.keys():
-        return None
-    header, recorded = (stamps_of(log, Channel(f"{table}:{name}")) for name in ("header.stamp", "log_time"))
-    return drift(header, recorded)
 
 
 def _table_survey(log: Log, table: Table, card: Card | None) -> TableSurvey:

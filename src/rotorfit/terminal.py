@@ -6,28 +6,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.padding import Padding
-from rich.table import Table
 from rich.text import Text
 
 from rotorfit.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
 from rotorfit.card import Card, Channel, split_source
 from rotorfit.clock import Rate
-from rotorfit.finding import Finding
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Interval, Mode, Model
 from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
+from rotorfit.proof import leave_one_out_view, paired_view, residuals_view
 from rotorfit.summary import summary_of_model
-from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
+from rotorfit.tables import View
+from rotorfit.tables import bullets as _list
+from rotorfit.tables import finding_view as _finding_view
+from rotorfit.tables import indented as _indented
+from rotorfit.tables import table as _table
+from rotorfit.tables import three_digits as _three_digits
+from rotorfit.tables import title as _title
 
 if TYPE_CHECKING:  # they bring numba, which the lists of cards and formats need not wait for
     from rotorfit.demo import Demo
+    from rotorfit.leave_one_out import LeaveOneOut
     from rotorfit.pipeline import Comparison
+    from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
     from rotorfit.validation import FlightScores, Validation
-
-View = Iterator[RenderableType]
 
 _UNITS = {
     "input": ("m/s^2", "rad/s^2"),
@@ -42,7 +46,6 @@ LEAST_JITTER = 0.01
 """Jitter below which its figures say nothing [ms]."""
 
 _WORDS = {"steady_gain": "steady gain", "total_lag": "total lag"}
-_COLOURS = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 _UNBROKEN = 2000  # columns: more than any line has
 _AT_ONCE = 4  # horizons beside each other in 80 columns
 
@@ -68,7 +71,7 @@ def show(view: Iterable[RenderableType]) -> None:
         click.echo("\n".join(line.rstrip() for line in captured.get().split("\n")), nl=False)
 
 
-def survey_view(survey: Survey) -> View:
+def survey_view(survey: "Survey") -> View:
     """What is in a log, which cards fit, and what the flight is like."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield _title(f"{survey.path}: {survey.format}, {tables}")
@@ -82,11 +85,14 @@ def survey_view(survey: Survey) -> View:
         yield ""
         yield _title(f"Flight by the card {survey.card}")
         yield from _flight_view(survey.flight)
+        for finding in survey.flight.findings:
+            yield ""
+            yield from _finding_view(finding)
     if survey.problem:
         yield _indented(f"No flight: {survey.problem}", 2, "yellow")
 
 
-def _table_line(table: TableSurvey) -> str:
+def _table_line(table: "TableSurvey") -> str:
     if table.rate is None:
         return f"{table.name}: {table.count} samples, no clock recognised"
     return f"{table.name}: {_rate(table.rate)}, by {table.time}"
@@ -110,7 +116,7 @@ def _rate(rate: Rate) -> str:
     )
 
 
-def _flight_view(flight: FlightSurvey) -> View:
+def _flight_view(flight: "FlightSurvey") -> View:
     parts = [f"{start:.2f} to {end:.2f}" for start, end in flight.segments]
     shown = ", ".join([*parts[:6], *(["..."] if len(parts) > 6 else [])])
     clocks = flight.clocks
@@ -136,7 +142,7 @@ def _later(offset: float) -> str:
     return f"{abs(offset):.3f} s {'after' if offset >= 0 else 'before'}"
 
 
-def _excitation_table(axes: Iterable[Excitation]) -> RenderableType:
+def _excitation_table(axes: "Iterable[Excitation]") -> RenderableType:
     table = _table("command", "not 0", "RMS", "lowest", "highest", "levels", "at ends", "95 % below")
     for axis in axes:
         table.add_row(
@@ -250,17 +256,32 @@ def _off(axis: str, mode: Mode) -> str:
     return f", 1 s predictions off by {_three_digits(scale * mode.prediction)} {unit}"
 
 
-def _finding_view(finding: Finding) -> View:
-    head = Text(finding.severity, style=_COLOURS[finding.severity])
-    head.append(f" {finding.code}: {finding.evidence}", style="default")
-    yield head
-    yield _indented(f"Effect: {finding.effect}.")
-    yield _indented(f"Try: {finding.remedy}.")
-
-
 def validation_view(validation: "Validation") -> View:
-    """Errors of the model and of the baselines, flight by flight."""
+    """Errors of the model and of the baselines, flight by flight; whether they differ; what the residuals say."""
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
+    yield ""
+    yield from paired_view(validation.paired, [flight.path for flight in validation.flights])
+    yield from residuals_view(validation)
+
+
+def left_out_view(result: "LeaveOneOut", model: Model) -> View:
+    """Every flight scored by a model of the others, and how far those models differ."""
+    yield ""
+    yield _title("Leave one out: each flight predicted by the model of the others")
+    yield ""
+    yield from _scores_view({"model": result.flights, **result.baselines}, ("model",))
+    yield ""
+    stated = {
+        name: {**axis.stderr, **{key: _quarter(part.ci95) for key, part in axis.combinations.items()}}
+        for name, axis in model.axes.items()
+    }
+    yield from leave_one_out_view(result, stated)
+
+
+def _quarter(interval: Interval) -> float | None:
+    """About the standard error behind a 95 % interval."""
+    low, high = interval
+    return None if low is None or high is None else (high - low) / 4
 
 
 def comparison_view(comparison: "Comparison") -> View:
@@ -270,6 +291,9 @@ def comparison_view(comparison: "Comparison") -> View:
     yield ""
     models = {name: each.flights for name, each in zip(names, comparison.validations, strict=True)}
     yield from _scores_view({**models, **comparison.validations[0].baselines}, tuple(models))
+    yield ""
+    yield from paired_view(comparison.paired, [flight.path for flight in comparison.validations[0].flights])
+    yield from _list(comparison.notes)
 
 
 def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequence[str]) -> View:
@@ -387,31 +411,6 @@ def formats_view(formats: Iterable[str]) -> View:
     yield Text("A format is found by content, not by name.", style="dim")
 
 
-def _table(*heads: str, left: Sequence[int] = (0,), gap: int = 2) -> Table:
-    """A table without frame; columns are right-aligned except those that are named."""
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap - 1, 0, 0), header_style="bold")
-    for place, head in enumerate(heads):
-        text = place in left
-        table.add_column(head, justify="left" if text else "right", no_wrap=not text, overflow="fold")
-    return table
-
-
-def _title(text: str) -> Text:
-    return Text(text, style="bold")
-
-
-def _indented(text: str, by: int = 2, style: str = "") -> RenderableType:
-    return Padding(Text(text, style=style), (0, 0, 0, by), expand=False)
-
-
-def _list(lines: Iterable[str]) -> View:
-    """Bullets whose text hangs behind them."""
-    for line in lines:
-        grid = Table.grid(padding=(0, 1, 0, 0))
-        grid.add_row(Text("  -"), Text(line))
-        yield grid
-
-
 def _number(value: float, interval: Interval) -> str:
     """A number with the digits that its interval earns: two of the half width."""
     return f"{value:.{_decimals(value, interval)}f}"
@@ -430,8 +429,3 @@ def _decimals(value: float, interval: Interval) -> int:
     low, high = interval
     half = abs(value) / 10 if low is None or high is None else (high - low) / 2
     return max(0, min(6, 1 - math.floor(math.log10(half)))) if half > 0 else 3
-
-
-def _three_digits(value: float) -> str:
-    """Three significant digits without an exponent: 0.0412, 1.55, 152."""
-    return f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f}" if value > 0 else "0"

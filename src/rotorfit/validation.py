@@ -1,30 +1,35 @@
 """Model + other flights -> Validation: prediction errors beside naive baselines, and what the residuals say."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
+from rotorfit.finding import Finding
 from rotorfit.flight import Flight
 from rotorfit.forecast import (
     HORIZONS,
     AxisScore,
     Dynamics,
     Horizon,
+    StartErrors,
     coast_prediction,
     hold_velocity,
     predict_flight,
     score_predictions,
+    start_errors,
 )
 from rotorfit.frames import AXES, Array, heading_from_world
-from rotorfit.likelihood import response
+from rotorfit.likelihood import response, whiten
 from rotorfit.maximum import maximise
-from rotorfit.model import Model, Predictor
+from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.modes import start_point
-from rotorfit.record import record
+from rotorfit.paired import PairedTest, paired_test
+from rotorfit.record import Record, record
+from rotorfit.whiteness import REACH, Innovations, ResidualTests, findings_of_residuals, residual_tests
 
 Progress = Callable[[float, str], None]
 
@@ -39,6 +44,7 @@ class FlightScores:
         axes: Axis name to errors; None in place of every number of an axis that has no model.
         heading: `predicted` by the model's own yaw, or `measured` where it has none.
         fitted: Whether the model was fitted to part of this very stretch: then the scores prove nothing.
+        moved: The axes that the flight commands with anything but zero.
     """
 
     path: str
@@ -46,6 +52,7 @@ class FlightScores:
     axes: Mapping[str, AxisScore]
     heading: str
     fitted: bool = False
+    moved: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,10 +63,19 @@ class Validation:
         flights: Of the model, one each.
         baselines: `hold` (the world velocity of the start is kept) and `paper` (the paper's coefficients on the model's
             training flights, from the same filtered states), each one each flight.
+        errors: `model`, `hold` and `paper` to the errors behind the scores, start by start: a mapping a flight, from
+            the horizon; NaN for an axis without a model.
+        paired: The model against each baseline.
+        residuals: A mapping a flight, from the axes that it commands and the model knows to tests of the innovations.
+        findings: What the tests of the innovations say, in words.
     """
 
     flights: tuple[FlightScores, ...]
     baselines: Mapping[str, tuple[FlightScores, ...]]
+    errors: Mapping[str, tuple[Mapping[str, StartErrors], ...]] = field(default_factory=dict)
+    paired: tuple[PairedTest, ...] = ()
+    residuals: tuple[Mapping[str, ResidualTests], ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def dynamics_from_model(model: Model) -> dict[str, Dynamics]:
@@ -98,16 +114,38 @@ def validate(
     if not horizons or min(horizons) <= 0:
         raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
     scores: dict[str, list[FlightScores]] = {"model": [], "hold": [], "paper": []}
+    errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
+    tests = []
     for number, flight in enumerate(flights):
         if progress:
             progress(number / len(flights), flight.path)
-        for name, result in _score_flight(model, flight, horizons).items():
-            scores[name].append(result)
-    return Validation(tuple(scores["model"]), {name: tuple(scores[name]) for name in ("hold", "paper")})
+        for name, (score, by_horizon) in _score_flight(model, flight, horizons).items():
+            scores[name].append(score)
+            errors[name].append(by_horizon)
+        tests.append(residual_tests_of_flight(model, flight))
+    counted = tuple(() if each.fitted else each.moved for each in scores["model"])
+    found = (
+        finding
+        for flight, axes in zip(flights, tests, strict=True)
+        for axis, each in axes.items()
+        for finding in findings_of_residuals(axis, each, flight.path)
+    )
+    return Validation(
+        flights=tuple(scores["model"]),
+        baselines={name: tuple(scores[name]) for name in ("hold", "paper")},
+        errors={name: tuple(each) for name, each in errors.items()},
+        paired=tuple(
+            paired_test(("model", name), errors["model"], errors[name], counted) for name in ("hold", "paper")
+        ),
+        residuals=tuple(tests),
+        findings=tuple(sorted(found, key=lambda finding: finding.severity == "info")),
+    )
 
 
-def _score_flight(model: Model, flight: Flight, horizons: Sequence[float]) -> dict[str, FlightScores]:
-    """Scores of the model and of both baselines on one flight."""
+def _score_flight(
+    model: Model, flight: Flight, horizons: Sequence[float]
+) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
+    """Scores of the model and of both baselines on one flight, and the errors behind them."""
     dynamics = dynamics_from_model(model)
     parts = predict_flight(flight, dynamics, max(horizons))
     paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
@@ -115,21 +153,56 @@ def _score_flight(model: Model, flight: Flight, horizons: Sequence[float]) -> di
     coasted = [
         coast_prediction(flight, part, np.nan_to_num(paper_input), np.nan_to_num(paper_damping)) for part in parts
     ]
-    known = {axis: model.axes[axis].predictor is not None for axis in AXES}
-    papered = {axis: bool(np.isfinite(paper_input[k])) for k, axis in enumerate(AXES)}
-    heading = "predicted" if known["yaw"] else "measured"
+    known = np.array([model.axes[axis].predictor is not None for axis in AXES])
+    heading = "predicted" if known[AXES.index("yaw")] else "measured"
+    moved = tuple(a for k, a in enumerate(AXES) if a in flight.axes and bool(np.any(flight.command[:, k])))
 
-    def scored(predicted: Sequence[Array], wanted: Mapping[str, bool]) -> FlightScores:
+    def scored(predicted: Sequence[Array], wanted: Array) -> tuple[FlightScores, dict[str, StartErrors]]:
         axes = score_predictions(parts, predicted, horizons)
         empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
-        scores = {a: axes[a] if wanted[a] else empty for a in AXES}
-        return FlightScores(flight.path, flight.span, scores, heading, _was_fitted(model, flight))
+        scores = {a: axes[a] if wanted[k] else empty for k, a in enumerate(AXES)}
+        errors = {f"{h:g}": _known_errors(start_errors(parts, predicted, h), wanted) for h in horizons}
+        fitted = _was_fitted(model, flight)
+        return FlightScores(flight.path, flight.span, scores, heading, fitted, moved), errors
 
     return {
         "model": scored([part.predicted for part in parts], known),
-        "hold": scored([hold_velocity(part) for part in parts], dict.fromkeys(AXES, True)),
-        "paper": scored(coasted, papered),
+        "hold": scored([hold_velocity(part) for part in parts], np.ones(4, bool)),
+        "paper": scored(coasted, np.isfinite(paper_input)),
     }
+
+
+def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
+    """NaN in place of the errors of an axis without a model."""
+    velocity, position = (np.where(wanted, values, np.nan) for values in (errors.velocity, errors.position))
+    return replace(errors, velocity=velocity, position=position)
+
+
+def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
+    """Tests of the innovations of the axes that a flight commands and the model knows."""
+    at_fitted = residuals(model, flight)
+    found: dict[str, ResidualTests] = {}
+    for axis, own in residuals(model, flight, own_levels=True).items():
+        if axis in flight.axes and np.any(flight.command[:, AXES.index(axis)]):
+            fitted = _was_fitted(model, flight)
+            covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
+            training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
+            share = flight.duration / training if training > 0 and not fitted else 0.0
+            tests = residual_tests(own.innovations, at_fitted[axis].innovation, covariance, share)
+            found |= {axis: tests} if tests else {}
+    return found
+
+
+def coefficient_covariance(model: Model, axis: str) -> Array:
+    """Covariance of input, log damping and delay of an axis, shape (3, 3); zero where the model has none."""
+    out, names = np.zeros((3, 3)), list(model.covariance_names)
+    point = predictor_of(model, axis)
+    known = [(i, names.index(name)) for i, c in enumerate(COEFFICIENTS) if (name := f"{axis}.{c}") in names]
+    for i, at in known:
+        for j, beside in known:
+            out[i, j] = model.covariance[at, beside]
+    scale = np.array([1.0, 1 / max(point.damping, 1e-3), 1.0])
+    return out * np.outer(scale, scale)
 
 
 def _was_fitted(model: Model, flight: Flight) -> bool:
@@ -147,6 +220,12 @@ def to_mapping(validation: Validation) -> dict[str, Any]:
         "baselines": {
             name: {"flights": [asdict(flight) for flight in flights]} for name, flights in validation.baselines.items()
         },
+        "paired": [asdict(test) for test in validation.paired],
+        "residuals": [
+            {"path": flight.path, "axes": {axis: asdict(tests) for axis, tests in axes.items()}}
+            for flight, axes in zip(validation.flights, validation.residuals, strict=True)
+        ],
+        "findings": [asdict(finding) for finding in validation.findings],
     }
 
 
@@ -159,16 +238,31 @@ class Residuals:
         time: Block times, shape (B,) [s].
         innovation: Shape (B,).
         response: Position as the commands explain it, less its start, in the frame of the axis, shape (B,) [m or rad].
+        past: See `Innovations`.
+        sensitivity: See `Innovations`.
     """
 
     axis: str
     time: Array
     innovation: Array
     response: Array
+    past: Array
+    sensitivity: Array
+
+    @property
+    def innovations(self) -> Innovations:
+        """What the tests need."""
+        return Innovations(self.time, self.innovation, self.past, self.sensitivity)
 
 
-def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
-    """Innovations of every axis with a predictor, with the flight's own trim and start."""
+def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[str, Residuals]:
+    """Innovations of every axis with a predictor, with the flight's own trim and start.
+
+    Args:
+        model: The model.
+        flight: Any flight of the vehicle.
+        own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
+    """
     known = [axis for axis in AXES if model.axes[axis].predictor]
     plane = ("x", "y")
     rec = record(flight, plane) if any(axis in known for axis in plane) else None
@@ -176,11 +270,11 @@ def residuals(model: Model, flight: Flight) -> dict[str, Residuals]:
     groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
     out: dict[str, Residuals] = {}
     for group in groups:
-        out |= _group_residuals(model, flight, group)
+        out |= _group_residuals(model, flight, group, own_levels)
     return out
 
 
-def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> dict[str, Residuals]:
+def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_levels: bool) -> dict[str, Residuals]:
     """Of one axis, or of x and y where the vehicle turns."""
     rec = record(flight, group)
     if rec is None:
@@ -194,13 +288,45 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...]) -> di
         delay=np.array([point.delay for point in points]),
     )
     free = np.zeros(start.flat().size, bool)
-    free[3 * len(group) : start.n] = True
+    free[3 * len(group) : None if own_levels else start.n] = True
     best = maximise([rec], start, free)
-    explained = response(rec, best.point, 0, best.point.start)[0]
+    explained, sensitivity = response(rec, best.point, 0, best.point.start)
+    rows = whiten(rec, sensitivity, best.point.levels)[0]
     if len(group) == 2:
         explained = heading_from_world(explained, rec.block_yaw)
     return {
-        axis: Residuals(axis, rec.block_time, best.score.innovations[0][:, k], explained[:, k])
+        axis: Residuals(
+            axis,
+            rec.block_time,
+            best.score.innovations[0][:, k],
+            explained[:, k],
+            _past(flight, AXES.index(axis), rec.block_time),
+            _sensitivity(rec, rows[:, :, k], k),
+        )
         for k, axis in enumerate(group)
         if model.axes[axis].predictor
     }
+
+
+def _past(flight: Flight, k: int, time: Array) -> Array:
+    """The command that was held 1, 2, ... blocks before, up to a second back; before a segment, its first."""
+    step = float(np.median(np.diff(time)))
+    lags = step * np.arange(1, max(1, round(REACH / step)) + 1)
+    segment = np.searchsorted([part.start for part in flight.segments], time, side="right") - 1
+    first = np.searchsorted(flight.command_time, [part.start for part in flight.segments])[segment]
+    held = np.searchsorted(flight.command_time, time[:, None] - lags, side="right") - 1
+    return np.asarray(flight.command[np.maximum(held, first[:, None]), k])
+
+
+def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
+    """Whitened sensitivities to input, log damping and delay, less what trim and start make up for, shape (B, 3).
+
+    Args:
+        rec: The flight.
+        rows: Whitened sensitivities of the axis, d/d(g, log b, tau, c, v0) with K columns each, shape (B, 5 K).
+        k: Which of the K axes.
+    """
+    K, segment = len(rec.axes), np.cumsum(rec.fresh)
+    starts = [rows[:, 4 * K :] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, 3 * K : 4 * K], *starts])
+    return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])

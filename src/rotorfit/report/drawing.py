@@ -18,6 +18,10 @@ MIN_SPACE = 18
 """Least distance of two horizons that are both written below the axis."""
 
 
+FEW_HORIZONS = 5
+"""So many horizons at the most are each written below the axis; more are a curve with plain ticks."""
+
+
 @dataclass(frozen=True)
 class Tick:
     """Place along an axis [units of the picture] and its text."""
@@ -94,14 +98,14 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
         return np.asarray((high - y) / (high - low) * inner_height)
 
     x_ticks = ticks(*x_range, inner_width // 60)
-    if chart.kind.startswith("horizon"):
+    if chart.kind.startswith("horizon") and chart.x.size <= FEW_HORIZONS:
         x_ticks = [
             (float(x), f"{x:g}") for x in chart.x if x == chart.x[0] or place_x(x) - place_x(chart.x[0]) > MIN_SPACE
         ]
     y_ticks = (log_ticks if chart.y_log else ticks)(*y_range, inner_height // 32)
     paths = tuple(
         (line.role, _bars(place_x(chart.x), place_y(line.y), float(place_y(0.0))))
-        if chart.kind == "correlation"
+        if chart.kind == "correlation" and line.role != "band"
         else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height))
         for line in chart.lines
     )
@@ -119,7 +123,7 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
             Dot(float(place_x(x)), float(place_y(y)), line.role, f"{line.name}, {x:g} s: {y:.3g} {_unit(chart)}")
             for line in chart.lines
             for x, y in zip(chart.x, line.y, strict=True)
-            if np.isfinite(y)
+            if np.isfinite(y) and line.role != "band"
         ]
     shade = None
     if chart.span is not None:

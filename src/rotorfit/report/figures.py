@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +52,7 @@ LOOK: Mapping[str, Mapping[str, Any]] = {
     "model": {"color": "#0b57b7", "linewidth": 0.8},
     "paper": {"color": "#b4470b", "linewidth": 0.8, "linestyle": (0, (5, 2))},
     "hold": {"color": "#6f42c1", "linewidth": 0.9, "linestyle": (0, (1, 1.5))},
+    "band": {"color": "#59636e", "linewidth": 0.5},
 }
 """Role of a line to how it is drawn; told apart without colour, too."""
 
@@ -63,13 +65,13 @@ def figures(
 
     directory.mkdir(parents=True, exist_ok=True)
     motion = _widest(model, flights or training, "validation" if flights else "training")
-    horizons = horizon_charts(scores_of(validation, flights))
+    horizons = horizon_charts(scores_of(validation, flights), validation.paired)
     content: dict[str, tuple[Callable[[Sequence[Chart]], Figure], Sequence[Chart]]] = {
         "acceleration": (_stacked, [chart for chart in motion if chart.kind == "acceleration"]),
         "velocity": (_stacked, [chart for chart in motion if chart.kind == "velocity"]),
         "horizon": (_in_a_row, horizons),
         "delay": (_in_a_row, profile_charts(model)),
-        "residuals": (_in_a_row, residual_charts(model, flights or training)),
+        "residuals": (_in_a_row, _by_label(residual_charts(model, flights or training))),
     }
     written = []
     with mpl.rc_context(STYLE):
@@ -77,6 +79,11 @@ def figures(
             if charts:
                 written += _saved(draw(charts), directory / name)
     return written
+
+
+def _by_label(charts: Sequence[Chart]) -> list[Chart]:
+    """Charts whose rows are told apart by what they show, not by how."""
+    return [replace(chart, kind=f"{chart.kind} {chart.y_label}") for chart in charts]
 
 
 def _widest(model: Model, flights: Sequence[Flight], role: str) -> list[Chart]:
@@ -144,7 +151,9 @@ def _lines(panel: Axes, chart: Chart) -> None:
     for value, _ in chart.levels:
         panel.axhline(value, color="black", linewidth=0.6, linestyle=(0, (4, 3)))
     for line in chart.lines:
-        if chart.kind == "correlation":
+        if line.role == "band":
+            panel.plot(chart.x, line.y, **LOOK["band"])
+        elif chart.kind.startswith("correlation"):
             panel.vlines(chart.x, 0, line.y, color=LOOK["model"]["color"], linewidth=0.8)
         else:
             marker = "o" if chart.kind.startswith("horizon") else ""

@@ -12,7 +12,6 @@ import numpy as np
 
 from rotorfit import __version__
 from rotorfit.evidence import (
-    LENGTH,
     SPEED,
     CoefficientRow,
     Score,
@@ -24,23 +23,22 @@ from rotorfit.evidence import (
 )
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES, Array
-from rotorfit.model import Model
+from rotorfit.model import Model, with_findings
 from rotorfit.report.drawing import Drawing, drawn
 from rotorfit.report.physics import physics_text
 from rotorfit.report.reproduce import recipe_of
+from rotorfit.report.rows import paired_rows, pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of
 from rotorfit.report.words import AXIS, COEFFICIENT, TERMS, rounded
-from rotorfit.validation import Validation
+from rotorfit.validation import Validation, residual_tests_of_flight
 from rotorfit.views import MOST_POINTS, READING, Chart, FlightView, flight_view, moved_axes
+from rotorfit.whiteness import narrows_intervals
 
 MOST_VALUES = 230_000
 """Numbers that all charts that zoom may hold together: 1.2 MB of the page."""
 
 OPEN_FLIGHTS = 6
 """Validation flights that are unfolded from the start."""
-
-COLOURED = 0.15
-"""Share of lags outside the 95 % band beyond which intervals are called too narrow: three times what is expected."""
 
 SECTIONS = (
     ("verdict", "Verdict"),
@@ -59,6 +57,10 @@ METHODS = {
     "ml": "grey-box likelihood with delay (ml)",
     "robust": "grey-box likelihood with delay, outlying poses left out (robust)",
     "paper": "the paper's linear regression, without delay (paper)",
+    "svf": "least squares behind a state-variable filter, with delay (svf)",
+    "weak": "least squares on the weak form, with delay (weak)",
+    "iv": "refined instrumental variables, with delay (iv)",
+    "oe": "output error, with delay (oe)",
 }
 
 
@@ -130,6 +132,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    model = with_findings(model, (*model.findings, *validation.findings))
     tested, fitted = _flights(model, flights, training)
     # Our own files and JSON without "<" may stand in <style> and <script> as they are; everything else is escaped.
     raw = {
@@ -141,7 +144,7 @@ def page(model: Model, training: Sequence[Flight], validation: Validation, fligh
     scores = scores_of(validation, flights)
     text = environment.from_string(_file("templates/page.html.j2")).render(
         **raw,
-        **_evidence(model, training, flights, scores),
+        **_evidence(model, training, validation, flights, scores),
         version=__version__,
         model=model,
         origin=_origin(model, flights),
@@ -228,39 +231,39 @@ def _packed(values: Array) -> str:
 
 
 def _evidence(
-    model: Model, training: Sequence[Flight], flights: Sequence[Flight], scores: Sequence[Score]
+    model: Model,
+    training: Sequence[Flight],
+    validation: Validation,
+    flights: Sequence[Flight],
+    scores: Sequence[Score],
 ) -> dict[str, Any]:
     """Small charts and their tables."""
 
     def panels(charts: Iterable[Chart]) -> list[Panel]:
         return [Panel(chart, drawn(chart, 280, 205)) for chart in charts]
 
-    horizons, correlations = horizon_charts(scores), residual_charts(model, flights or training)
-    coloured = [c.axis for c in correlations if np.mean(np.abs(c.lines[0].y) > c.levels[0][0]) > COLOURED]
+    horizons = horizon_charts(scores, validation.paired)
+    shown = flights or training
+    residual = panels(residual_charts(model, shown))
+    tests = validation.residuals if flights else tuple(residual_tests_of_flight(model, flight) for flight in training)
     return {
         "horizons": {
             "velocity": panels(chart for chart in horizons if chart.kind == "horizon_velocity"),
             "position": panels(chart for chart in horizons if chart.kind == "horizon_position"),
             "reading": horizons[0].reading if horizons else "",
         },
-        "score_rows": [_score_row(score) for score in scores],
+        "score_rows": score_rows(validation),
+        "pooled_rows": pooled_rows(scores) if len(validation.flights) > 1 else [],
+        "paired_rows": paired_rows(validation),
         "profiles": panels(profile_charts(model)),
         "modes": _mode_rows(model),
         "rivals": any(len(model.axes[axis].modes) > 1 for axis in AXES),
-        "correlations": panels(correlations),
-        "coloured": coloured,
+        "correlations": [panel for panel in residual if panel.chart.y_label == "autocorrelation"],
+        "followings": [panel for panel in residual if panel.chart.y_label != "autocorrelation"],
+        "residual_rows": residual_rows([flight.path for flight in shown], tests),
+        "coloured": [a for a in AXES if any(a in axes and narrows_intervals(axes[a]) for axes in tests)],
         "correlations_of": "validation" if flights else "training",
     }
-
-
-def _score_row(score: Score) -> list[str]:
-    """Axis, horizon, errors of model, paper and hold, number of predictions."""
-    cells = [score.axis, f"{score.horizon:g} s"]
-    for errors, (unit, factor) in ((score.velocity, SPEED[score.axis]), (score.position, LENGTH[score.axis])):
-        for name in ("model", "paper", "hold"):
-            value = errors.get(name)
-            cells.append("—" if value is None else f"{factor * value:.3g} {unit}")
-    return [*cells, str(score.n)]
 
 
 def _mode_rows(model: Model) -> list[list[str]]:

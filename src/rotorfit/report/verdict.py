@@ -88,8 +88,8 @@ def _light(model: Model, axis: str, scores: Sequence[Score]) -> Light:
     if known.predictor is None:
         colour = "red" if known.status["input"] == "diverged" else "grey"
         return Light(axis, colour, "no model", None, (), _sentences([STATUS.get(known.status["input"], "no numbers")]))
-    forbidden = [f.evidence for f in model.findings if f.axis == axis and f.severity == "error"]
-    doubts = [f.evidence for f in model.findings if f.axis == axis and f.severity == "warning"]
+    forbidden = [f.evidence for f in model.findings if f.axis in (axis, None) and f.severity == "error"]
+    doubts = [f.evidence for f in model.findings if f.axis in (axis, None) and f.severity == "warning"]
     planning = _planning(scores) if scores else None
     error = planning.velocity.get("model") if planning else None
     if planning is None or error is None:

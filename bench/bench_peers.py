@@ -1,0 +1,208 @@
+"""How well do others predict? PySINDy, SysIdentPy, N4SID and plain regression beside rotorfit, on the same flights.
+
+    python bench/bench_peers.py [PATTERN]
+
+PATTERN picks sets by a part of their name, such as `simulated` or `bebop2-wsu X`; then no file is written. Prints a
+table, and writes peers.json beside this file and the section "Peers" of docs/benchmarks.md.
+
+Everybody fits the same training flights and predicts the same test flights by the protocol of `forecast`: 2 s for the
+state, starts every 0.5 s, from a start on only the commands. Settings of the peers are chosen on the training flights
+alone, by the very scores that are compared (`peers.tuning`).
+"""
+
+import os
+import sys
+
+for thread in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(thread, "1")  # read when numpy is first imported, below
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from peers.flights import Case, real_cases, simulated_cases
+from peers.loop import later_command
+from peers.packages import PEERS
+from peers.paired import RAN_AWAY, compared, errors_by_start
+from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of, pieces, start_samples, to_poses
+from peers.table import document, print_case
+from peers.tuning import Forecast, chosen
+from rotorfit.fit import fit
+from rotorfit.flight import Flight
+from rotorfit.forecast import AxisScore, Predictions, coast_prediction, hold_velocity, predict_flight, score_predictions
+from rotorfit.frames import AXES, Array
+from rotorfit.model import Model
+from rotorfit.validation import dynamics_from_model
+
+SCORES = {"velocity_1s": 1.0, "position_5s": 5.0}
+RMSE = {"velocity_1s": "velocity_rmse", "position_5s": "position_rmse"}
+HERE = Path(__file__).resolve().parent
+
+Chosen = Mapping[str, tuple[Mapping[str, Any], Forecast]]
+
+
+def training_series(flights: Sequence[Flight]) -> dict[int, list[list[Series]]]:
+    """Rate to the series of each of the four axes; rates far above the poses' own are left out."""
+    period = max(float(np.median(np.diff(flight.pose_time))) for flight in flights)
+    out = {}
+    for rate in RATES:
+        if rate * period < 1.5 or rate == min(RATES):
+            grids = [grid_of(flight, part, rate) for flight in flights for part in pieces(flight, HELD_OVER)]
+            out[rate] = [[axis_series(grid, k) for grid in grids if grid] for k in range(4)]
+    return out
+
+
+def peer_predictions(models: Chosen, flight: Flight, parts: Sequence[Predictions]) -> list[Array]:
+    """What a peer predicts from the starts of each part, (S, E, 2, 4).
+
+    Where it models yaw, its own prediction turns x and y, else the measured heading. Axes without a model stand still.
+    """
+    return [_part_predictions(models, flight, part) for part in parts]
+
+
+def _part_predictions(models: Chosen, flight: Flight, part: Predictions) -> Array:
+    segment = next(s for s in flight.segments if s.start < part.start[0] <= s.end)
+    longest = float(np.max(part.time[part.last - 1] - part.start))
+    out = np.zeros((part.start.size, part.predicted.shape[1], 2, 4))
+    turning: tuple[float, Array] | None = None
+    for axis in ("yaw", "z", "x", "y"):
+        if axis not in models:
+            continue
+        setting, forecast = models[axis]
+        k, grid = AXES.index(axis), grid_of(flight, segment, setting["rate"])
+        starts, steps = start_samples(part, grid), int(np.ceil(longest / grid.step - 1e-6)) + 1
+        velocity = forecast(axis_series(grid, k), starts, steps)
+        begin = grid.pose[starts]
+        if axis == "yaw":
+            nodes = np.column_stack([begin[:, 3], begin[:, 3:] + velocity.cumsum(axis=1) * grid.step])
+            turning = grid.step, nodes
+        if axis in ("z", "yaw"):
+            direction, columns = np.ones((starts.size, steps + 1, 1)), [k]
+        else:
+            middle = (np.arange(steps + 1) - 0.5) * grid.step + part.start[:, None]
+            heading = np.interp(middle, flight.pose_time, flight.yaw)
+            if turning:
+                ahead = (middle[:, 1:] - part.start[:, None]) / turning[0]
+                own = between(turning[1][..., None], ahead)[..., 0]
+                # A yaw that has run away says nothing of x and y: they are turned as measured, to the peer's advantage.
+                heading[:, 1:] = np.where(np.abs(own - heading[:, 1:]) < np.pi, own, heading[:, 1:])
+            c, s = np.cos(heading), np.sin(heading)
+            direction, columns = np.stack([c, s] if axis == "x" else [-s, c], axis=-1), [0, 1]
+        moved, speed = to_poses(part, grid, k, velocity, direction)
+        out[:, :, 0, columns] += moved
+        out[:, :, 1, columns] += speed
+        if axis != "y" or "x" not in models:
+            out[:, :, 0, columns] += begin[:, None, columns]
+    # What has run away is kept finite, so that turning it does not make a NaN, which counts as not measured.
+    out[~(np.abs(out) < 10 * RAN_AWAY)] = 10 * RAN_AWAY
+    return out
+
+
+def baselines(model: Model, flight: Flight, parts: Sequence[Predictions]) -> dict[str, list[Array]]:
+    """rotorfit's own predictions, the held velocity, and the paper's coefficients from the same starts."""
+    gamma = np.array([np.nan if value is None else value for value in model.paper])
+    return {
+        "ml": [part.predicted for part in parts],
+        "hold": [hold_velocity(part) for part in parts],
+        "paper": [coast_prediction(flight, part, gamma[0::2], gamma[1::2]) for part in parts],
+    }
+
+
+def run(case: Case) -> dict[str, Any]:
+    """Everything about one set: per axis and method the scores, the setting, and the paired test against ml."""
+    training, test = case.make()
+    model = fit(training).model
+    axes = [axis for axis in case.axes if model.axes[axis].predictor]
+    series = training_series(training)
+    models: dict[str, Chosen] = {}
+    taken: dict[str, float] = {}
+    for peer in PEERS:
+        began = time.perf_counter()
+        models[peer.name] = {
+            axis: chosen(peer, {rate: lines[AXES.index(axis)] for rate, lines in series.items()}) for axis in axes
+        }
+        taken[peer.name] = time.perf_counter() - began
+    dynamics, horizon = dynamics_from_model(model), max(SCORES.values())
+    methods = ("ml", "hold", "paper", *models)
+    if case.truth:
+        methods = (*methods, "truth")
+    errors: dict[str, dict[str, list[Array]]] = {name: {score: [] for score in SCORES} for name in methods}
+    scores: dict[str, list[Mapping[str, AxisScore]]] = {name: [] for name in methods}
+    for flight in test:
+        parts = predict_flight(flight, dynamics, horizon)
+        predicted = baselines(model, flight, parts)
+        predicted |= {name: peer_predictions(models[name], flight, parts) for name in models}
+        if case.truth:
+            predicted["truth"] = [part.predicted for part in predict_flight(flight, case.truth, horizon)]
+        for name, values in predicted.items():
+            scores[name].append(score_predictions(parts, values, tuple(SCORES.values())))
+            for number, (score, length) in enumerate(SCORES.items()):
+                errors[name][score].append(errors_by_start(parts, values, length)[number])
+    return {
+        "set": case.name,
+        "kind": case.kind,
+        "axes": {axis: _axis_result(axis, errors, scores, models) for axis in axes},
+        "loop": {axis: round(later_command(series[min(series)][AXES.index(axis)]), 1) for axis in axes},
+        "seconds": {name: round(value, 1) for name, value in taken.items()},
+    }
+
+
+def _axis_result(
+    axis: str,
+    errors: Mapping[str, Mapping[str, list[Array]]],
+    scores: Mapping[str, Sequence[Mapping[str, AxisScore]]],
+    models: Mapping[str, Chosen],
+) -> dict[str, Any]:
+    k, out = AXES.index(axis), {}
+    for name, by_score in errors.items():
+        row: dict[str, Any] = {}
+        for score, length in SCORES.items():
+            flights = [flight[axis].horizons[f"{length:g}"] for flight in scores[name]]
+            row[score] = [getattr(flight, RMSE[score]) for flight in flights]
+            row[f"n_{score}"] = [flight.n for flight in flights]
+        if name in models:
+            row["setting"] = dict(models[name][axis][0])
+        if name != "ml":
+            row["ml_against"] = {
+                score: asdict(
+                    compared([v[:, k] for v in errors["ml"][score]], [v[:, k] for v in by_score[score]], length)
+                )
+                for score, length in SCORES.items()
+            }
+        out[name] = row
+    return out
+
+
+def main() -> None:
+    pattern = sys.argv[1] if len(sys.argv) > 1 else ""
+    results, began = [], time.perf_counter()
+    real = list(real_cases())
+    if not real:
+        print("recorded flights are not there (../shared/data): simulated ones only")
+    for case in chain(simulated_cases(), real):
+        if pattern in case.name:
+            results.append(run(case))
+            print_case(results[-1])
+    print(f"{time.perf_counter() - began:.0f} s")
+    if pattern or not real:
+        return
+    packages = ("rotorfit", *(peer.package for peer in PEERS), "numpy", "scipy")
+    result = {
+        "date": datetime.now(tz=UTC).date().isoformat(),
+        "versions": {package: version(package) for package in packages},
+        "sets": results,
+    }
+    (HERE / "peers.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    document(result, HERE.parent / "docs" / "benchmarks.md")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""The data doctor before any fit: what is wrong with a flight, in numbers, and what to do about it."""
+
+from dataclasses import replace
+
+from rotorfit.card import Card
+from rotorfit.clock_checks import clock_findings
+from rotorfit.command_checks import command_findings
+from rotorfit.finding import Finding, by_gravity
+from rotorfit.flight import Flight
+from rotorfit.frame_checks import frame_findings
+from rotorfit.log import Log
+from rotorfit.motion_checks import motion_findings
+from rotorfit.pose_checks import pose_findings
+from rotorfit.regression import motion_from_flight
+
+SHORT_TIME = 20.0
+"""Flight time below which it is called short [s]."""
+
+
+def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, ...]:
+    """Everything that a flight tells of itself before any fit, the gravest first.
+
+    Args:
+        log: As recorded.
+        card: That was applied.
+        flight: What came of it.
+    """
+    motion = motion_from_flight(flight)
+    framed = tuple(frame_findings(card, flight, motion))
+    found = [
+        *_short(flight),
+        *clock_findings(log, card, flight),
+        *command_findings(card, flight),
+        *pose_findings(flight, motion),
+        *(
+            finding
+            for finding in motion_findings(flight, motion)
+            if not (framed and finding.code == "wind_dominates" and finding.axis in ("x", "y"))  # the frame says why
+        ),
+        *framed,
+    ]
+    return by_gravity(replace(finding, evidence=f"{flight.path}: {finding.evidence}") for finding in found)
+
+
+def _short(flight: Flight) -> list[Finding]:
+    if flight.duration >= SHORT_TIME:
+        return []
+    return [
+        Finding(
+            "short_data",
+            "warning",
+            f"{flight.duration:.1f} s of flight under commands",
+            "intervals of all coefficients are wide, and optimistic where the disturbance is slow",
+            "fly for a minute or more, or fit several flights together",
+        )
+    ]

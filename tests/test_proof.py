@@ -1,0 +1,88 @@
+"""What the terminal says of paired tests, residuals and flights left out."""
+
+from collections.abc import Iterable
+
+from rich.console import Console, RenderableType
+
+from rotorfit.leave_one_out import LeaveOneOut, Spread
+from rotorfit.paired import Difference, Paired, PairedTest
+from rotorfit.proof import leave_one_out_view, paired_view, residual_line
+from rotorfit.whiteness import ResidualTests
+
+BETTER = Difference(150, -0.0123, 0.002, 9.0, 1e-4, -1e-3, 2e-4, "better")
+WORSE = Difference(150, 0.0456, 0.004, 9.0, 1e-4, 1e-3, 2e-4, "worse")
+SHORT = Difference(6, -0.01, None, None, None, -1e-3, None, "too_short")
+
+
+def told(view: Iterable[RenderableType], width: int = 80) -> str:
+    console = Console(width=width, markup=False, highlight=False)
+    with console.capture() as captured:
+        for part in view:
+            console.print(part)
+    return captured.get()
+
+
+def paired_of(
+    *flights: Difference | None, pooled: Difference | None = None, agreement: float | None = None
+) -> PairedTest:
+    paired = Paired(flights, pooled, agreement)
+    empty = Paired((None,) * len(flights), None, None)
+    axes = {
+        axis: {key: {"velocity": each, "position": each} for key in ("0.5", "1", "5")}
+        for axis, each in (("x", paired), ("y", empty), ("z", empty), ("yaw", paired))
+    }
+    return PairedTest("model", "hold", axes)
+
+
+def test_differences_are_told_with_error_and_verdict_in_units_for_people() -> None:
+    found = told(paired_view([paired_of(BETTER)], ["dir/flight.bag"]))
+
+    assert "Is the difference real? flight.bag" in found
+    assert "v 1 s" in found
+    assert "p 5 s" in found
+    lines = found.splitlines()
+    assert any(line.split()[:6] == ["x", "vs", "hold", "-1.23", "+-", "0.20"] and "better" in line for line in lines)
+    assert any(line.startswith("yaw") and "-0.705 +- 0.11" in line for line in lines)
+    assert not any(line.startswith(("y ", "z ")) for line in lines)
+    assert "fitted" not in found
+
+
+def test_several_flights_are_told_apart_and_together_and_a_contradiction_is_named() -> None:
+    found = told(paired_view([paired_of(BETTER, WORSE, pooled=WORSE, agreement=1e-4)], ["a.bag", "b.bag"]))
+
+    assert found.index("a.bag") < found.index("b.bag") < found.index("all flights")
+    assert "better on some flights and worse on others" in found
+    quiet = told(paired_view([paired_of(BETTER, BETTER, pooled=BETTER, agreement=1e-4)], ["a.bag", "b.bag"]))
+    assert "worse on others" not in quiet
+
+
+def test_a_flight_too_short_for_an_error_shows_the_difference_and_why() -> None:
+    assert "-1.00  too short" in told(paired_view([paired_of(SHORT)], ["a.bag"]))
+
+
+def test_no_flight_and_no_test_show_nothing() -> None:
+    assert told(paired_view([], [])) == ""
+
+
+def test_the_line_of_an_axis_holds_all_three_verdicts() -> None:
+    tests = ResidualTests(
+        n=1000, lags=30, ljung_box=99.0, ljung_box_p=0.0, white_p=0.0012, command_freedom=9, command_p=0.41,
+        command_peak=1.1, command_peak_lag=0.2, variance_ratio=1.52, variance_ci95=(1.31, 1.73),
+        optimism={"input": 1.2}, white=False, follows_command=False,
+    )  # fmt: skip
+
+    expected = (
+        "not white (p = 0.0012, 30 lags), free of past commands (p = 0.41), variance 1.5 of the fit's (1.3 to 1.7)"
+    )
+    assert residual_line(tests) == expected
+
+
+def test_the_spread_stands_beside_what_the_fit_states() -> None:
+    spread = (Spread("x", "damping", (1.0, 1.2), 1.0, 1.2, 0.1), Spread("x", "total_lag", (None, 0.5), 0.5, 0.5, None))
+    result = LeaveOneOut((), {}, (), spread, ("z: only one flight moves it",))
+
+    found = told(leave_one_out_view(result, {"x": {"damping": 0.031}}))
+    lines = [line.split() for line in found.splitlines()]
+    assert ["x", "damping", "1", "1.2", "0.1", "0.031"] in lines
+    assert ["total", "lag", "0.5", "0.5", "-", "-"] in lines
+    assert "z: only one flight moves it" in found
