@@ -108,3 +108,12 @@ def test_one_axis_of_a_pair_keeps_its_own_commands(flight: Flight) -> None:
         assert only.axes == (axis,)
         np.testing.assert_array_equal(only.command[:, 0], flight.command[:, AXES.index(axis)])
         assert only.position is pair.position
+
+
+def test_at_an_infinite_rate_every_pose_is_a_block_of_its_own() -> None:
+    flight = flown(Truth(), steps(("z",)), 10.0, 1)
+
+    every = record(flight, ("z",), np.inf)
+    assert every is not None
+    assert (every.count == 1).all()
+    np.testing.assert_array_equal(every.block_time, every.pose_time)

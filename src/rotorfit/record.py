@@ -69,7 +69,7 @@ class Record:
         return replace(self, axes=self.axes[k : k + 1], command=np.ascontiguousarray(self.command[:, k : k + 1]))
 
 
-def record(flight: Flight, axes: Sequence[str], rate: float = BLOCK_RATE) -> Record | None:
+def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Record | None:
     """Cuts a flight into what the likelihood of these axes needs; None where no segment is long enough.
 
     x or y alone is the position along the mean heading: right where the heading is held, else take both.
@@ -77,8 +77,9 @@ def record(flight: Flight, axes: Sequence[str], rate: float = BLOCK_RATE) -> Rec
     Args:
         flight: What was flown.
         axes: Names of one axis, or of x and y.
-        rate: Blocks per second [1/s]; infinite gives every pose a block of its own.
+        rate: Blocks per second [1/s], by default `BLOCK_RATE`; infinite gives every pose a block of its own.
     """
+    rate = BLOCK_RATE if rate is None else rate
     column = [AXES.index(axis) for axis in axes]
     pose = np.column_stack([flight.position, flight.yaw])
     heading = float(np.mean(flight.yaw))
