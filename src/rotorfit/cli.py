@@ -206,7 +206,7 @@ def fit(
         spans = [parse_log(log, span) for log in logs]
         result, left_out = fit_logs(spans, card, method, axes, progress, structure, uncertainty, prior), None
         if leaving:
-            result, left_out = leave_one_out_logs(result, axes, progress)
+            result, left_out = leave_one_out_logs(result, axes, progress, structure)
     model = result.model
     if output:
         save(model, output)

@@ -11,7 +11,7 @@ from rotorfit.fit import Method, fit
 from rotorfit.flight import Flight
 from rotorfit.forecast import HORIZONS, StartErrors
 from rotorfit.frames import AXES
-from rotorfit.model import COEFFICIENTS, Model
+from rotorfit.model import COEFFICIENTS, STRUCTURE, Model
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.validation import FlightScores, validate
 
@@ -66,6 +66,7 @@ def leave_one_out(
     axes: Sequence[str] = AXES,
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
+    structure: str = STRUCTURE,
 ) -> LeaveOneOut:
     """Fits all flights but one, scores that one, for each in turn; nothing is averaged over the flights.
 
@@ -75,6 +76,7 @@ def leave_one_out(
         axes: As for `fit`.
         horizons: [s].
         progress: Called with a fraction and a text; raising in it cancels.
+        structure: As for `fit`; `auto` chooses anew each time.
 
     Raises:
         FlightError: Fewer than two flights.
@@ -87,7 +89,7 @@ def leave_one_out(
     for number, flight in enumerate(flights):
         if progress:
             progress(number / len(flights), f"all but {flight.path}")
-        model = fit([*flights[:number], *flights[number + 1 :]], method, axes).model
+        model = fit([*flights[:number], *flights[number + 1 :]], method, axes, structure=structure).model
         validation = validate(model, [flight], horizons)
         models.append(model)
         scores.append({"model": validation.flights[0], **{name: b[0] for name, b in validation.baselines.items()}})

@@ -107,10 +107,10 @@ def fit_logs(
 
 
 def leave_one_out_logs(
-    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None
+    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = STRUCTURE
 ) -> tuple[Fit, LeaveOneOut]:
     """Leaves out each flight of a fit in turn; the model keeps the result."""
-    result = leave_one_out(fit.flights, cast("Method", fit.model.method), axes, progress=progress)
+    result = leave_one_out(fit.flights, cast("Method", fit.model.method), axes, progress=progress, structure=structure)
     return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
 
 
