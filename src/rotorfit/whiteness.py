@@ -180,7 +180,8 @@ def residual_tests(
     found = autocorrelation(innovations.time, e)
     n, lags = e.size, found.lag.size
     classic = float(n * (n + 2) * np.sum(found.value**2 / (n - np.arange(1, lags + 1))))
-    robust = float(np.sum((BAND * found.value / found.band) ** 2))
+    told = found.band > 0  # a predictor without any error has no band
+    robust = float(np.sum((BAND * found.value[told] / found.band[told]) ** 2))
     command_p, freedom = _independence(innovations, covariance)
     with_command = cross_correlation(innovations, covariance)
     peak = int(np.argmax(np.abs(with_command.value) - with_command.band))
