@@ -157,7 +157,16 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
             name,
         )
-    if axis.status["input"] == "not_identifiable":
+    if axis.status["input"] == "not_identifiable" and axis.status["delay"] != "ok":
+        yield Finding(
+            "input_not_identifiable",
+            "info",
+            f"the delay of {name} is not known, and its commands answer its own motion or end at the searched delays",
+            f"no coefficient of {name} is published: what a loop of unknown delay leaves is a slow answer to old commands",
+            f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
+            name,
+        )
+    elif axis.status["input"] == "not_identifiable":
         gain = axis.combinations["steady_gain"]
         yield Finding(
             "input_not_identifiable",
