@@ -162,7 +162,7 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "input_not_identifiable",
             "info",
             f"the delay of {name} is not known, and its commands answer its own motion or end at the searched delays",
-            f"no coefficient of {name} is published: such a loop leaves a slow answer to old commands, whatever the vehicle",
+            f"no coefficient of {name} is published: such a loop leaves a slow answer to old commands only",
             f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
             name,
         )
