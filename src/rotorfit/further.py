@@ -188,4 +188,4 @@ def _combination(optimum: Optimum, k: int, value: float, logarithmic: bool, slop
     if logarithmic:
         ends = (value * float(np.exp(-half)), value * float(np.exp(half)))
         return Combination(value, ends if half < 2 else (None, None))
-    return Combination(value, (value - half, value + half))
+    return Combination(value, (value - half, value + half) if half < 2 * abs(value) else (None, None))

@@ -41,6 +41,12 @@ NEGLIGIBLE_DELAY = 0.03
 LEAST_BLOCKS = 4
 """Fewer blocks give no standard error, and nothing richer is chosen."""
 
+VERY_STRONG = 10.0
+"""Fall of the criterion that counts as very strong evidence, where too little is held out for a test.
+
+Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 3.2.
+"""
+
 LAGS = 20
 """Lags of the autocorrelation of the innovations that are looked at."""
 
@@ -310,7 +316,7 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     if not trial.told_apart:
         return _Verdict(trial, rival, False, SAME)
     if near is None or far is None:
-        return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")
+        return _on_little(trial, rival)
     simpler = trial.structure.size < rival.structure.size
     better = near.better or far.better
     kept = near.no_worse and far.no_worse
@@ -354,3 +360,17 @@ def lost_candidate(structure: str) -> Candidate:
     """The row of a structure that was asked for and cannot be told from the default."""
     size = 2 + STRUCTURES[structure].size
     return Candidate(structure, size, 0.0, 0.0, None, None, FIRST_ORDER_DELAY.name, None, None, SAME, False)
+
+
+def _on_little(trial: _Trial, rival: _Trial) -> _Verdict:
+    """The verdict on a flight too short to test predictions: very strong evidence of the criterion, and no denial."""
+    error, other = trial.held_out.rmse(NEAR), rival.held_out.rmse(NEAR)
+    if error is None or other is None:
+        return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")
+    numbers = (
+        f"criterion {trial.bic - rival.bic:+.0f}, errors at 1 s {error / other:.2f} times as large, too few to test"
+    )
+    passed = trial.structure.size >= rival.structure.size and trial.bic < rival.bic - VERY_STRONG and error < other
+    if passed:
+        return _Verdict(trial, rival, True, f"earned over {rival.structure.name} on little: {numbers}")
+    return _Verdict(trial, rival, False, f"not earned: little is held out, and the evidence is not strong ({numbers})")
