@@ -120,11 +120,16 @@ def test_the_uncertainty_of_a_change_counts_blocks_and_not_starts() -> None:
     assert 0.025 < np.mean(typical) < 0.08
 
 
-def test_too_little_to_hold_out_keeps_the_default_and_says_so() -> None:
-    axis = chosen(flown_by("first_order_delay_lag", duration=18.0, seed=2, wind=0.02, noise=0.0005))
+def test_where_too_little_is_held_out_for_a_test_only_very_strong_evidence_counts() -> None:
+    lagging = chosen(flown_by("first_order_delay_lag", duration=18.0, seed=2, wind=0.02, noise=0.0005))
+    plain = chosen(flown_by("first_order_delay", duration=18.0, seed=2, wind=0.02, noise=0.0005))
 
-    assert axis.structure == "first_order_delay"
-    assert {row.verdict.split(":")[0] for row in axis.candidates[1:]} <= {"not judged", "not identifiable"}
+    assert lagging.structure == "first_order_delay_lag"
+    (taken,) = [row for row in lagging.candidates if row.chosen]
+    assert taken.verdict.startswith("earned over first_order_delay on little: criterion -")
+    assert plain.structure == "first_order_delay"
+    words = {row.verdict.split(":")[0].split(" (")[0] for row in plain.candidates[1:]}
+    assert words <= {"not earned", "not judged", "not identifiable"}
 
 
 def test_a_flight_is_cut_from_the_command_that_acts() -> None:
