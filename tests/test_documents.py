@@ -39,10 +39,11 @@ from rotorfit import (
 from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
-from rotorfit.fit import DIVERGED, LEAST_TIME, WIDEST_DAMPING, WIDEST_DELAY, WIDEST_INPUT, fit
+from rotorfit.fit import LEAST_TIME, fit
 from rotorfit.frames import AXES, UNIT_SCALE
 from rotorfit.simulator import Controller, SimulatedFlight, Truth, simulate_flight
 from rotorfit.sources import FORMATS
+from rotorfit.statement import DIVERGED, WIDEST_DAMPING, WIDEST_DELAY, WIDEST_INPUT
 from test_river import RIVER
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -70,6 +70,7 @@ RIVER = (
     "further",
     "enrich",
     "select",
+    "statement",
     "fit",
     "bootstrap",
     "uncertainty",

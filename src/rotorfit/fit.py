@@ -9,61 +9,39 @@ import numpy as np
 from rotorfit.card import Prior
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
-from rotorfit.estimate import Estimate, alone, answers_motion, coupled, together
+from rotorfit.estimate import Estimate, alone, coupled, together
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array
-from rotorfit.further import estimated_extras, further, further_combinations, structure_of, told_apart
-from rotorfit.likelihood import inverted
-from rotorfit.maximum import Optimum
+from rotorfit.frames import AXES
+from rotorfit.further import structure_of, told_apart
 from rotorfit.model import (
-    COEFFICIENTS,
     STRUCTURE,
     Axis,
-    Combination,
-    Interval,
-    Mode,
     Model,
     Plain,
     Predictor,
     Source,
     unknown_axis,
 )
-from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.physics import with_physics
 from rotorfit.prior import gaussian_prior
-from rotorfit.profile import height, hold, profile, quantile
+from rotorfit.profile import height, hold
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
 from rotorfit.robust import Outliers, without_outliers
 from rotorfit.rungs import axes_by_rung
 from rotorfit.select import AUTO, Choice, choose, lost_candidate
-from rotorfit.settle import noise_of, with_levels
+from rotorfit.settle import with_levels
+from rotorfit.statement import Blocks, axis_of_estimate, covariances, holds_zero, joined
 from rotorfit.structure import FIRST_ORDER_DELAY, structure_named
 
 Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
-Blocks = dict[tuple[str, ...], Array]
 
 LEAST_TIME = 5.0
 """Scored time below which an axis is too short to tell anything [s]."""
 
-WIDEST_INPUT = 10.0
-"""Ratio of the ends of the input gain's interval beyond which it is not identifiable."""
-
-WIDEST_DAMPING = 6.0
-"""Ratio of the ends of the damping's interval beyond which it is not identifiable."""
-
-WIDEST_DELAY = 0.4
-"""Width of the delay's interval beyond which it is not identifiable [s]."""
-
 NORMAL = 1.959963984540054
 """97.5 % point of the normal distribution, for the regression's intervals."""
-
-AT_BOUND = 1e-4
-"""How close to an end of its range a delay is at it [s]."""
-
-DIVERGED = 0.5
-"""Expected gain in log-likelihood of one more step above which the climb has not ended."""
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
@@ -166,7 +144,7 @@ def fit(
         results |= {axis: found[axis] for axis in group if axis in wanted}
         covariances |= covariance
     report(1.0, "done")
-    names, matrix = _joined({k: v for k, v in covariances.items() if all(n.split(".")[0] in wanted for n in k)})
+    names, matrix = joined({k: v for k, v in covariances.items() if all(n.split(".")[0] in wanted for n in k)})
     model = Model(
         card=flights[0].card,
         structure=_common_structure(results),
@@ -290,8 +268,8 @@ def _group_axes(
         return {axis: unknown_axis("too_short") for axis in group}, {}
     serving = _serving(flights, group)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
-    results = {axis: _axis(estimates[axis], places) for axis in group}
-    return results, _covariances(group, [estimates[axis] for axis in group], results)
+    results = {axis: axis_of_estimate(estimates[axis], places) for axis in group}
+    return results, covariances(group, [estimates[axis] for axis in group], results)
 
 
 def with_delay_profiles(fit: Fit) -> Fit:
@@ -316,196 +294,6 @@ def with_delay_profiles(fit: Fit) -> Fit:
     return replace(fit, model=replace(fit.model, axes=axes))
 
 
-def _axis(estimate: Estimate, places: Sequence[int | None]) -> Axis:
-    """Everything that is said of one axis."""
-    records, optimum, k = estimate.records, estimate.optimum, estimate.place
-    nothing = replace(
-        unknown_axis("not_excited" if not estimate.excited else "diverged"),
-        noise=noise_of(optimum, k),
-        modes=_modes(estimate),
-        trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
-        structure=structure_of(optimum, k).name,
-    )
-    if not estimate.excited or _unfinished(optimum, k):
-        return nothing
-    structure, extras = structure_of(optimum, k), estimated_extras(optimum, k)
-    variance = np.diag(inverted(optimum.score.information, optimum.free))
-    index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
-    profiles = {n: profile(records, optimum, i) for n, i in index.items() if structure.delayed or n != "delay"}
-    ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
-    more = further(optimum, k, ends)
-    raw = dict(ends)
-    ends["damping"] = _exponential(ends["damping"])
-    ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
-    if _holds_zero(ends["input"]):
-        return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
-    status = _status(ends)
-    if status["delay"] != "ok" and (_at_bound(optimum, k) or answers_motion(records, optimum, k)):
-        status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
-    point = Predictor(
-        input=float(optimum.point.gain[k]),
-        damping=float(np.exp(optimum.point.log_damping[k])),
-        delay=float(optimum.point.delay[k]),
-        extra=optimum.point.extra_values(k),
-    )
-    error = {n: float(np.sqrt(variance[index[n]])) * (point.damping if n == "damping" else 1.0) for n in COEFFICIENTS}
-    published = {name: getattr(point, name) if status[name] == "ok" else None for name in COEFFICIENTS}
-    return replace(
-        nothing,
-        input=published["input"],
-        damping=published["damping"],
-        delay=published["delay"],
-        stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS} | dict(more.stderr),
-        ci95={name: ends[name] for name in COEFFICIENTS} | dict(more.ci95),
-        status=status | dict(more.status),
-        predictor=point,
-        combinations=_combinations(optimum, k) | further_combinations(records, optimum, k, raw),
-        profile=profiles["delay"].points if structure.delayed else (),
-        profile_fall=profiles["delay"].fall if structure.delayed else None,
-        extra=more.extra,
-    )
-
-
-def _unfinished(optimum: Optimum, k: int) -> bool:
-    """Whether one more step would still gain, and by moving the coefficients of an axis by more than a thousandth."""
-    K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
-    moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
-    return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
-
-
-def _at_bound(optimum: Optimum, k: int) -> bool:
-    """Whether the delay ended at an end of its range. There, or unknown in a feedback loop, it takes the rest with it:
-    what such a loop leaves is a slow answer to old commands, whatever the vehicle is."""
-    return bool(min(abs(optimum.point.delay[k] - end) for end in DELAY_RANGE) < AT_BOUND)
-
-
-def _uncut(gain: Interval, damping: Interval, value: float) -> Interval:
-    """The input gain's interval, open where it only ends because the searched range of the damping does.
-
-    Gain and damping of a fast vehicle grow together, so an open upper end of the one opens the other.
-    """
-    low, high = gain
-    if damping[1] is not None:
-        return gain
-    return (low, None) if value > 0 else (None, high)
-
-
-def _exponential(ends: Interval) -> Interval:
-    low, high = (None if end is None else float(np.exp(end)) for end in ends)
-    return low, high
-
-
-def _holds_zero(ends: Interval) -> bool:
-    """Whether an interval, an open end being infinite, holds 0."""
-    low, high = ends
-    return (low is None or low <= 0) and (high is None or high >= 0)
-
-
-def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
-    """Per coefficient, `ok` or `not_identifiable`, from the intervals alone.
-
-    Where the searched range cuts the delay off it cuts the damping off too, and the damping's interval is not its own.
-    """
-    early, late = ends["delay"]
-    delay = early is not None and late is not None and late - early < WIDEST_DELAY
-    low, high = ends["damping"]
-    damping = None not in ends["delay"] and low is not None and high is not None and high / low < WIDEST_DAMPING
-    least, most = ends["input"]
-    gain = least is not None and most is not None and max(least / most, most / least) < WIDEST_INPUT
-    return {
-        name: "ok" if good else "not_identifiable"
-        for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
-    }
-
-
-def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
-    """Steady gain and total lag, with intervals by the delta method (the gain's in its logarithm)."""
-    K = optimum.point.gain.size
-    C = inverted(optimum.score.information, optimum.free)
-    g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
-
-    def half_width(gradient: tuple[float, float, float]) -> float:
-        c = np.zeros(optimum.point.n)
-        c[[k, K + k, 2 * K + k]] = gradient
-        return quantile(optimum, c) * float(np.sqrt(c @ C[: c.size, : c.size] @ c))
-
-    spread, half = half_width((1 / g, -1.0, 0.0)), half_width((0.0, -1 / b, 1.0))
-    low, high = sorted((g / b * float(np.exp(-spread)), g / b * float(np.exp(spread)))) if spread < 2 else (None, None)
-    lag = tau + 1 / b
-    return {
-        "steady_gain": Combination(g / b, (low, high)),
-        "total_lag": Combination(lag, (lag - half, lag + half) if half < 2 * lag else (None, None)),
-    }
-
-
-def _covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Mapping[str, Axis]) -> Blocks:
-    """Covariance of what is estimated of the axes with a predictor, a block for each likelihood."""
-    blocks: dict[int, list[int]] = {}
-    names = [
-        (*COEFFICIENTS, *(extra.name for extra in estimated_extras(estimate.optimum, estimate.place)))
-        for estimate in estimates
-    ]
-    for number, (axis, estimate) in enumerate(zip(group, estimates, strict=True)):
-        if results[axis].predictor:
-            blocks.setdefault(id(estimate.optimum), []).append(number)
-    out = {}
-    for numbers in blocks.values():
-        optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
-        at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
-        scale = np.concatenate([_natural(optimum, k) for k in places])
-        C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
-        out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)
-    return out
-
-
-def _natural(optimum: Optimum, k: int) -> Array:
-    """Slopes of the coefficients and further parameters of axis k by what the estimator moves."""
-    values = optimum.point.extra_values(k)
-    further = [values[extra.name] if extra.logarithmic else 1.0 for extra in estimated_extras(optimum, k)]
-    return np.array([1.0, np.exp(optimum.point.log_damping[k]), 1.0, *further])
-
-
-def _joined(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
-    """Block diagonal of the groups' covariances."""
-    names = tuple(name for block in blocks for name in block)
-    matrix = np.zeros((len(names), len(names)))
-    at = 0
-    for block in blocks.values():
-        matrix[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return names, matrix
-
-
-def _modes(estimate: Estimate) -> tuple[Mode, ...]:
-    """The optima as this axis sees them; where two axes were searched together, those alike on this one are one."""
-    k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
-    modes: list[Mode] = []
-    for number, f in enumerate(estimate.found):
-        final = number == 0 and estimate.excited
-        point = (estimate.optimum if final else f.optimum).point
-        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other
-        rmse = float(f.prediction[min(k, f.prediction.size - 1)])
-        mode = Mode(
-            delay=float(point.delay[at]),
-            damping=float(np.exp(point.log_damping[at])),
-            input=float(point.gain[at]),
-            log_likelihood=f.optimum.score.log_likelihood - best,
-            starts=f.starts,
-            prediction=rmse if np.isfinite(rmse) else None,
-            chosen=number == 0,
-        )
-        alike = next((i for i, other in enumerate(modes) if _alike(mode, other)), None)
-        if alike is None:
-            modes.append(mode)
-        else:
-            modes[alike] = replace(modes[alike], starts=modes[alike].starts + mode.starts)
-    return tuple(modes)
-
-
-def _alike(one: Mode, other: Mode) -> bool:
-    return abs(one.delay - other.delay) < SAME_DELAY and abs(np.log(one.damping / other.damping)) < SAME_LOG_DAMPING
-
-
 def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> tuple[dict[str, Axis], Blocks]:
     """Axes by the paper's regression; the disturbance levels that prediction needs are settled at its coefficients."""
     results: dict[str, Axis] = {}
@@ -521,7 +309,7 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
         value = dict(zip(names, (float(g), float(b)), strict=True))
         spread = dict(zip(names, (float(e) for e in error), strict=True))
         ends = {name: (value[name] - NORMAL * spread[name], value[name] + NORMAL * spread[name]) for name in names}
-        excited = not _holds_zero(ends["input"])
+        excited = not holds_zero(ends["input"])
         if not excited:
             results[axis] = unknown_axis("not_excited")
             continue
