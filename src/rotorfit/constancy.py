@@ -8,11 +8,11 @@ import numpy as np
 from rotorfit.estimate import Estimate
 from rotorfit.finding import Finding
 from rotorfit.fit import Fit
-from rotorfit.flight import Flight, Segment
+from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.likelihood import inverted
 from rotorfit.maximum import maximise
-from rotorfit.modes import start_point
+from rotorfit.modes import between, start_point
 from rotorfit.record import record
 
 LEVEL = 1e-4
@@ -129,29 +129,7 @@ def _halves(flight: Flight) -> list[Flight]:
     start, end = flight.segments[0].start, flight.segments[-1].end
     middle = (start + end) / 2
     spans = ((start, middle), (middle, end))
-    return [_between(flight, *span) for span in spans] if middle - start >= SHORTEST else []
-
-
-def _between(flight: Flight, low: float, high: float) -> Flight:
-    """The flight from the last command that acts at `low` on; its segments cut."""
-    first = max(0, int(np.searchsorted(flight.command_time, low, side="right")) - 1)
-    last = int(np.searchsorted(flight.command_time, high, side="right"))
-    poses = (flight.pose_time >= low) & (flight.pose_time <= high)
-    begin = float(flight.command_time[first])
-    return replace(
-        flight,
-        span=(low, high),
-        command_time=flight.command_time[first:last],
-        command=flight.command[first:last],
-        pose_time=flight.pose_time[poses],
-        position=flight.position[poses],
-        yaw=flight.yaw[poses],
-        segments=tuple(
-            Segment(max(part.start, begin), min(part.end, high))
-            for part in flight.segments
-            if part.start < high and part.end > low
-        ),
-    )
+    return [between(flight, *span) for span in spans] if middle - start >= SHORTEST else []
 
 
 def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
