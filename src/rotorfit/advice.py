@@ -48,17 +48,17 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     """
     found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
+    wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
-        if axis.predictor:
-            if framed or name not in ("x", "y"):
-                found += _sign_findings(fit, name, axis)
+        if axis.predictor and name not in wrong:
+            found += _sign_findings(fit, name, axis)
             found += _coefficient_findings(name, axis)
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
-        if axis.predictor and name in fit.estimates:
+        if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
             found += _feedback_findings(name, fit.estimates[name])
             found += changed_coefficients(fit, name)

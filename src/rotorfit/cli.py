@@ -202,6 +202,8 @@ def fit(
         check_destination(output, MODEL_MARK)
     if leaving:
         require_two(len(logs))
+    if uncertainty and method not in ("ml", "robust"):
+        raise click.UsageError(f"--uncertainty is of the likelihood: --method {method} has its own standard errors")
     with _progress() as progress:
         spans = [parse_log(log, span) for log in logs]
         result, left_out = fit_logs(spans, card, method, axes, progress, structure, uncertainty, prior), None
@@ -262,6 +264,10 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
         return _print_json(to_mapping(validation))
     from rotorfit.terminal import show, validation_view
 
+    if model.conversion:
+        click.echo(
+            "The model was converted: it is for flights under its new limits, not those that it was fitted to.\n"
+        )
     return show(validation_view(validation))
 
 
@@ -327,6 +333,8 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     from rotorfit.settings import limits_from_text
 
     check_destination(output, MODEL_MARK)
+    if output.exists() and output.samefile(model_path):
+        raise click.UsageError(f"-o {output} is the model that is converted: give the converted one another name")
     model = to_limits(load(model_path), limits_from_text(limits))
     save(model, output)
     if as_json:

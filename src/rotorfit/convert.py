@@ -55,7 +55,8 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
 
     Raises:
         CardError: A limit, unit or size that no card may have.
-        ModelError: The card has no value of the limit, or no command of the card is a fraction of it.
+        ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits are
+            those of the model.
 
     Source: at constant height a tilt t accelerates by 9.81 tan(t).
     """
@@ -64,6 +65,8 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
     for limit in limits:
         for axis in _axes_of(model, limit):
             factors[axis] = gain_factor(limit, model.card.limits[limit], card.limits[limit])
+    if card.limits == model.card.limits:
+        raise ModelError(f"the model already has this {' and '.join(limits)}: nothing to convert")
     converted = replace(
         model,
         card=card,

@@ -87,7 +87,8 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
         f"{when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
         f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
         "data biased",
-        "check the rigid body's markers for swaps and reflections; leave the stretch out by --span",
+        "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "
+        "out, or leave the stretch out by --span",
         "yaw" if what == "yaw" else None,
     )
 

@@ -53,6 +53,10 @@ def finding_view(finding: Finding) -> View:
     yield indented(f"Try: {finding.remedy}.")
 
 
+NOTHING = 1e-7
+"""Below this a number is that of rounding, in whatever unit is shown."""
+
+
 def three_digits(value: float) -> str:
-    """Three significant digits without an exponent: 0.0412, 1.55, 152."""
-    return f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f}" if value > 0 else "0"
+    """Three significant digits without an exponent: 0.0412, 1.55, 152; what is too small to matter is 0."""
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f}" if value > NOTHING else "0"

@@ -305,7 +305,7 @@ def _off(axis: str, mode: Mode) -> str:
     if mode.prediction is None:
         return ""
     scale, unit = (180 / math.pi, "deg/s") if axis == "yaw" else (100.0, "cm/s")
-    return f", 1 s predictions off by {_three_digits(scale * mode.prediction)} {unit}"
+    return f", 1 s predictions there off by {_three_digits(scale * mode.prediction)} {unit}"
 
 
 def validation_view(validation: "Validation") -> View:
