@@ -107,7 +107,8 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
         if same is None:
-            climbed = climb(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
+            rise = climb if number == 0 else maximise  # the levels of the first start have settled where poles are
+            climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
             optima.append(climbed)
