@@ -269,6 +269,14 @@ def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
 
 def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[Finding]:
     """What was left out, flight by flight; `flights` are those without their outliers."""
+    if outliers and not any(outliers):
+        yield Finding(
+            "outliers",
+            "info",
+            f"0 of {sum(flight.pose_time.size for flight in flights)} poses are not where the vehicle was",
+            "none was left out: the numbers are those of --method ml",
+            "nothing",
+        )
     for flight, found in zip(flights, outliers, strict=bool(outliers)):
         if not found:
             continue
