@@ -17,7 +17,7 @@ from rotorfit import __version__
 from rotorfit.card import load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
-from rotorfit.model import load, to_mapping
+from rotorfit.model_file import load, to_mapping
 from rotorfit.simulator import Truth, simulate_flight, write_bag
 from rotorfit.sources import FORMATS
 

@@ -17,7 +17,8 @@ from rotorfit.convert import convert, scaled
 from rotorfit.errors import CardError, ModelError
 from rotorfit.excitation import two_sines
 from rotorfit.frames import AXES
-from rotorfit.model import Combination, Model, load, save, simulate, to_mapping
+from rotorfit.model import Combination, Model, simulate
+from rotorfit.model_file import load, save, to_mapping
 from rotorfit.physics import with_physics
 from rotorfit.pipeline import training_flights
 from rotorfit.plausibility import findings_of_settings

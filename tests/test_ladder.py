@@ -15,8 +15,9 @@ from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.ladder import DIFFERS, LADDER, Ladder, Row, agreement, ladder, to_mapping
-from rotorfit.model import COEFFICIENTS, Axis, from_mapping, unknown_axis
-from rotorfit.model import to_mapping as model_mapping
+from rotorfit.model import COEFFICIENTS, Axis, unknown_axis
+from rotorfit.model_file import from_mapping
+from rotorfit.model_file import to_mapping as model_mapping
 from rotorfit.simulator import Controller, Truth, simulate_flight, write_bag
 
 BREEZE = replace(Truth(), wind_sigma=(0.02, 0.02, 0.1, 0.02))

@@ -11,7 +11,8 @@ from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES
-from rotorfit.model import COEFFICIENTS, Model, to_mapping
+from rotorfit.model import COEFFICIENTS, Model
+from rotorfit.model_file import to_mapping
 from rotorfit.simulator import GAMMA_A, GAMMA_B, GAMMA_F, Truth
 
 QUIET = Truth()

@@ -22,17 +22,13 @@ from rotorfit.model import (
     Axis,
     Model,
     Predictor,
-    from_mapping,
-    is_model_file,
-    load,
     predictor_of,
-    save,
     simulate,
     state_space,
-    to_mapping,
     unknown_axis,
     with_findings,
 )
+from rotorfit.model_file import from_mapping, is_model_file, load, save, to_mapping
 from rotorfit.simulator import GAMMA_B, Truth
 
 Array = np.ndarray

@@ -11,7 +11,8 @@ from flights import flown, steps
 from models import VEHICLE, demo_card, model_of, without
 from rotorfit.fit import fit
 from rotorfit.frames import AXES
-from rotorfit.model import Model, from_mapping, to_mapping
+from rotorfit.model import Model
+from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, physics_rows, with_physics
 from rotorfit.report.page import page
 from rotorfit.report.physics import physics_text

@@ -12,7 +12,8 @@ from rotorfit.card import card_from_mapping
 from rotorfit.errors import FlightError, LogError, ModelError
 from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES
-from rotorfit.model import Model, load, save
+from rotorfit.model import Model
+from rotorfit.model_file import load, save
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,

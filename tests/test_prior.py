@@ -20,7 +20,8 @@ from rotorfit.flight import Flight
 from rotorfit.influence import prior_findings, with_influence
 from rotorfit.likelihood import restriction, score
 from rotorfit.maximum import maximise
-from rotorfit.model import COEFFICIENTS, from_mapping, to_mapping
+from rotorfit.model import COEFFICIENTS
+from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.modes import start_point
 from rotorfit.prior import gaussian_prior, with_prior
 from rotorfit.record import record

@@ -11,7 +11,8 @@ from rotorfit.errors import ModelError
 from rotorfit.fit import fit
 from rotorfit.frames import Array
 from rotorfit.likelihood import START_LEVELS, Point, response, restriction, score
-from rotorfit.model import Axis, from_mapping, simulate, state_space, to_mapping
+from rotorfit.model import Axis, simulate, state_space
+from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.record import record
 from rotorfit.simulator import Truth
 from rotorfit.structure import STRUCTURES, structure_named

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from rotorfit.errors import RotorfitError
     from rotorfit.fit import fit
     from rotorfit.flight import flight_from_log
-    from rotorfit.model import load, save, simulate
+    from rotorfit.model import simulate
+    from rotorfit.model_file import load, save
     from rotorfit.sources import read
     from rotorfit.validation import validate
 
@@ -39,10 +40,10 @@ _HOMES = {
     "RotorfitError": "rotorfit.errors",
     "fit": "rotorfit.fit",
     "flight_from_log": "rotorfit.flight",
-    "load": "rotorfit.model",
+    "load": "rotorfit.model_file",
     "load_card": "rotorfit.card",
     "read": "rotorfit.sources",
-    "save": "rotorfit.model",
+    "save": "rotorfit.model_file",
     "simulate": "rotorfit.model",
     "validate": "rotorfit.validation",
 }

@@ -20,11 +20,11 @@ import numba
 import numpy as np
 
 from rotorfit.disturbance import (
+    axis_start,
     predict_covariance,
     propagate,
     rotate,
     start_covariance,
-    stationary,
     step_tables,
     update_covariance,
 )
@@ -61,9 +61,7 @@ def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: 
     for i in range(B):
         if fresh[i]:
             state[:] = 0.0
-            P[:] = 0.0
-            P[0, 0] = 1.0
-            P[1, 1], P[2, 2] = stationary(levels)
+            axis_start(P, levels)
         else:
             P = F[step[i]] @ P @ F[step[i]].T + levels[0] * Q[step[i]]
             state = state @ F[step[i]].T

@@ -194,15 +194,16 @@ def fit(
     as_json: bool,
 ) -> None:
     """Estimate the coefficients from one or several flights."""
+    from rotorfit.fit import LIKELIHOOD
     from rotorfit.leave_one_out import require_two
-    from rotorfit.model import save, to_mapping
+    from rotorfit.model_file import save, to_mapping
     from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs, parse_log
 
     if output:
         check_destination(output, MODEL_MARK)
     if leaving:
         require_two(len(logs))
-    if uncertainty and method not in ("ml", "robust"):
+    if uncertainty and method not in LIKELIHOOD:
         raise click.UsageError(f"--uncertainty is of the likelihood: --method {method} has its own standard errors")
     with _progress() as progress:
         spans = [parse_log(log, span) for log in logs]
@@ -253,7 +254,7 @@ def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json:
 @_json
 def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, horizons: Any, as_json: bool) -> None:
     """Score a model on flights that were not fitted."""
-    from rotorfit.model import load
+    from rotorfit.model_file import load
     from rotorfit.pipeline import parse_log, validate_logs
     from rotorfit.validation import to_mapping
 
@@ -296,7 +297,7 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof."""
     from rotorfit.forecast import CURVE
-    from rotorfit.model import load
+    from rotorfit.model_file import load
     from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
     from rotorfit.report import write_figures, write_report
 
@@ -328,7 +329,7 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     """Convert a model to other limits: the same drone under another tilt, climb or rotation limit."""
     from rotorfit.convert import convert as to_limits
     from rotorfit.frames import AXES
-    from rotorfit.model import load, save, to_mapping
+    from rotorfit.model_file import load, save, to_mapping
     from rotorfit.pipeline import MODEL_MARK, check_destination
     from rotorfit.settings import limits_from_text
 

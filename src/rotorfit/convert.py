@@ -77,7 +77,8 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
             for k, value in enumerate(model.paper)
         ),
         conversion=_conversion(model, card, factors),
-        uncertainty=None,  # of the flights as they were flown
+        uncertainty=None,  # these two are of the flights as they were flown
+        leave_one_out=None,
     )
     return with_physics(with_findings(converted, _findings(converted)))
 

@@ -10,7 +10,8 @@ from typing import Any
 from rotorfit.errors import LogError
 from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
-from rotorfit.model import COEFFICIENTS, Interval, Model, save
+from rotorfit.model import COEFFICIENTS, Interval, Model
+from rotorfit.model_file import save
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,

@@ -226,12 +226,19 @@ def _step_block(P: Array, F: Array, G: Array) -> None:
 
 
 @numba.njit(cache=True)
+def axis_start(P: Array, levels: Array) -> None:
+    """Fills the covariance P (3, 3) of one axis with what is known before the first pose; levels have shape (4,)."""
+    P[:] = 0.0
+    P[0, 0] = START_POSITION_VARIANCE
+    P[1, 1], P[2, 2] = stationary(levels)
+
+
+@numba.njit(cache=True)
 def start_covariance(P: Array, levels: Array) -> None:
     """Fills the blocks P (3, 3, 3) with what is known before the first pose."""
     P[:] = 0.0
     for a in range(2):
-        P[a, 0, 0] = START_POSITION_VARIANCE
-        P[a, 1, 1], P[a, 2, 2] = stationary(levels[a])
+        axis_start(P[a], levels[a])
 
 
 @numba.njit(cache=True)

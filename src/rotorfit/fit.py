@@ -28,6 +28,7 @@ from rotorfit.profile import height, hold
 from rotorfit.record import DELAY_RANGE, record
 from rotorfit.regression import PaperFit, paper_regression
 from rotorfit.robust import Outliers, without_outliers
+from rotorfit.rung import LEAST_TIME, NORMAL
 from rotorfit.rungs import axes_by_rung
 from rotorfit.select import AUTO, Choice, choose, lost_candidate
 from rotorfit.settle import with_levels
@@ -37,11 +38,8 @@ from rotorfit.structure import FIRST_ORDER_DELAY, structure_named
 Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
 
-LEAST_TIME = 5.0
-"""Scored time below which an axis is too short to tell anything [s]."""
-
-NORMAL = 1.959963984540054
-"""97.5 % point of the normal distribution, for the regression's intervals."""
+LIKELIHOOD = ("ml", "robust")
+"""The methods that maximise the likelihood."""
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
@@ -96,22 +94,7 @@ def fit(
         CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
         ModelError: No such structure, or one other than the default with a method other than the likelihood.
     """
-    if structure != AUTO:
-        structure_named(structure)
-    if method != "ml" and structure != STRUCTURE:
-        raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
-    if prior and structure != STRUCTURE:
-        raise ModelError("priors are for the default structure: leave --prior or --structure out")
-    if not flights:
-        raise FlightError("no flight to fit: give at least one log")
-    if any(f.card.raw != flights[0].card.raw for f in flights):
-        raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
-    if prior and method not in ("ml", "robust"):
-        raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
-    if prior and not flights[0].card.prior:
-        raise CardError(
-            "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
-        )
+    _check(flights, method, structure, prior)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
@@ -128,13 +111,8 @@ def fit(
     groups = _groups(flights, wanted)
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if method in ("ml", "robust"):
-            estimated = _estimate_group(flights, group, priors)
-            found, covariance = _group_axes(flights, group, estimated)
-            if structure != STRUCTURE and estimated:
-                estimated, found, covariance = _other_structures(
-                    flights, group, estimated, found, covariance, structure
-                )
+        if method in LIKELIHOOD:
+            estimated, found, covariance = _likelihood_group(flights, group, priors, structure)
             estimates |= estimated
         elif method == "paper":
             found, covariance = _paper_group(flights, group, paper)
@@ -161,6 +139,37 @@ def fit(
     kept = {axis: e for axis, e in estimates.items() if axis in wanted}
     remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
     return Fit(with_physics(model), tuple(flights), paper, kept, remarks, outliers)
+
+
+def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
+    """Refuses what does not go together; see `fit`."""
+    if structure != AUTO:
+        structure_named(structure)
+    if method != "ml" and structure != STRUCTURE:
+        raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
+    if prior and structure != STRUCTURE:
+        raise ModelError("priors are for the default structure: leave --prior or --structure out")
+    if not flights:
+        raise FlightError("no flight to fit: give at least one log")
+    if any(f.card.raw != flights[0].card.raw for f in flights):
+        raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    if prior and method not in LIKELIHOOD:
+        raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
+    if prior and not flights[0].card.prior:
+        raise CardError(
+            "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
+        )
+
+
+def _likelihood_group(
+    flights: Sequence[Flight], group: Sequence[str], priors: Mapping[str, Mapping[str, Prior]], structure: str
+) -> tuple[dict[str, Estimate], dict[str, Axis], Blocks]:
+    """The axes of one group by the likelihood, under the structure that is asked for."""
+    estimates = _estimate_group(flights, group, priors)
+    axes, covariance = _group_axes(flights, group, estimates)
+    if structure == STRUCTURE or not estimates:
+        return estimates, axes, covariance
+    return _other_structures(flights, group, estimates, axes, covariance, structure)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:

@@ -1,25 +1,21 @@
-"""Model: coefficients with their uncertainty, disturbance levels, and where they come from. Simulate, save, load."""
+"""Model: coefficients with their uncertainty, disturbance levels, and where they come from; simulation."""
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from rotorfit import __version__
-from rotorfit.accuracy import PriorUse, Uncertainty, uncertainty_from_mapping
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.accuracy import PriorUse, Uncertainty
+from rotorfit.card import Card
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
 from rotorfit.frames import AXES, Array
-from rotorfit.settings import Conversion, Figure, Quantity
+from rotorfit.settings import Conversion, Quantity
 from rotorfit.structure import FIRST_ORDER_DELAY, law_of, structure_named
 
-FORMAT = "rotorfit-model"
-VERSION = 1
 COEFFICIENTS = ("input", "damping", "delay")
 STRUCTURE = FIRST_ORDER_DELAY.name
 
@@ -390,150 +386,3 @@ def simulate(
     side = run([2, 3], np.zeros(time.size))
     plane = run([0, 1], np.ascontiguousarray(side[:, 1]))
     return Trajectory(time, np.hstack([plane[:, :2], side[:, :2]]), np.hstack([plane[:, 2:], side[:, 2:]]))
-
-
-def save(model: Model, path: str | Path) -> None:
-    """Writes a model file (JSON, without NaN)."""
-    Path(path).write_text(json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
-
-
-def load(path: str | Path) -> Model:
-    """Reads a model file.
-
-    Raises:
-        ModelError: If it is missing, no model file, or of a newer version.
-    """
-    try:
-        raw = json.loads(Path(path).read_text())
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
-        ) from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ModelError(f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`") from None
-    return from_mapping(raw, str(path))
-
-
-def is_model_file(path: str | Path) -> bool:
-    """Whether a file is a model, by content."""
-    with Path(path).open("rb") as file:
-        return file.read(4096).lstrip()[:1] == b"{" and FORMAT.encode() in Path(path).read_bytes()[:4096]
-
-
-def to_mapping(model: Model) -> dict[str, Any]:
-    """The model as plain JSON types."""
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "rotorfit": model.rotorfit,
-        "card": dict(model.card.raw),
-        "structure": model.structure,
-        "method": model.method,
-        "gamma": list(model.gamma),
-        "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
-        "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
-        "paper": {"gamma": list(model.paper)},
-        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
-        "conversion": asdict(model.conversion) if model.conversion else None,
-        "findings": [asdict(finding) for finding in model.findings],
-        "flights": [asdict(flight) for flight in model.flights],
-        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
-        "uncertainty": model.uncertainty and asdict(model.uncertainty),
-        "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
-    }
-
-
-def _axis_mapping(axis: Axis) -> dict[str, Any]:
-    """An axis as plain types; what only other structures have is left out where it is empty."""
-    raw = asdict(axis)
-    if raw["predictor"] and not raw["predictor"]["extra"]:
-        del raw["predictor"]["extra"]
-    for name in ("extra", "plain", "candidates", "samples"):
-        if not raw[name]:
-            del raw[name]
-    return raw
-
-
-def from_mapping(raw: Any, where: str) -> Model:
-    """A model from the plain types of a model file.
-
-    Raises:
-        ModelError: If it is not one, or of a newer version.
-    """
-    if not isinstance(raw, dict) or raw.get("format") != FORMAT:
-        raise ModelError(f"{where}: not a rotorfit model; give a file written by `rotorfit fit -o`")
-    if raw.get("version") != VERSION:
-        raise ModelError(
-            f"{where}: model version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
-        )
-    try:
-        return Model(
-            card=card_from_mapping(raw["card"], where),
-            structure=raw["structure"],
-            method=raw["method"],
-            axes={name: _axis(raw["axes"][name]) for name in AXES},
-            covariance_names=tuple(raw["covariance"]["names"]),
-            covariance=np.array(raw["covariance"]["matrix"], float).reshape((len(raw["covariance"]["names"]),) * 2),
-            paper=tuple(raw["paper"]["gamma"]),
-            findings=tuple(Finding(**finding) for finding in raw["findings"]),
-            flights=tuple(_source(flight) for flight in raw["flights"]),
-            rotorfit=raw["rotorfit"],
-            uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
-            prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
-            physics={
-                name: {key: _quantity(part) for key, part in parts.items()}
-                for name, parts in raw.get("physics", {}).items()
-            },
-            conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
-            leave_one_out=raw.get("leave_one_out"),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
-
-
-def _axis(raw: Mapping[str, Any]) -> Axis:
-    from rotorfit.disturbance import LEVELS  # on use: numba takes longer than naming a model may
-
-    if raw["noise"] and set(raw["noise"]) != {*LEVELS, "trim_variance"}:
-        raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
-    return Axis(
-        **{
-            **raw,
-            "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()},
-            "trim": tuple(raw["trim"]),
-            "predictor": Predictor(**raw["predictor"]) if raw["predictor"] else None,
-            "combinations": {
-                name: Combination(part["value"], tuple(part["ci95"])) for name, part in raw["combinations"].items()
-            },
-            "modes": tuple(Mode(**mode) for mode in raw["modes"]),
-            "profile": tuple((delay, value) for delay, value in raw["profile"]),
-            "structure": structure_named(raw.get("structure", STRUCTURE)).name,
-            "plain": _plain(raw["plain"]) if raw.get("plain") else None,
-            "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
-        }
-    )
-
-
-def _quantity(raw: Mapping[str, Any]) -> Quantity:
-    figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
-    known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
-    return Quantity(**{**raw, **known})
-
-
-def _plain(raw: Mapping[str, Any]) -> Plain:
-    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}})
-
-
-def _candidate(raw: Mapping[str, Any]) -> Candidate:
-    changes = {name: tuple(raw[name]) if raw[name] else None for name in ("velocity_change", "position_change")}
-    return Candidate(**{**raw, **changes})
-
-
-def _source(raw: Mapping[str, Any]) -> Source:
-    return Source(
-        path=raw["path"],
-        sha256=raw["sha256"],
-        span=tuple(raw["span"]),
-        notes=tuple(Note(**note) for note in raw["notes"]),
-        axes=tuple(raw["axes"]),
-    )

@@ -20,7 +20,8 @@ from rotorfit.influence import with_influence
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
-from rotorfit.model import STRUCTURE, Model, is_model_file, load, with_findings
+from rotorfit.model import STRUCTURE, Model, with_findings
+from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.sources import read

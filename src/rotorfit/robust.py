@@ -21,7 +21,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from rotorfit.disturbance import distinct_steps, stationary, step_tables
+from rotorfit.disturbance import axis_start, distinct_steps, step_tables
 from rotorfit.estimate import Estimate
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note
@@ -108,9 +108,7 @@ def student_filter(steps: Array, step: Any, fresh: Any, residual: Array, levels:
     for i in range(N):
         if fresh[i]:
             state[:] = 0.0
-            P[:] = 0.0
-            P[0, 0] = 1.0
-            P[1, 1], P[2, 2] = stationary(levels)
+            axis_start(P, levels)
         else:
             P = F[step[i]] @ P @ F[step[i]].T + levels[0] * Q[step[i]]
             state = F[step[i]] @ state

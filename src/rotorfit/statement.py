@@ -14,19 +14,14 @@ from rotorfit.model import COEFFICIENTS, Axis, Combination, Interval, Mode, Pred
 from rotorfit.modes import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.profile import profile, quantile
 from rotorfit.record import DELAY_RANGE
+from rotorfit.rung import WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.settle import noise_of
 
 Blocks = dict[tuple[str, ...], Array]
 """Names of coefficients, such as `x.input`, to their covariance: one block a likelihood."""
 
-WIDEST_INPUT = 10.0
-"""Ratio of the ends of the input gain's interval beyond which it is not identifiable."""
-
 WIDEST_DAMPING = 6.0
 """Ratio of the ends of the damping's interval beyond which it is not identifiable."""
-
-WIDEST_DELAY = 0.4
-"""Width of the delay's interval beyond which it is not identifiable [s]."""
 
 AT_BOUND = 1e-4
 """How close to an end of its range a delay is at it [s]."""

@@ -20,7 +20,8 @@ from rotorfit.likelihood import inverted, response, score, segments, whiten
 from rotorfit.maximum import Optimum, pressed
 from rotorfit.model import COEFFICIENTS, Combination
 from rotorfit.prior import with_prior
-from rotorfit.record import BLOCK_RATE, Record
+from rotorfit.record import Record
+from rotorfit.regression import newey_west
 from rotorfit.scatter import scatter
 
 OBSERVED_STEP = 0.5
@@ -157,7 +158,7 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         Shape (n, n).
     """
     point, n, K, F = optimum.point, optimum.point.n, optimum.point.gain.size, len(records)
-    lags, first = round(LAG * BLOCK_RATE), n - point.trim.size - point.start.size  # of the trims
+    first = n - point.trim.size - point.start.size  # of the trims
     filling = np.zeros((n, n))
     for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
         mean, sensitivity = response(rec, point, j, point.start[at])
@@ -170,10 +171,7 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         segment = at.start + np.cumsum(rec.fresh) - 1
         for k in range(K):
             contribution[np.arange(len(parts)), first + F * K + segment * K + k] = parts[:, first + K + k]
-        filling += contribution.T @ contribution
-        for lag in range(1, min(lags, len(parts))):
-            product = contribution[lag:].T @ contribution[:-lag]
-            filling += (1 - lag / lags) * (product + product.T)
+        filling += newey_west(rec.block_time, contribution, LAG)
     if optimum.prior is not None:  # what is believed is uncertain, too
         believed = np.arange(optimum.prior.mean.size)
         filling[believed, believed] += optimum.prior.precision

@@ -18,6 +18,8 @@ import numpy as np
 from rotorfit.finding import Finding
 from rotorfit.frames import Array
 from rotorfit.long_run import frequencies, quantile, variance_of_mean
+from rotorfit.model import COEFFICIENTS
+from rotorfit.regression import newey_west
 
 REACH = 1.0
 """How far back the tests look [s]."""
@@ -42,10 +44,6 @@ LEAST_BLOCKS = 100
 
 DISTINCT = 1e-3
 """Share of the largest variance below which a combination of past commands is left out: it is a copy of the others."""
-
-
-COEFFICIENTS = ("input", "damping", "delay")
-"""Columns of the sensitivities."""
 
 
 @dataclass(frozen=True)
@@ -223,24 +221,14 @@ def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tupl
     """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
 
     To what the innovations scatter comes what the model's own coefficients may be off by.
+
+    Source: lags of the kernel by W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9).
     """
     scores = u * (innovations.innovation - innovations.innovation.mean())[:, None]
+    lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * _step(innovations.time)
     through = u.T @ innovations.sensitivity
-    return scores.sum(axis=0), _newey_west(scores) + through @ covariance @ through.T
-
-
-def _newey_west(scores: Array) -> Array:
-    """Covariance of the sum of scores (B, m) about their mean, Bartlett weights.
-
-    Source: W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9) lags.
-    """
-    reach = int(4 * (len(scores) / 100) ** (2 / 9))
-    scores = scores - scores.mean(axis=0)
-    out = scores.T @ scores
-    for k in range(1, reach + 1):
-        part = scores[k:].T @ scores[:-k]
-        out += (1 - k / (reach + 1)) * (part + part.T)
-    return np.asarray(out)
+    spread = newey_west(innovations.time, scores - scores.mean(axis=0), lag)
+    return scores.sum(axis=0), spread + through @ covariance @ through.T
 
 
 def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
