@@ -1,4 +1,4 @@
-"""Simulated flights for the coverage benchmark: drawn by Latin hypercube, flown in the virtual flight room.
+"""Simulated flights for the coverage benchmark: drawn by Latin hypercube, flown by the paper's vehicle.
 
 Nothing here is known to the estimator. The Cramer-Rao bound of a flight is the likelihood's information at the truth.
 """
@@ -16,21 +16,8 @@ from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES, Array
 from rotorfit.likelihood import Point, inverted, score
 from rotorfit.model import COEFFICIENTS
+from rotorfit.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
 from rotorfit.record import record
-from rotorfit.simulator import (
-    GAMMA_A,
-    GAMMA_B,
-    GAMMA_C,
-    GAMMA_E,
-    GAMMA_F,
-    Controller,
-    Truth,
-    as_log,
-    simulate_flight,
-)
-
-SETS = {"A": GAMMA_A, "B": GAMMA_B, "E": GAMMA_E, "F": GAMMA_F, "C": (*GAMMA_C[:7], 2.70)}
-"""Published coefficients; C's yaw is unstable as published and gets the damping of B."""
 
 DURATION = 60.0
 WEAK_DURATION = 20.0
@@ -85,7 +72,7 @@ def designs(count: int, closed: bool, weak: bool = False, seed: int = 0) -> list
 
 
 def _design(seed: int, u: Array, closed: bool, weak: bool) -> Design:
-    name = "E" if weak else tuple(SETS)[min(int(5 * u[0]), 4)]
+    name = "E" if weak else tuple(STABLE)[min(int(5 * u[0]), 4)]
     delay = 0.3 * u[1:5]
     if weak:
         delay = np.where(delay < 0.15, 0.0, delay)
@@ -93,7 +80,7 @@ def _design(seed: int, u: Array, closed: bool, weak: bool) -> Design:
     wind = 0.2 if weak else 0.01 * 20 ** u[6]
     turning = bool(u[8] > 0.5)
     truth = Truth(
-        gamma=SETS[name],
+        gamma=STABLE[name],
         delay=tuple(float(d) for d in delay),  # type: ignore[arg-type]
         trim=TRIM,
         wind_sigma=(wind, wind, wind, YAW_WIND * wind * (1.0 if turning else 0.125)),

@@ -8,19 +8,9 @@ from flights import CARD, steps
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES
 from rotorfit.log import Log
-from rotorfit.simulator import (
-    GAMMA_A,
-    GAMMA_B,
-    GAMMA_C,
-    GAMMA_E,
-    GAMMA_F,
-    Controller,
-    Truth,
-    as_log,
-    simulate_flight,
-)
+from rotorfit.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
 
-VEHICLES = (GAMMA_A, GAMMA_B, GAMMA_E, GAMMA_F, (*GAMMA_C[:7], 2.70))
+VEHICLES = tuple(STABLE.values())
 ACCELERATION = np.array([0.8, 0.8, 0.8, 1.2])
 """What the steps ask for [m/s^2, rad/s^2]: well excited, whatever the vehicle; commands stay within full scale."""
 

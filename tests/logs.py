@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from rotorfit.cli import main
 from rotorfit.frames import AXES, Array
-from rotorfit.simulator import SimulatedFlight
+from rotorfit.paper_vehicle import SimulatedFlight
 
 CARD = """
 [command]

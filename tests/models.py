@@ -11,7 +11,7 @@ from flights import CARD
 from rotorfit.card import Card, card_from_mapping
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, unknown_axis
-from rotorfit.simulator import GAMMA_B
+from rotorfit.paper_vehicle import GAMMA_B
 
 Point = tuple[float, float, float]
 

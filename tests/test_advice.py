@@ -12,8 +12,8 @@ from rotorfit.finding import Finding
 from rotorfit.fit import Fit, fit
 from rotorfit.flight import Segment
 from rotorfit.model import Mode, Predictor
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.record import DELAY_RANGE
-from rotorfit.simulator import GAMMA_B, Truth
 
 NO_STALE = replace(Truth(), stale_share=0.0)
 

@@ -9,8 +9,8 @@ from flights import flown, steps
 from rotorfit.bootstrap import BLOCK_TIME, bootstrap, coloured, drawn
 from rotorfit.estimate import Estimate, alone
 from rotorfit.likelihood import inverted, whiten
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import record
-from rotorfit.simulator import Truth
 
 
 @cache

@@ -18,7 +18,7 @@ from rotorfit.card import load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.model_file import load, to_mapping
-from rotorfit.simulator import Truth, simulate_flight, write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.sources import FORMATS
 
 VERBS = ["demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "cards", "formats"]

@@ -9,7 +9,7 @@ from flights import flown, steps
 from rotorfit.constancy import LEVEL, Constancy, changed_coefficients, constancy
 from rotorfit.fit import Fit, fit
 from rotorfit.flight import Flight
-from rotorfit.simulator import GAMMA_B, Truth
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 
 TRUTH = replace(Truth(), stale_share=0.0)
 

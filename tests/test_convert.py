@@ -19,12 +19,12 @@ from rotorfit.excitation import two_sines
 from rotorfit.frames import AXES
 from rotorfit.model import Combination, Model, simulate
 from rotorfit.model_file import load, save, to_mapping
+from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.physics import with_physics
 from rotorfit.pipeline import training_flights
 from rotorfit.plausibility import findings_of_settings
 from rotorfit.report.reproduce import recipe_of
 from rotorfit.settings import limits_from_text
-from rotorfit.simulator import Truth, simulate_flight, write_bag
 
 OTHER = limits_from_text("tilt=35deg,vertical_speed=3,yaw_rate=40deg/s")
 BACK = limits_from_text("tilt=20deg,vertical_speed=1.2m/s,yaw_rate=100deg/s")

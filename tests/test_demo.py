@@ -13,7 +13,7 @@ from rotorfit.demo import Demo, demo, demo_mapping, recovered, scores
 from rotorfit.errors import LogError
 from rotorfit.flight import flight_from_log
 from rotorfit.model_file import load, to_mapping
-from rotorfit.simulator import as_log, demo_flights
+from rotorfit.paper_vehicle import as_log, demo_flights
 from rotorfit.sources import read
 from rotorfit.terminal import demo_view, show
 

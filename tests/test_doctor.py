@@ -20,7 +20,7 @@ from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import Array, world_from_heading
-from rotorfit.simulator import (
+from rotorfit.paper_vehicle import (
     GAMMA_B,
     Controller,
     Excitation,

@@ -12,7 +12,7 @@ from logs import Csv, ran, said
 from rotorfit.excitation import two_sines
 from rotorfit.fit import LEAST_TIME
 from rotorfit.frames import Array
-from rotorfit.simulator import GAMMA_B, Truth, simulate_flight
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 
 TRUTH = replace(Truth(), stale_share=0.0)
 Z = steps(("z",), seed=2)

@@ -41,7 +41,7 @@ from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.fit import LEAST_TIME, fit
 from rotorfit.frames import AXES, UNIT_SCALE
-from rotorfit.simulator import Controller, SimulatedFlight, Truth, simulate_flight
+from rotorfit.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
 from rotorfit.sources import FORMATS
 from rotorfit.statement import DIVERGED, WIDEST_DAMPING, WIDEST_DELAY, WIDEST_INPUT
 from test_river import RIVER

@@ -9,8 +9,8 @@ from flights import STILL, flown, muddled, steps, truth_of
 from rotorfit.estimate import alone, coupled, free_of, together
 from rotorfit.flight import Flight
 from rotorfit.maximum import maximise
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import Record, record
-from rotorfit.simulator import Truth
 
 
 def swaying(heading: float, sway: float, truth: Truth = STILL, axes: tuple[str, ...] = ("x", "y", "yaw")) -> Flight:

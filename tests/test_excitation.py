@@ -22,7 +22,7 @@ def test_two_sines_are_the_formulas_of_the_paper() -> None:
         )
         for t in TIME.tolist()
     ]
-    np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("axes", "columns"), [(("x", "y"), [0, 1]), (("z",), [2]), (("yaw",), [3]), ((), [])])

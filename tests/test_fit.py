@@ -15,8 +15,8 @@ from rotorfit.fit import Fit, fit, with_delay_profiles
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Interval
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.record import DELAY_RANGE
-from rotorfit.simulator import GAMMA_B, Truth
 
 
 @cache

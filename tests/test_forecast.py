@@ -20,7 +20,7 @@ from rotorfit.forecast import (
     score_predictions,
 )
 from rotorfit.frames import AXES, heading_from_world
-from rotorfit.simulator import GAMMA_B, Truth
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 
 Array = np.ndarray
 

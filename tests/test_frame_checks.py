@@ -9,8 +9,8 @@ from flights import CARD, flown, steps, turned
 from rotorfit.flight import Flight
 from rotorfit.frame_checks import directions, frame_findings
 from rotorfit.frames import heading_from_world
+from rotorfit.paper_vehicle import Controller, Truth
 from rotorfit.regression import motion_from_flight
-from rotorfit.simulator import Controller, Truth
 
 TRUTH = replace(Truth(), stale_share=0.0)
 BOTH = ["x", "y"]

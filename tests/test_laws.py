@@ -13,7 +13,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Model
 from rotorfit.model_file import to_mapping
-from rotorfit.simulator import GAMMA_A, GAMMA_B, GAMMA_F, Truth
+from rotorfit.paper_vehicle import GAMMA_A, GAMMA_B, GAMMA_F, Truth
 
 QUIET = Truth()
 """The demo's wind and mocap."""

@@ -13,7 +13,7 @@ from rotorfit.fit import fit
 from rotorfit.flight import Flight
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.model_file import from_mapping, to_mapping
-from rotorfit.simulator import GAMMA_B, Truth
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.validation import validate
 
 SEEDS = (1, 2, 3)

@@ -22,8 +22,8 @@ from rotorfit.likelihood import (
     segments,
     whiten,
 )
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import DELAY_RANGE, Record, record
-from rotorfit.simulator import Truth
 
 Array = np.ndarray
 

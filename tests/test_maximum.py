@@ -13,8 +13,8 @@ from rotorfit.excitation import two_sines
 from rotorfit.likelihood import START_LEVELS, Point, restriction, score
 from rotorfit.maximum import climb, limited, maximise, pressed
 from rotorfit.modes import STARTS, start_point
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import DELAY_RANGE, Record, record
-from rotorfit.simulator import Truth
 
 Array = np.ndarray
 

@@ -29,7 +29,7 @@ from rotorfit.model import (
     with_findings,
 )
 from rotorfit.model_file import from_mapping, is_model_file, load, save, to_mapping
-from rotorfit.simulator import GAMMA_B, Truth
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 
 Array = np.ndarray
 

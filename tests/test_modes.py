@@ -25,8 +25,8 @@ from rotorfit.modes import (
     trim_variance,
     without_input,
 )
+from rotorfit.paper_vehicle import GAMMA_E, Controller, Truth
 from rotorfit.record import BLOCK_RATE, Record, record
-from rotorfit.simulator import GAMMA_E, Controller, Truth
 
 
 def searched(flight: Flight, axes: tuple[str, ...]) -> tuple[Sequence[Record], tuple[Found, ...]]:

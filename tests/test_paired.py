@@ -12,7 +12,7 @@ from rotorfit.forecast import StartErrors, hold_velocity, predict_flight, score_
 from rotorfit.frames import AXES, Array
 from rotorfit.long_run import variance_of_mean
 from rotorfit.paired import Difference, Paired, independent_frequencies, paired_test
-from rotorfit.simulator import Controller, Truth
+from rotorfit.paper_vehicle import Controller, Truth
 from rotorfit.validation import dynamics_from_model
 from test_validation import of
 

@@ -13,11 +13,11 @@ from rotorfit.fit import fit
 from rotorfit.frames import AXES
 from rotorfit.model import Model
 from rotorfit.model_file import from_mapping, to_mapping
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, physics_rows, with_physics
 from rotorfit.report.page import page
 from rotorfit.report.physics import physics_text
 from rotorfit.settings import Figure, Quantity
-from rotorfit.simulator import GAMMA_B, Truth
 from rotorfit.terminal import model_view
 from rotorfit.validation import Validation
 

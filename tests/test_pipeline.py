@@ -14,6 +14,7 @@ from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES
 from rotorfit.model import Model
 from rotorfit.model_file import load, save
+from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,
@@ -29,7 +30,6 @@ from rotorfit.pipeline import (
     training_flights,
     validate_logs,
 )
-from rotorfit.simulator import Truth, simulate_flight, write_bag
 from rotorfit.validation import to_mapping, validate
 
 

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from flights import STILL, flown, steps
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight
+from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.prediction import coast, predict
-from rotorfit.simulator import GAMMA_B, Truth
 
 Array = np.ndarray
 

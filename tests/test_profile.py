@@ -13,9 +13,9 @@ from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.likelihood import degrees_of_freedom, inverted, score
 from rotorfit.maximum import Optimum, maximise
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.profile import height, hold, profile, quantile
 from rotorfit.record import DELAY_RANGE, Record
-from rotorfit.simulator import Truth, simulate_flight
 
 INDEX = {"input": 0, "damping": 1, "delay": 2}
 

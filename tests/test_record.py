@@ -8,8 +8,8 @@ import pytest
 from flights import by_hand, flown, steps, turned
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record, record
-from rotorfit.simulator import Truth
 
 
 def whole(flight: Flight, axes: tuple[str, ...]) -> Record:

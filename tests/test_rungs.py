@@ -13,9 +13,9 @@ from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES
 from rotorfit.instrument import COMMAND, REFERENCE, iv
 from rotorfit.model import COEFFICIENTS
+from rotorfit.paper_vehicle import Controller, Truth, simulate_flight
 from rotorfit.rung import RungFit, axis_of_rung
 from rotorfit.rungs import NOT_VALID, RUNGS, axes_by_rung
-from rotorfit.simulator import Controller, Truth, simulate_flight
 
 GROUPS = (("x", "y"), ("z",), ("yaw",))
 LIMIT = 3e-4

@@ -16,8 +16,8 @@ from rotorfit.flight import Flight
 from rotorfit.leave_one_out import leave_one_out
 from rotorfit.model import Axis
 from rotorfit.model_file import from_mapping, to_mapping
+from rotorfit.paper_vehicle import Truth
 from rotorfit.select import NEAR, HeldOut, change_of
-from rotorfit.simulator import Truth
 from rotorfit.terminal import model_view, show
 
 

@@ -13,8 +13,8 @@ from rotorfit.frames import Array
 from rotorfit.likelihood import START_LEVELS, Point, response, restriction, score
 from rotorfit.model import Axis, simulate, state_space
 from rotorfit.model_file import from_mapping, to_mapping
+from rotorfit.paper_vehicle import Truth
 from rotorfit.record import record
-from rotorfit.simulator import Truth
 from rotorfit.structure import STRUCTURES, structure_named
 from rotorfit.validation import residuals, validate
 

@@ -16,7 +16,7 @@ from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import hold_velocity, predict_flight, score_predictions
 from rotorfit.frames import AXES
 from rotorfit.model import Model, Predictor, unknown_axis
-from rotorfit.simulator import GAMMA_B, Truth, simulate_flight
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.validation import dynamics_from_model, residuals, to_mapping, validate
 
 NOISE: Mapping[str, float] = {

@@ -11,7 +11,7 @@ from rotorfit.fit import fit
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
 from rotorfit.model import Model
-from rotorfit.simulator import Controller, Truth
+from rotorfit.paper_vehicle import Controller, Truth
 from rotorfit.validation import coefficient_covariance, residual_tests_of_flight, residuals, validate
 from rotorfit.whiteness import (
     Innovations,

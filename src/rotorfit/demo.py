@@ -12,6 +12,7 @@ from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Interval, Model
 from rotorfit.model_file import save
+from rotorfit.paper_vehicle import SimulatedFlight, Truth, demo_flights, write_bag
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,
@@ -21,7 +22,6 @@ from rotorfit.pipeline import (
     fit_logs,
     validate_logs,
 )
-from rotorfit.simulator import SimulatedFlight, Truth, demo_flights, write_bag
 from rotorfit.validation import Validation, to_mapping
 
 Progress = Callable[[float, str], None]

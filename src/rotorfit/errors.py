@@ -4,7 +4,9 @@
     |-- LogError           a file that is missing, empty, damaged or of no known format
     |-- CardError          a card that is wrong, or that names what the log does not hold
     |-- FlightError        a log that holds no usable flight: no pose, no commands, time that runs backwards
-    `-- ModelError         a model file that is missing, damaged, or too new; a model asked for what it does not hold
+    |-- ModelError         a model file that is missing, damaged, or too new; a model asked for what it does not hold
+    |-- PlanError          a plan that cannot be made, read, or flown within its limits
+    `-- LinkError          a vehicle that cannot be reached, or that must not be flown as it stands
 
 What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with its trace.
 """
@@ -28,3 +30,11 @@ class FlightError(RotorfitError):
 
 class ModelError(RotorfitError):
     """The model file cannot be used: missing, damaged, of a newer version, or without the axis that was asked for."""
+
+
+class PlanError(RotorfitError):
+    """The plan cannot be made or used: a damaged file, an envelope that it would leave, an axis that nobody commands."""
+
+
+class LinkError(RotorfitError):
+    """The vehicle cannot be reached or must not be flown: no link, no pose, outside the box, an empty battery."""

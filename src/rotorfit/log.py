@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy.typing as npt
 
@@ -45,3 +45,21 @@ class Log:
     tables: Mapping[str, Table]
     skipped: Mapping[str, str]
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One stamped value of one stream of a live link; the same whether it comes from a vehicle, a simulator or a log.
+
+    Attributes:
+        stream: `pose`: x, y, z [m], then the quaternion w, x, y, z, world z up. `velocity`: x, y, z [m/s] and yaw rate
+            [rad/s] by the vehicle's own sensors, heading frame. `battery`: what is left, 0 to 1.
+        stamp: When it was measured, by the sender's clock [ns].
+        received: When it arrived, by the link's clock [ns].
+        values: The numbers.
+    """
+
+    stream: Literal["pose", "velocity", "battery"]
+    stamp: int
+    received: int
+    values: tuple[float, ...]

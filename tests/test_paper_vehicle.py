@@ -12,7 +12,7 @@ from rotorfit.errors import LogError
 from rotorfit.excitation import two_sines
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import Array, world_from_heading
-from rotorfit.simulator import (
+from rotorfit.paper_vehicle import (
     GAMMA_A,
     GAMMA_B,
     HOVER_HEIGHT,

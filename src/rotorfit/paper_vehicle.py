@@ -1,4 +1,4 @@
-"""The virtual flight room: the paper's vehicle with a delay, slow wind, motion capture, and a known truth.
+"""The paper's vehicle: its eq. (5) with a delay, slow wind, motion capture, and a known truth.
 
     p' = v
     v' = R(psi) (G_B u(t - tau) - G_A R(psi)^T v + c) + w      G_A, G_B diagonal; c trim, in the heading frame
@@ -23,6 +23,7 @@ from rotorfit.errors import LogError
 from rotorfit.excitation import two_sines
 from rotorfit.frames import Array
 from rotorfit.log import Log, Table
+from rotorfit.published import PUBLISHED
 
 Integers = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -30,15 +31,15 @@ Four = tuple[float, float, float, float]  # one value for each of x, y, z, yaw
 Excitation = Callable[[Array], Array]  # commands as a function of time since the start: (N,) [s] -> (N, 4)
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Published gamma_1..gamma_8 of eq. (4): input and damping of x, y, z, yaw in turn. Yaw with negative damping runs away.
-GAMMA_PAPER = (4.33, 0.23, 4.12, 0.41, 4.42, 3.13, 5.92, -0.38)  # Bebop 2, Vicon: paper, section 5
-# Bebop 2: configuration of jrsbenevides/drone_dev. A: onboard odometry; B: Vicon, 2019-09-18; C: Vicon, 2018-10-15
-GAMMA_A = (1.7420, 0.9402, 1.5441, 0.8963, 3.3489, 3.2947, 6.5121, 3.9219)
-GAMMA_B = (3.6976, 0.1832, 3.8513, 0.3573, 2.4596, 2.1683, 4.4168, 2.7023)
-GAMMA_C = (4.5752, 0.1149, 5.2296, 0.2364, 4.4206, 3.1341, 5.9289, -0.3868)
-# Bebop 2 (E) and AR.Drone 2 (F): public controllers of the NERO group (UFV/UFES)
-GAMMA_E = (0.8417, 0.18227, 0.8354, 0.17095, 3.966, 4.001, 9.8524, 4.7295)
-GAMMA_F = (14.72, 0.2766, 6.233, 0.53, 2.6504, 2.576, 0.3788, 1.5216)
+
+def _gamma(name: str) -> tuple[float, ...]:
+    """gamma_1..gamma_8 of eq. (4) as published: input and damping of x, y, z, yaw in turn."""
+    return next(cast("tuple[float, ...]", known.gamma) for known in PUBLISHED if known.name == name)
+
+
+GAMMA_PAPER, GAMMA_A, GAMMA_B, GAMMA_C, GAMMA_E, GAMMA_F = (_gamma(name) for name in ("paper", "A", "B", "C", "E", "F"))
+STABLE = {"A": GAMMA_A, "B": GAMMA_B, "E": GAMMA_E, "F": GAMMA_F, "C": (*GAMMA_C[:7], GAMMA_B[7])}
+"""Published vehicles whose four axes are stable; C's yaw runs away as published and gets the damping of B."""
 
 HOVER_HEIGHT = 2.0  # m, where a flight starts, at rest, above the world's origin
 WIND_PERIOD = 0.01  # s between the nodes of the wind, see `_wind`
@@ -80,7 +81,6 @@ class Truth:
     command_jitter: float = 0.002
 
     def __post_init__(self) -> None:
-        four = (self.delay, self.trim, self.wind_sigma, self.wind_time, self.mocap_noise)
         four = (self.delay, self.trim, self.wind_sigma, self.wind_time, self.mocap_noise)
         if len(self.gamma) != 8 or {len(value) for value in four} != {4}:
             raise ValueError("gamma has 8 values; delay, trim, wind_sigma, wind_time and mocap_noise have 4 each")
