@@ -33,7 +33,7 @@ class ModelError(RotorfitError):
 
 
 class PlanError(RotorfitError):
-    """The plan cannot be made or used: a damaged file, an envelope that it would leave, an axis that nobody commands."""
+    """The plan cannot be made or used: a damaged file, an envelope that it leaves, an axis without a command."""
 
 
 class LinkError(RotorfitError):
