@@ -89,6 +89,8 @@ RIVER = (
     "excitation",
     "paper_vehicle",
     "plan",
+    "axis_information",
+    "optimal",
     "links",
     "report",
     "demo",
