@@ -9,13 +9,15 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize
 
 from flights import recorded
-from rotorfit.axis_information import AxisInformation, Dynamics, axis_information
+from rotorfit.axis_information import AxisInformation, axis_information
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Steps, paper_sines, value
 from rotorfit.frames import Array
+from rotorfit.held_motion import Dynamics, against_feedback, extremes, motion_at, transitions
 from rotorfit.likelihood import Point, inverted, score
-from rotorfit.optimal import TARGETS, AxisLimits, OptimalSignal, extremes, optimal_signal, transitions
-from rotorfit.paper_vehicle import Truth, noise_free, simulate_flight
+from rotorfit.optimal import TARGETS, AxisLimits, OptimalSignal, optimal_signal
+from rotorfit.paper_vehicle import Controller, Truth, noise_free, simulate_flight
+from rotorfit.plan import Feedback
 from rotorfit.record import record
 
 TRUTH = Truth(pose_jitter=0.0, command_jitter=0.0, stale_share=0.0)
@@ -233,6 +235,40 @@ def test_extremes_between_the_steps_are_seen() -> None:
     assert low == pytest.approx(flight.true_pose[:, 0].min(), abs=1e-4)
     assert high == pytest.approx(flight.true_pose[:, 0].max(), abs=1e-4)
     assert speed == pytest.approx(np.abs(flight.velocity[:, 0]).max(), abs=2e-2)
+
+
+def test_the_motion_of_a_signal_is_that_of_the_simulator() -> None:
+    signal = design().signal
+    flight = simulate_flight(noise_free(TRUTH), lambda t: np.outer(value(signal, t), [1, 0, 0, 0]), DURATION + 0.5, 0)
+
+    position, velocity = motion_at(X, signal, flight.pose_stamp * 1e-9)
+
+    np.testing.assert_allclose(position, flight.true_pose[:, 0], atol=1e-5)
+    np.testing.assert_allclose(velocity, flight.velocity[:, 0], atol=1e-5)
+
+
+def test_against_a_feedback_the_same_motion_is_flown_and_the_wind_does_not_carry_it_away() -> None:
+    feedback = Feedback(("x",), (0.3,) * 4, (0.5,) * 4)
+    signal = design().signal
+    raised = against_feedback(signal, "x", X, feedback, DURATION, 0.1)
+
+    def path_of(truth: Truth, signal: Steps, seed: int, held: bool) -> Array:
+        controller = Controller(feedback.stiffness, feedback.damping, feedback.filter_time, ("x",)) if held else None
+        flight = simulate_flight(
+            truth, lambda t: np.outer(value(signal, t), [1, 0, 0, 0]), DURATION, seed, controller=controller
+        )
+        return flight.true_pose[:, 0]
+
+    free = path_of(noise_free(TRUTH), signal, 0, False)
+    assert np.ptp(free) > 1.0
+    assert np.abs(path_of(noise_free(TRUTH), raised, 0, True) - free).max() < 0.02
+    assert np.abs(path_of(noise_free(TRUTH), signal, 0, True) - free).max() > 0.2
+
+    blown, kept = (
+        np.mean([np.square(path_of(TRUTH, each, seed, held) - free) for seed in range(1, 9)])
+        for each, held in ((signal, False), (raised, True))
+    )
+    assert kept < blown / 9
 
 
 # Laws

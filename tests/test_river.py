@@ -94,6 +94,7 @@ RIVER = (
     "rehearsal",
     "precision",
     "envelope",
+    "held_motion",
     "axis_information",
     "optimal",
     "links",

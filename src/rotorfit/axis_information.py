@@ -12,22 +12,14 @@ Source: L. Ljung, System Identification, 2nd ed. (1999), section 13.2; the nuisa
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from rotorfit.disturbance import distinct_steps
 from rotorfit.frames import Array
+from rotorfit.held_motion import Dynamics
 from rotorfit.likelihood import Point, response, whiten
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record
-
-
-class Dynamics(NamedTuple):
-    """What is believed of one axis: v' = gain u(t - delay) - damping v."""
-
-    gain: float
-    damping: float
-    delay: float
 
 
 @dataclass(frozen=True)

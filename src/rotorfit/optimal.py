@@ -24,10 +24,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorfit.axis_information import AxisInformation, Dynamics, axis_information
+from rotorfit.axis_information import AxisInformation, axis_information
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Steps
 from rotorfit.frames import Array
+from rotorfit.held_motion import EARLY, Dynamics, extremes, transitions
 
 Criterion = Literal["d", "a"]
 Progress = Callable[[float, str], None]
@@ -47,9 +48,6 @@ STARTS, ROUNDS = 12, 48
 
 SETTLED = 1e-6
 """A climb ends where the linear programme promises less than this share of the standard errors."""
-
-EARLY = 1e-6
-"""Levels change so much early [s]: a command loop that ticks at these times takes the new level however they round."""
 
 SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 121)])
 """Shares of the way to a corner that the line search looks at."""
@@ -265,31 +263,6 @@ class _Problem:
         low, high, speed = extremes(self.form.dynamics, command, self.form.step)
         reach = (np.abs(command).max() / limits.command, low / limits.lower, high / limits.upper, speed / limits.speed)
         return np.asarray(command / max(1.0, *reach))
-
-
-def transitions(damping: float, dt: Array) -> tuple[Array, Array, Array]:
-    """f, k, h of v(t + dt) = f v + k a, p(t + dt) = p + k v + h a under a constant acceleration a, damping positive."""
-    k = -np.expm1(-damping * dt) / damping
-    return np.exp(-damping * dt), k, (dt - k) / damping
-
-
-def extremes(dynamics: Dynamics, command: Array, step: float) -> tuple[float, float, float]:
-    """Lowest and highest position and largest speed of held commands from rest, between the steps too.
-
-    Source: the closed form of eq. (4); the velocity turns at most once in a step.
-    """
-    gain, damping, _ = dynamics
-    f, k, h = transitions(damping, np.array(step))
-    a = gain * command
-    p, v = np.zeros(a.size + 1), np.zeros(a.size + 1)
-    for i in range(a.size):
-        v[i + 1] = f * v[i] + k * a[i]
-        p[i + 1] = p[i] + k * v[i] + h * a[i]
-    turns = np.flatnonzero(v[:-1] * v[1:] < 0)
-    until = np.log1p(-damping * v[turns] / a[turns]) / damping
-    _, to_turn, half = transitions(damping, until)
-    path = np.concatenate([p, p[turns] + to_turn * v[turns] + half * a[turns]])
-    return float(path.min()), float(path.max()), float(np.abs(v).max())
 
 
 def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | None) -> tuple[_Climb, tuple[float, ...]]:
