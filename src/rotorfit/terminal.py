@@ -86,6 +86,9 @@ def survey_view(survey: "Survey") -> View:
         yield _indented(", ".join(table.columns), 4, "dim")
     yield from _list([f"{name}: not read: {reason}" for name, reason in survey.skipped.items()])
     yield from _list(survey.notes)
+    if survey.recording:
+        yield _indented(", ".join(f"{key} {text}" for key, text in survey.recording.items()))
+    yield from _list([f"{since:.2f} s: {text}" for since, text in survey.events])
     yield _indented(f"Built-in cards that fit: {', '.join(survey.fitting) or 'none'}")
     if survey.flight:
         yield ""
