@@ -89,6 +89,7 @@ RIVER = (
     "excitation",
     "paper_vehicle",
     "plan",
+    "tracking",
     "links",
     "report",
     "demo",

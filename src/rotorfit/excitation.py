@@ -70,6 +70,26 @@ def value(signal: Signal, t: Array) -> Array:
     return np.asarray(levels[np.searchsorted(np.array(signal.time), t, side="right")])
 
 
+def motion(signal: Signal, t: Array) -> tuple[Array, Array, Array]:
+    """The signal at times t, shape (N,) [s], with its first and second derivative; those of steps are 0."""
+    if isinstance(signal, Sines):
+        amplitude, frequency, phase = (np.array(each) for each in (signal.amplitude, signal.frequency, signal.phase))
+        angle = np.multiply.outer(t, frequency) + phase
+        first = np.cos(angle) @ (amplitude * frequency)
+        return (
+            np.asarray(np.sin(angle) @ amplitude),
+            np.asarray(first),
+            np.asarray(-np.sin(angle) @ (amplitude * frequency**2)),
+        )
+    if isinstance(signal, Chirp):
+        low, high = signal.frequency
+        rate = np.log(high / low) / signal.duration
+        angle, speed = low * np.expm1(rate * t) / rate, low * np.exp(rate * t)
+        sine, cosine = signal.amplitude * np.sin(angle), signal.amplitude * np.cos(angle)
+        return sine, speed * cosine, rate * speed * cosine - speed**2 * sine
+    return value(signal, t), np.zeros(t.shape), np.zeros(t.shape)
+
+
 def two_sines(t: Array, axes: Sequence[str] = AXES, amplitude: float = 1.0) -> Array:
     """The paper's commands: two sines whose frequencies, 1 and 1.3 rad/s, are no multiples of each other.
 
