@@ -172,7 +172,7 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
     if here is None:
         return _doubted(watch, sample), False
     if watch.pose is None:
-        return _seen(watch, sample, here), True
+        return _seen(watch, sample, here, watch.velocity, watch.suspicion), True
     since = (sample.stamp - watch.stamp) / 1e9
     ahead = [new - old - v * since for new, old, v in zip(here, watch.pose, watch.velocity, strict=True)]
     reach = JUMP + 2 * (limits.speed + limits.climb) * since
@@ -180,13 +180,17 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
         return _doubted(watch, sample), False
     share = 1 / (FILTER + since)
     vx, vy, vz, turning = (v + share * off for v, off in zip(watch.velocity, ahead, strict=True))
-    seen = replace(_seen(watch, sample, here), velocity=(vx, vy, vz, turning))
-    return replace(seen, suspicion=max(0.0, watch.suspicion - 0.1)), True
+    velocity, suspicion = (vx, vy, vz, turning), max(0.0, watch.suspicion - 0.1)
+    return _seen(watch, sample, here, velocity, suspicion), True
 
 
-def _seen(watch: Watch, sample: Sample, here: Four) -> Watch:
+def _seen(watch: Watch, sample: Sample, here: Four, velocity: Four, suspicion: float) -> Watch:
+    """With a pose that is believed. Written out: it runs at every pose, and `replace` takes three times as long."""
     received = sample.received
-    return replace(watch, pose=here, stamp=sample.stamp, received=received, heard=received, raw=sample.values)
+    return Watch(
+        here, velocity, sample.stamp, received, received, watch.heard_other, sample.values, watch.battery,
+        suspicion, watch.outliers,
+    )  # fmt: skip
 
 
 def _doubted(watch: Watch, sample: Sample) -> Watch:
