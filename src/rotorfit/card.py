@@ -201,6 +201,20 @@ def card_that_fits(log: Log) -> Card:
     )
 
 
+def card_of(log: Log) -> Card:
+    """The card that the log carries, as recordings of `rotorfit fly` do; else the one built-in card that fits.
+
+    Raises:
+        CardError: The log's card is damaged; or it carries none, and none or several fit.
+    """
+    if "card" not in log.attached:
+        return card_that_fits(log)
+    try:
+        return card_from_mapping(tomllib.loads(log.attached["card"]), f"attached to {log.path}")
+    except tomllib.TOMLDecodeError as error:
+        raise CardError(f"{log.path}: the card in it is damaged ({error}); name one with `--card`") from error
+
+
 def fitting_cards(log: Log) -> dict[str, Card]:
     """The built-in cards, by name, whose columns are all in the log."""
     return {name: card for name, card in builtin_cards().items() if _fits(log, card)}
