@@ -107,10 +107,12 @@ def plan_flight(
         raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
     choices = {}
     for place, (word, loop) in enumerate(loops.items()):
-        choices[word] = _sized(replace(bare, feedback=loop), belief, amplitude, _part(progress, place, len(loops) + 1))
+        choices[word] = _sized(
+            replace(bare, feedback=loop), belief, amplitude, part_of(progress, place, len(loops) + 1)
+        )
         if amplitude is None and min(choices[word][1].values()) >= NEARLY:
             break
-    return _best(choices, belief, amplitude, _part(progress, len(loops), len(loops) + 1))
+    return _best(choices, belief, amplitude, part_of(progress, len(loops), len(loops) + 1))
 
 
 def _check_request(
@@ -269,9 +271,9 @@ def predicted(
     Raises:
         PlanError: It leaves its space.
     """
-    envelope = predicted_path(plan, belief, seed=plan.seed, progress=_part(progress, 0, 2))
+    envelope = predicted_path(plan, belief, seed=plan.seed, progress=part_of(progress, 0, 2))
     refuse_if_outside(plan, belief, envelope, max(factors.values()), seed=plan.seed)
-    precision = predicted_errors([plan], belief, seed=plan.seed, progress=_part(progress, 1, 2))
+    precision = predicted_errors([plan], belief, seed=plan.seed, progress=part_of(progress, 1, 2))
     return replace(plan, predicted=prediction_mapping(plan, envelope, precision, factors, notes))
 
 
@@ -316,13 +318,13 @@ def plan_flights(
     return [
         plan_flight(
             card, space, design, group, duration, belief,
-            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=_part(progress, i, len(groups)),
+            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part_of(progress, i, len(groups)),
         )
         for i, group in enumerate(groups)
     ]  # fmt: skip
 
 
-def _part(progress: Progress | None, place: int, of: int) -> Progress | None:
+def part_of(progress: Progress | None, place: int, of: int) -> Progress | None:
     """Progress of one of several equal parts."""
     if progress is None:
         return None
