@@ -30,7 +30,8 @@ LINKS: Mapping[str, str] = MappingProxyType(
 
 INSTALL: Mapping[str, str] = MappingProxyType(
     {
-        "ros1": "run in a shell of a ROS 1 installation (Debian: apt install python3-rospy)",
+        "ros1": "run in a shell of a ROS 1 installation "
+        "(Debian: apt install python3-rospy python3-geometry-msgs python3-nav-msgs python3-std-msgs)",
         "ros2": "run in a shell of a ROS 2 installation: source /opt/ros/DISTRO/setup.bash",
         "mavlink": "pip install 'rotorfit[mavlink]'",
     }
