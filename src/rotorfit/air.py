@@ -57,7 +57,7 @@ class Wind:
 def wind_at_nodes(wind: Wind, first: int, count: int, period: float, gusts: Array) -> Array:
     """Air velocity at nodes `first`, `first` + 1, ..., shape (count, 3) [m/s]; `gusts` are those at the same nodes."""
     time = (first + np.arange(count)) * period
-    air = gusts + np.array(wind.mean)
+    air: Array = gusts + np.array(wind.mean)
     for start, change in wind.steps:
         air[time > start] += np.array(change)
     return air
@@ -83,9 +83,10 @@ class GustSource:
     def draw(self, count: int) -> Array:
         """The next `count` nodes, shape (count, 3) [m/s]."""
         normal = self._rng.standard_normal((count, 2, 3))
-        gusts = np.empty((count, 3))
+        gusts: Array = np.empty((count, 3))
         _run(self._state, normal, *self._law, gusts)
-        return gusts * self._sigma
+        gusts *= self._sigma
+        return gusts
 
 
 def _dryden_steps(h: float) -> tuple[Array, Array]:
@@ -96,8 +97,7 @@ def _dryden_steps(h: float) -> tuple[Array, Array]:
     """
     decay = math.exp(-h)
     transition = np.array([[decay, 0.0], [h * decay, decay]])
-    root = np.linalg.cholesky(_covariance(h))
-    return transition, root
+    return transition, np.asarray(np.linalg.cholesky(_covariance(h)), np.float64)
 
 
 def _covariance(h: float) -> Array:
@@ -121,7 +121,7 @@ def _run(state, normal, transition, root, gusts):  # type: ignore[no-untyped-def
             z1, z2 = state[0, a], state[1, a]
             if a == 0:
                 gusts[n, a] = z1
-            else:  # sqrt(3) (s + 1 / sqrt(3)) / (s + 1)^2 = (sqrt(3) z1 + (1 - sqrt(3)) z2), over sqrt(2) for unit variance
+            else:  # (1 + sqrt(3) s) / (1 + s)^2, over sqrt(2) for unit variance
                 gusts[n, a] = (np.sqrt(3.0) * z1 + (1 - np.sqrt(3.0)) * z2) / np.sqrt(2.0)
             m1, m2 = normal[n, 0, a], normal[n, 1, a]
             state[0, a] = transition[0, 0] * z1 + root[0, 0] * m1

@@ -122,7 +122,8 @@ def demo(directory: Path, as_json: bool) -> None:
         result = run(directory, progress)
     if as_json:
         return _print_json(demo_mapping(result))
-    from rotorfit.terminal import demo_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.demo import demo_view
 
     return show(demo_view(result))
 
@@ -152,7 +153,8 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
     surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
-    from rotorfit.terminal import show, survey_view
+    from rotorfit.terminal import show
+    from rotorfit.terminal.survey import survey_view
 
     for number, survey in enumerate(surveys):
         show([*([""] if number else []), *survey_view(survey)])
@@ -215,7 +217,9 @@ def fit(
         save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import left_out_view, model_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.model import model_view
+    from rotorfit.terminal.scores import left_out_view
 
     show(model_view(model, axes))
     if left_out:
@@ -239,8 +243,8 @@ def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json:
         result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
     if as_json:
         return _print_json(to_mapping(result))
-    from rotorfit.side_by_side import ladder_view
     from rotorfit.terminal import show
+    from rotorfit.terminal.ladder import ladder_view
 
     return show(ladder_view(result))
 
@@ -263,7 +267,8 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
         validation, _ = validate_logs(model, [parse_log(log, span) for log in logs], card, horizons, progress)
     if as_json:
         return _print_json(to_mapping(validation))
-    from rotorfit.terminal import show, validation_view
+    from rotorfit.terminal import show
+    from rotorfit.terminal.scores import validation_view
 
     if model.conversion:
         click.echo(
@@ -283,7 +288,8 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
         comparison = compare_logs(paths, progress=progress)
     if as_json:
         return _print_json(comparison_mapping(comparison))
-    from rotorfit.terminal import comparison_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.scores import comparison_view
 
     return show(comparison_view(comparison))
 
@@ -340,7 +346,8 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import model_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.model import model_view
 
     show(model_view(model, AXES))
     click.echo(f"\nModel written to {output}.")
@@ -363,7 +370,8 @@ def cards(name: str | None, as_json: bool) -> None:
         return _print_json(dict(known[name].raw))
     if as_json:
         return _print_json({"cards": {name: card.raw for name, card in known.items()}})
-    from rotorfit.terminal import cards_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import cards_view
 
     return show(cards_view(known))
 
@@ -373,8 +381,9 @@ def cards(name: str | None, as_json: bool) -> None:
 def formats(as_json: bool) -> None:
     """List the formats of logs that can be read."""
     from rotorfit.sources import FORMATS
-    from rotorfit.terminal import FORMATS as WORDS
-    from rotorfit.terminal import formats_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import FORMATS as WORDS
+    from rotorfit.terminal.lists import formats_view
 
     if as_json:
         return _print_json({"formats": {name: WORDS[name] for name in FORMATS}})

@@ -223,10 +223,12 @@ def _settle_on_floor(par, state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _hear(kind, reference, held, progress, instant):  # type: ignore[no-untyped-def]
+def _hear(par, kind, asked, held, progress, instant):  # type: ignore[no-untyped-def]
     """What an event that has arrived changes: the held command, or the mode."""
     if kind == COMMANDED:
-        held[:] = reference
+        held[:] = asked
+        if par.tilts:  # a tilt of t gives a horizontal acceleration of g tan(t)
+            held[0], held[1] = np.tan(asked[0]), np.tan(asked[1])
         progress[HEARD], progress[LAST] = 1, instant
     elif kind == TAKE_OFF and progress[MODE] == GROUNDED:
         progress[MODE] = TAKING_OFF
@@ -265,7 +267,7 @@ def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def advance(  # type: ignore[no-untyped-def]
-    parameter, state, held, progress, until, arrival, kind, reference, count, shot, shots, seen, wind, max_step
+    parameter, state, held, progress, until, arrival, kind, asked, count, shot, shots, seen, wind, max_step
 ):
     """Flies on to the last node up to `until`; writes the state at every shot on the way.
 
@@ -277,7 +279,7 @@ def advance(  # type: ignore[no-untyped-def]
         until: Instant [ns].
         arrival: When events arrive, in order, the first `count` count [ns].
         kind: COMMANDED, TAKE_OFF or LAND.
-        reference: Targets of a command: slopes or m/s, forward and left; m/s up; rad/s; shape (., 4).
+        asked: What a command asks for: rad or m/s, forward and left; m/s up; rad/s; shape (., 4).
         count: Number of events.
         shot: Instants at which the state is wanted, in order, the first `shots` count [ns].
         shots: Number of shots.
@@ -294,7 +296,7 @@ def advance(  # type: ignore[no-untyped-def]
             progress[NEXT_SHOT] += 1
         while progress[NEXT_EVENT] < count and arrival[progress[NEXT_EVENT]] <= now:
             row = progress[NEXT_EVENT]
-            _hear(kind[row], reference[row], held, progress, arrival[row])
+            _hear(par, kind[row], asked[row], held, progress, arrival[row])
             progress[NEXT_EVENT] += 1
         end = (now // max_step + 1) * max_step
         if progress[NEXT_SHOT] < shots:

@@ -6,32 +6,35 @@ The simulator imports nothing of the estimator.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from rotorfit import rigid_body
 from rotorfit.air import GustSource, Wind, wind_at_nodes
 from rotorfit.frames import Array
 from rotorfit.log import Log, Sample, Table
 from rotorfit.sensors import (
+    BATTERY_RATE,
     Clock,
-    Frames,
     Integers,
     Mocap,
-    in_order,
+    RadioSource,
+    Stream,
+    battery_frames,
+    charges,
     mocap_frames,
-    see_poses,
-    see_velocities,
+    poses,
+    velocities,
     velocity_frames,
 )
 from rotorfit.vehicle import Four, Radio, Vehicle
 
-BLOCK = 20.0  # s of frames and wind that are drawn at a time
-BATTERY_RATE = 1.0  # samples a second
+BLOCK = 10.0  # s of frames and wind that are drawn at a time
 WIND_PERIOD = rigid_body.WIND_STEP * 1e-9
+MODES = ("grounded", "taking_off", "flying", "landing")
 
 
 @dataclass(frozen=True)
@@ -123,42 +126,13 @@ class RoomFlight:
     true_quaternion: Array
 
 
-MODES = ("grounded", "taking_off", "flying", "landing")
-
-
-class _Stream:
-    """Frames of one sensor: drawn in blocks, seen at shots of the kernel, given out when they arrive."""
-
-    def __init__(self) -> None:
-        self.frames: Frames | None = None
-        self.row: Integers = np.empty(0, np.int64)
-        self.given = 0
-        self.arrivals: list[int] = []
-
-    def extend(self, frames: Frames, row: Integers) -> None:
-        old = self.frames
-        if old is not None:
-            parts = {name: np.concatenate([getattr(old, name), getattr(frames, name)]) for name in vars(frames)}
-            frames = replace(frames, **parts)
-        self.frames, self.row = frames, np.concatenate([self.row, row])
-        self.arrivals = frames.arrival.tolist()
-
-    def arrived(self, until: int) -> Integers:
-        """Indices of the frames that have arrived since the last call and were not lost."""
-        first, last, arrivals = self.given, self.given, self.arrivals
-        while last < len(arrivals) and arrivals[last] <= until:
-            last += 1
-        self.given = last
-        index = np.arange(first, last)
-        return index if last == first or self.frames is None else index[self.frames.kept[first:last]]
-
-
 class FlightRoom:
     """A vehicle in a room, step by step. Deterministic: everything follows from the arguments and the calls.
 
     Attributes:
         vehicle: What flies.
         conditions: Air, mocap, radio, clocks, battery, floor.
+        seed: Of all randomness.
         now: True time since the start, which is also the clock of whoever sends and receives [ns].
     """
 
@@ -188,39 +162,35 @@ class FlightRoom:
             raise ValueError(f"the start is at {start[2]:g} m, below the floor at {conditions.floor:g} m")
         if rigid_body.WIND_STEP % max_step:
             raise ValueError(f"a step of {max_step} ns does not divide {rigid_body.WIND_STEP} ns")
-        self.vehicle, self.conditions, self.now = vehicle, conditions, 0
-        self._seed = seed
-        *drawn, radio = np.random.SeedSequence(seed).spawn(4)
-        gust, *frames = (np.random.default_rng(one) for one in drawn)
-        self._frame_rng, self._radio = frames, _RadioSource(conditions.radio or vehicle.radio, radio)
-        self._bias = vehicle.odometry.bias * frames[1].standard_normal(3)
-        self._gusts = GustSource(conditions.wind.gusts, WIND_PERIOD, gust)
-        self._parameters = rigid_body.parameters(vehicle, conditions.floor)
+        self.vehicle, self.conditions, self.seed, self.now = vehicle, conditions, seed, 0
+        gusts, *frames, radio = np.random.SeedSequence(seed).spawn(4)
+        self._radio = RadioSource(conditions.radio or vehicle.radio, radio)
+        self._streams = _streams(vehicle, conditions, *map(np.random.default_rng, frames))
+        self._gusts = GustSource(conditions.wind.gusts, WIND_PERIOD, np.random.default_rng(gusts))
+        self._parameters, self._max_step = rigid_body.parameters(vehicle, conditions.floor), max_step
         self._state = rigid_body.initial_state(vehicle, start, flying, conditions.charge, conditions.floor)
         self._held, self._progress = np.zeros(4), np.zeros(rigid_body.PROGRESS, np.int64)
         self._progress[rigid_body.MODE] = rigid_body.FLYING if flying else rigid_body.GROUNDED
-        self._max_step = max_step
         self._event, self._events = _no_events(64), 0
-        self._pose, self._velocity, self._battery = _Stream(), _Stream(), _Stream()
-        self._shot = np.empty(0, np.int64)
-        self._seen = np.empty((0, rigid_body.STATES))
-        self._wind = np.empty((0, 3))
-        self._blocks = 0
+        self._shot, self._seen = np.empty(0, np.int64), np.empty((0, rigid_body.STATES))
+        self._wind, self._blocks = np.empty((0, 3)), 0
 
     def send(self, command: Sequence[float]) -> None:
         """Sends forward, left, up, counter-clockwise, in the unit of the vehicle's commands, now.
 
+        It arrives late, or never. The autopilot holds the last one that arrived; `command_timeout` after it, it hovers.
+
         Raises:
             ValueError: Not four finite numbers.
         """
-        self._send(np.array([self.now]), np.array([command], float))
+        self._send(np.array([self.now]), np.array([command], np.float64))
 
     def take_off(self) -> None:
-        """Asks for a take-off, which a vehicle on the floor obeys."""
+        """Asks for a take-off, which a vehicle on the floor obeys; it hears no commands until it hovers."""
         self._ask(rigid_body.TAKE_OFF)
 
     def land(self) -> None:
-        """Asks for a landing, which a vehicle in the air obeys."""
+        """Asks for a landing, which a vehicle in the air obeys; it hears no commands any more."""
         self._ask(rigid_body.LAND)
 
     def advance(self, until: int) -> list[Sample]:
@@ -236,21 +206,23 @@ class FlightRoom:
             ValueError: Time runs backwards.
         """
         self._fly(until)
-        samples = [
-            Sample(stream, stamp, arrival, tuple(row))
-            for stream, stamps, arrivals, values in self._arrived(until)
-            for stamp, arrival, row in zip(stamps.tolist(), arrivals.tolist(), values.tolist(), strict=True)
-        ]
-        return sorted(samples, key=lambda sample: sample.received) if len(samples) > 1 else samples
+        samples = []
+        for stream in self._streams:
+            index = stream.arrived(until)
+            if index.size:
+                stamp, arrival = stream.frames.stamp[index].tolist(), stream.frames.arrival[index].tolist()
+                values = stream.values(self._seen, index).tolist()
+                rows = zip(stamp, arrival, values, strict=True)
+                samples += [Sample(stream.name, sent, received, tuple(value)) for sent, received, value in rows]
+        return sorted(samples, key=lambda sample: sample.received)
 
     def truth(self) -> TrueState:
         """The true state now."""
         state, held, progress = self._state.copy(), self._held.copy(), self._progress.copy()
-        last = int(progress[rigid_body.TIME])
-        if last < self.now and progress[rigid_body.MODE] != rigid_body.GROUNDED:  # the kernel stops at its last node
-            instant = np.array([self.now])
+        if self.now > 0:  # the kernel stops at its last node: a copy flies on to a shot that is taken now
             progress[rigid_body.NEXT_SHOT] = 0
-            self._run(state, held, progress, self.now, instant, 1, np.empty((1, rigid_body.STATES)))
+            shot, seen = np.array([self.now]), np.empty((1, rigid_body.STATES))
+            self._run(state, held, progress, self.now, shot, seen)
         s = state.tolist()
         return TrueState(
             (s[0], s[1], s[2]), (s[3], s[4], s[5]), (s[6], s[7], s[8], s[9]), (s[10], s[11], s[12]),
@@ -258,25 +230,24 @@ class FlightRoom:
         )  # fmt: skip
 
     def _send(self, sent: Integers, commands: Array) -> None:
-        """Sends commands at instants that are not before `now`, in order."""
+        """Sends commands at instants that are not before `now`, in order; cuts them at the vehicle's limits."""
         if commands.shape != (sent.size, 4) or not np.isfinite(commands).all():
             raise ValueError("a command is four finite numbers: forward, left, up, counter-clockwise")
+        limits = np.array(self.vehicle.limits())
+        asked = np.clip(commands * np.array(self.vehicle.full_scale()), -limits, limits)
         arrival, kept = self._radio.arrivals(sent)
-        self._queue(arrival[kept], rigid_body.COMMANDED, targets(self.vehicle, commands[kept]))
+        self._queue(arrival[kept], rigid_body.COMMANDED, asked[kept])
 
     def _ask(self, kind: int) -> None:
-        arrival = self._radio.arrival_of_request(self.now)
-        self._queue(np.array([arrival]), kind, np.zeros((1, 4)))
+        self._queue(np.array([self._radio.arrival_of_request(self.now)]), kind, np.zeros((1, 4)))
 
-    def _queue(self, arrival: Integers, kind: int, reference: Array) -> None:
+    def _queue(self, arrival: Integers, kind: int, asked: Array) -> None:
         end = self._events + arrival.size
         while end > self._event[0].size:
-            self._event = tuple(  # type: ignore[assignment]
-                np.concatenate([old, new])
-                for old, new in zip(self._event, _no_events(self._event[0].size), strict=True)
-            )
-        for column, values in zip(self._event, (arrival, kind, reference), strict=True):
-            column[self._events : end] = values
+            (a, b, c), (d, e, f) = self._event, _no_events(self._event[0].size)
+            self._event = (np.concatenate([a, d]), np.concatenate([b, e]), np.concatenate([c, f]))
+        new, (arrivals, kinds, wishes) = slice(self._events, end), self._event
+        arrivals[new], kinds[new], wishes[new] = arrival, kind, asked
         self._events = end
 
     def _fly(self, until: int) -> None:
@@ -284,136 +255,50 @@ class FlightRoom:
             raise ValueError(f"time runs backwards: {until} ns is before {self.now} ns")
         while until >= self._blocks * BLOCK * 1e9:
             self._draw_block()
-        self._run(self._state, self._held, self._progress, until, self._shot, self._shot.size, self._seen)
+        self._run(self._state, self._held, self._progress, until, self._shot, self._seen)
         self.now = until
 
-    def _run(
-        self, state: Array, held: Array, progress: Integers, until: int, shot: Integers, shots: int, seen: Array
-    ) -> None:
+    def _run(self, state: Array, held: Array, progress: Integers, until: int, shot: Integers, seen: Array) -> None:
         rigid_body.advance(
             self._parameters, state, held, progress, until, *self._event, self._events,
-            shot, shots, seen, self._wind, self._max_step,
+            shot, shot.size, seen, self._wind, self._max_step,
         )  # fmt: skip
 
     def _draw_block(self) -> None:
-        """Wind and frames of the next `BLOCK` seconds; one node of the wind beyond them, for the line that leads there."""
+        """Wind and frames of the next `BLOCK` seconds; two nodes of the wind beyond them, for the line to the next."""
         first, count = len(self._wind), round(BLOCK / WIND_PERIOD) + (2 if self._blocks == 0 else 0)
         air = wind_at_nodes(self.conditions.wind, first, count, WIND_PERIOD, self._gusts.draw(count))
         self._wind = np.concatenate([self._wind, air])
         self._blocks += 1
-        streams = (self._pose, self._velocity, self._battery)
-        drawn = [self._draw(stream, rate) for stream, rate in zip(streams, self._rates(), strict=True)]
-        instant = np.concatenate([frames.instant for frames in drawn])
-        order = np.argsort(instant, kind="stable")
-        row = np.empty(instant.size, np.int64)
+        drawn = [stream.draw(self._blocks * BLOCK) for stream in self._streams]
+        instant = np.concatenate(drawn)
+        order, row = np.argsort(instant, kind="stable"), np.empty(instant.size, np.int64)
         row[order] = self._shot.size + np.arange(instant.size)
-        for stream, frames, rows in zip(
-            streams, drawn, np.split(row, np.cumsum([f.instant.size for f in drawn])[:-1]), strict=True
-        ):
-            stream.extend(frames, rows)
+        for stream, rows in zip(self._streams, np.split(row, np.cumsum([new.size for new in drawn])[:-1]), strict=True):
+            stream.place(rows)
         self._shot = np.concatenate([self._shot, instant[order]])
         self._seen = np.concatenate([self._seen, np.zeros((instant.size, rigid_body.STATES))])
 
-    def _rates(self) -> tuple[float, float, float]:
-        return self.conditions.mocap.rate, self.vehicle.odometry.rate, BATTERY_RATE
 
-    def _draw(self, stream: _Stream, rate: float) -> Frames:
-        """The frames of a stream up to the end of the blocks drawn so far."""
-        end = self._blocks * BLOCK
-        first = 0 if stream.frames is None else stream.frames.instant.size
-        count = int(np.ceil(end * rate - 1e-6)) - first
-        if stream is self._pose:
-            old = stream.frames
-            before = (-1, 0) if old is None else (int(old.shown[-1]), int(old.arrival[-1]))
-            return mocap_frames(
-                self.conditions.mocap, self.conditions.mocap_clock, first, count, before, self._frame_rng[0]
-            )
-        clock, odometry = self.conditions.vehicle_clock, self.vehicle.odometry
-        if stream is self._velocity:
-            return velocity_frames(odometry, clock, first, count, self._bias, self._frame_rng[1])
-        still = replace(odometry, rate=rate, noise=0.0, yaw_noise=0.0)
-        return velocity_frames(still, clock, first, count, np.zeros(3), self._frame_rng[1])
-
-    def _record(self, sent: Integers, commands: Array, end: int) -> RoomFlight:
-        """Flies on to the end, in one piece."""
-        self._fly(end)
-        pose = self._pose.arrived(end)
-        frames = self._pose.frames
-        assert frames is not None
-        self._pose.given = 0
-        empty = np.empty(0, np.int64)
-        got = {name: (stamp, arrival, values) for name, stamp, arrival, values in self._arrived(end)}
-        nothing = {"pose": (empty, empty, np.empty((0, 7))), "velocity": (empty, empty, np.empty((0, 4)))}
-        (ps, pr, pv), (vs, vr, vv), (bs, br, bv) = (
-            got.get(name, nothing.get(name, (empty, empty, np.empty((0, 1)))))
-            for name in ("pose", "velocity", "battery")
-        )
-        true = self._seen[self._pose.row[pose]]
-        return RoomFlight(
-            self.vehicle, self.conditions, self._seed, sent, np.asarray(commands, np.float64), ps, pr, pv, vs, vr, vv,
-            bs, br, bv[:, 0], frames.instant[pose], true[:, :3], true[:, 3:6], true[:, 6:10],
-        )  # fmt: skip
-
-    def _arrived(self, until: int):  # type: ignore[no-untyped-def]
-        """Stream, stamps, arrivals and values of what has arrived since the last call."""
-        for name, stream in (("pose", self._pose), ("velocity", self._velocity), ("battery", self._battery)):
-            index = stream.arrived(until)
-            if index.size and stream.frames is not None:
-                frames = stream.frames
-                yield name, frames.stamp[index], frames.arrival[index], self._values(name, stream, frames, index)
-
-    def _values(self, name: str, stream: _Stream, frames: Frames, index: Integers) -> Array:
-        shown = frames.shown[index]
-        if name == "battery":
-            return self._seen[stream.row[shown], rigid_body.CHARGE :]
-        out = np.empty((index.size, 7 if name == "pose" else 4))
-        if name == "pose":
-            see_poses(self._seen, stream.row, shown, frames.error, frames.shift, out)
-        else:
-            see_velocities(self._seen, stream.row, shown, frames.error, out)
-        return out
-
-
-class _RadioSource:
-    """When commands arrive; drawn by the index of the command."""
-
-    def __init__(self, radio: Radio, seed: np.random.SeedSequence) -> None:
-        self._radio, self._last = radio, 0
-        self._late, self._lost = (np.random.default_rng(one) for one in seed.spawn(2))
-
-    def arrivals(self, sent: Integers) -> tuple[Integers, npt.NDArray[np.bool_]]:
-        """Arrival of each command sent now or later [ns], and whether it arrives at all."""
-        late = self._radio.jitter * self._late.standard_exponential(sent.size)
-        arrival = in_order(sent, self._radio.latency, late, self._last)
-        self._last = int(arrival[-1]) if sent.size else self._last
-        return arrival, self._lost.random(sent.size) >= self._radio.loss
-
-    def arrival_of_request(self, now: int) -> int:
-        """Of a take-off or a landing: never lost, never late, but after the commands sent before."""
-        self._last = max(self._last, now + round(self._radio.latency * 1e9))
-        return self._last
+def _streams(
+    vehicle: Vehicle, conditions: Conditions, mocap: np.random.Generator, onboard: np.random.Generator
+) -> tuple[Stream, Stream, Stream]:
+    """Poses, onboard velocities, charges of the battery."""
+    odometry, clock = vehicle.odometry, conditions.vehicle_clock
+    bias = odometry.bias * onboard.standard_normal(3)
+    pose = partial(mocap_frames, conditions.mocap, conditions.mocap_clock, mocap)
+    velocity = partial(velocity_frames, odometry, clock, bias, onboard)
+    battery = partial(battery_frames, odometry.latency, clock)
+    return (
+        Stream("pose", conditions.mocap.rate, pose, poses),
+        Stream("velocity", odometry.rate, velocity, velocities),
+        Stream("battery", BATTERY_RATE, battery, charges),
+    )
 
 
 def _no_events(count: int) -> tuple[Integers, Integers, Array]:
-    """Room for arrivals, kinds and targets."""
+    """Room for arrivals, kinds, and what commands ask for."""
     return np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros((count, 4))
-
-
-def targets(vehicle: Vehicle, commands: Array) -> Array:
-    """What commands ask of the autopilot, cut at the vehicle's limits, shape (N, 4).
-
-    Args:
-        vehicle: Says what they mean.
-        commands: Forward, left, up, counter-clockwise, in the unit of its commands, shape (N, 4).
-
-    Returns:
-        Tangents of tilts, or m/s, forward and left; m/s up; rad/s.
-    """
-    limits = np.array(vehicle.limits())
-    asked = np.clip(commands * np.array(vehicle.full_scale()), -limits, limits)
-    if vehicle.command.horizontal == "tilt":
-        asked[:, :2] = np.tan(asked[:, :2])
-    return asked
 
 
 def fly_commands(
@@ -441,12 +326,23 @@ def fly_commands(
     Raises:
         ValueError: Stamps before the start or out of order; as `FlightRoom`.
     """
-    sent = np.asarray(stamps, np.int64)
+    sent, command = np.asarray(stamps, np.int64), np.asarray(commands, np.float64)
     if sent.size and (sent[0] < 0 or (np.diff(sent) < 0).any()):
         raise ValueError("stamps of commands must not be negative, and in order")
     room, end = FlightRoom(vehicle, conditions, seed, start, max_step=max_step), round(duration * 1e9)
-    room._send(sent, np.asarray(commands, np.float64))
-    return room._record(sent, commands, end)
+    room._send(sent, command)
+    room._fly(end)
+    taken = [stream.arrived(end) for stream in room._streams]
+    pose, velocity, battery = (
+        (stream.frames.stamp[index], stream.frames.arrival[index], stream.values(room._seen, index))
+        for stream, index in zip(room._streams, taken, strict=True)
+    )
+    frames, row = room._streams[0].frames, room._streams[0].row[taken[0]]
+    true = room._seen[row]
+    return RoomFlight(
+        vehicle, conditions, seed, sent, command, *pose, *velocity, battery[0], battery[1], battery[2][:, 0],
+        frames.instant[taken[0]], true[:, :3], true[:, 3:6], true[:, 6:10],
+    )  # fmt: skip
 
 
 def as_log(flight: RoomFlight) -> Log:

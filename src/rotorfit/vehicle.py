@@ -75,7 +75,7 @@ class Command:
 
     Attributes:
         horizontal: Of forward and left: `tilt` angles or `velocity`.
-        unit: `fraction` of the limits below, or `si`: m/s, rad/s, and rad for tilts. Commands beyond the limits are cut.
+        unit: `fraction` of the limits below, or `si`: m/s, rad/s, and rad for tilts. What is beyond the limits is cut.
         vertical_speed: Limit [m/s].
         yaw_rate: Limit [rad/s].
         tilt: Limit [rad]; where commands are tilts.
@@ -199,7 +199,7 @@ class Vehicle:
     battery: Battery
 
     def card(self) -> dict[str, Any]:
-        """The card of its flights, as parsed from TOML: meaning and limits of commands, columns as they are recorded."""
+        """The card of its flights, as parsed from TOML: what commands mean, their limits, columns as recorded."""
         command, fraction = self.command, self.command.unit == "fraction"
         limit = {"x": self._horizontal_limit, "y": self._horizontal_limit, "z": "vertical_speed", "yaw": "yaw_rate"}
         meaning = {axis: name if name != "speed" else "velocity" for axis, name in limit.items()}

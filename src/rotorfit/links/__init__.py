@@ -1,7 +1,7 @@
-"""Links: what carries commands to a vehicle and its pose back. `open_link("name:address", plan) -> Link`.
+"""Links: what carries commands to a vehicle and its pose back. `open_link("name:address", card) -> Link`.
 
 A link is three methods and a clock. `fly` knows nothing else of a vehicle, so a simulated flight, a replayed log and a
-real drone go through the same code. Each kind of link is a module with `open_link(address, plan, seed, flying) -> Link`,
+real drone go through the same code. Each kind of link is a module with `open_link(address, card)`,
 imported when it is asked for.
 """
 
@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
+from rotorfit.card import Card
 from rotorfit.errors import LinkError
 from rotorfit.links.link import Action, Link
-from rotorfit.plan import Plan
+from rotorfit.plan import Four
 
 __all__ = ["INSTALL", "LINKS", "Action", "Link", "open_link"]
 
@@ -38,12 +39,13 @@ INSTALL: Mapping[str, str] = MappingProxyType(
 """How to get what a link needs beyond rotorfit itself."""
 
 
-def open_link(text: str, plan: Plan, seed: int = 0, flying: bool = True) -> Link:
+def open_link(text: str, card: Card, start: Four = (0.0, 0.0, 1.5, 0.0), seed: int = 0, flying: bool = True) -> Link:
     """Opens a link.
 
     Args:
         text: `NAME` or `NAME:ADDRESS`; what an address is, each link says.
-        plan: What will be flown: its card gives the unit of the commands, its space the start of a simulated vehicle.
+        card: Meaning and unit of the commands; for links that carry named messages, also which.
+        start: Where a simulated vehicle is: x, y, z [m] and yaw [rad].
         seed: Of a simulated vehicle.
         flying: Whether a simulated vehicle is in the air already.
 
@@ -54,7 +56,8 @@ def open_link(text: str, plan: Plan, seed: int = 0, flying: bool = True) -> Link
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
     try:
-        link: Link = import_module(LINKS[name]).open_link(address, plan, seed, flying)
+        module = import_module(LINKS[name])
+        link: Link = module.open_link(address, card, *((start, seed, flying) if name == "sim" else ()))
     except ModuleNotFoundError as error:
         remedy = INSTALL.get(name, f"pip install {error.name}")
         raise LinkError(f"--link {name} needs the Python package {error.name}: {remedy}") from error

@@ -18,13 +18,19 @@ class Link(Protocol):
     """
 
     @property
-    def now(self) -> int: ...
+    def now(self) -> int:
+        """The link's clock [ns]."""
+        ...
 
     @property
-    def live(self) -> bool: ...
+    def live(self) -> bool:
+        """Whether `now` is the wall clock."""
+        ...
 
     @property
-    def fail_safe(self) -> str: ...
+    def fail_safe(self) -> str:
+        """What the vehicle does when the link is lost."""
+        ...
 
     def send(self, command: Sequence[float]) -> None:
         """Sends forward, left, up, counter-clockwise, in the unit of the card's commands. All zero means hover.

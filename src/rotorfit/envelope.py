@@ -1,0 +1,193 @@
+"""Envelope: where a plan is expected to lead, how fast, and whether it stays in its space when the belief is off.
+
+The plan is flown by the likeliest vehicle in still air, and by vehicles drawn from the belief, each with a trim and a
+wind of its own; its feedback believes in the likeliest all the while.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.belief import Belief, drawn
+from rotorfit.errors import PlanError
+from rotorfit.excitation import scaled
+from rotorfit.frames import Array
+from rotorfit.paper_vehicle import Truth, noise_free
+from rotorfit.plan import Plan
+from rotorfit.rehearsal import flown, path
+from rotorfit.tracking import tracker_of
+
+Progress = Callable[[float, str], None]
+
+DRAWS = 60
+"""Vehicles drawn."""
+
+ALLOWED = 0.05
+"""Share of them that may leave the space or break a speed limit."""
+
+FINENESS = 0.02
+"""The largest amplitude is found to this share of itself."""
+
+LIMITS = ("x", "y", "z", "speed", "climb")
+"""What a flight can violate: a side of the box, the speed along x and y, the speed along z."""
+
+_GRID = 0.1  # s between the points of the predicted path
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Predicted motion. N times, D draws.
+
+    Attributes:
+        time: From the start of the plan, shape (N,) [s].
+        nominal: Path of the likeliest vehicle in still air, shape (N, 4) [m, rad].
+        low: 2.5 % of the draws are below, at each time alone, shape (N, 4).
+        high: 2.5 % are above.
+        extent: The same for the least and the greatest value of a whole flight: 2.5 % reach further down, 2.5 % further
+            up, shape (2, 4).
+        speed: Greatest speed along x and y, along z, and rate of yaw of the nominal flight, shape (3,) [m/s, rad/s].
+        speed_high: That of 97.5 % of the draws is not greater, shape (3,).
+        outside: Share of the draws that violate each of `LIMITS`, shape (5,).
+        leaving: Share of the draws that violate any.
+        saturated: Share of the commands, over all draws, that full scale bounds on some axis.
+        draws: D.
+    """
+
+    time: Array
+    nominal: Array
+    low: Array
+    high: Array
+    extent: Array
+    speed: Array
+    speed_high: Array
+    outside: Array
+    leaving: float
+    saturated: float
+    draws: int
+
+    @property
+    def fits(self) -> bool:
+        """Whether no more draws than are allowed leave the space."""
+        return self.leaving <= ALLOWED
+
+
+def predicted_path(
+    plan: Plan, belief: Belief, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+) -> Envelope:
+    """Where the plan leads.
+
+    Args:
+        plan: What would be flown.
+        belief: Of the vehicle, its air and its room.
+        draws: Vehicles besides the likeliest, at least 1.
+        seed: Of the draws and their wind.
+        progress: Called with a fraction and a text; raising in it cancels.
+    """
+    vehicles = [noise_free(belief.truth), *drawn(belief, draws, seed)]
+    time = np.arange(0.0, plan.duration, _GRID)
+    paths, speeds, broken, saturated = [], [], [], []
+    for number, truth in enumerate(vehicles):
+        if progress:
+            progress(number / len(vehicles), "predicting the path")
+        where, fastest, violated, bounded = _one(plan, truth, seed + number, time)
+        paths.append(where)
+        speeds.append(fastest)
+        broken.append(violated)
+        saturated.append(bounded)
+    others, ends = np.array(paths[1:]), np.array([[each.min(axis=0), each.max(axis=0)] for each in paths[1:]])
+    low, high = np.quantile(others, [0.025, 0.975], axis=0)
+    return Envelope(
+        time=time, nominal=paths[0], low=low, high=high,
+        extent=np.stack([np.quantile(ends[:, 0], 0.025, axis=0), np.quantile(ends[:, 1], 0.975, axis=0)]),
+        speed=speeds[0], speed_high=np.quantile(np.array(speeds[1:]), 0.975, axis=0),
+        outside=np.mean(broken[1:], axis=0), leaving=float(np.mean(np.any(broken[1:], axis=1))),
+        saturated=float(np.mean(saturated[1:])), draws=draws,
+    )  # fmt: skip
+
+
+def _one(plan: Plan, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
+    """One flight: path at the times (N, 4), greatest speeds (3,), violated limits (5,), share of bounded commands."""
+    tracker, space = tracker_of(plan), plan.space
+    flight = flown(tracker, truth, seed)
+    pose, velocity = path(plan, flight), flight.velocity
+    stamp = flight.pose_stamp * 1e-9
+    flat = np.hypot(velocity[:, 0], velocity[:, 1])
+    fastest = np.array([flat.max(), np.abs(velocity[:, 2]).max(), np.abs(velocity[:, 3]).max()])
+    inside = (pose[:, :3] >= np.array(space.lower)) & (pose[:, :3] <= np.array(space.upper))
+    violated = np.append(~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]))
+    bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
+    where = np.stack([np.interp(time, stamp, pose[:, a]) for a in range(4)], axis=1)
+    return where, fastest, violated, bounded
+
+
+def with_amplitude(plan: Plan, factor: float) -> Plan:
+    """The plan with all its signals times a factor."""
+    flown_ = (replace(each, signal=scaled(each.signal, factor)) for each in plan.excitations)
+    return replace(plan, excitations=tuple(flown_))
+
+
+def largest_amplitude(
+    plan: Plan,
+    belief: Belief,
+    upper: float = 1.0,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: Progress | None = None,
+    allowed: float = ALLOWED,
+) -> float:
+    """The largest factor on all signals with which the plan stays in its space, by bisection.
+
+    Args:
+        plan: At the amplitude that is 1.
+        belief: Of the vehicle, its air and its room.
+        upper: Largest factor that is looked at.
+        draws: As `predicted_path` has them; the same vehicles and winds are flown with every factor.
+        seed: As there.
+        progress: Called with a fraction and a text; raising in it cancels.
+        allowed: Share of the draws that may leave.
+
+    Returns:
+        The factor, right to 2 % of itself; 0 where even the hover leaves.
+    """
+    steps = int(np.ceil(np.log2(1 / FINENESS))) + 2
+
+    def stays(factor: float, step: int) -> bool:
+        if progress:
+            progress(step / steps, f"looking for the largest amplitude: {factor:.2f}")
+        return predicted_path(with_amplitude(plan, factor), belief, draws, seed).leaving <= allowed
+
+    if stays(upper, 0):
+        return upper
+    low, high = 0.0, upper
+    for step in range(1, steps):
+        middle = (low + high) / 2
+        low, high = (middle, high) if stays(middle, step) else (low, middle)
+        if low and high - low <= FINENESS * low:
+            break
+    return low
+
+
+def refuse_if_outside(plan: Plan, belief: Belief, envelope: Envelope, draws: int = DRAWS, seed: int = 0) -> None:
+    """Refuses a plan that leaves its space under the uncertainty of the belief.
+
+    Raises:
+        PlanError: With the largest amplitude that fits, as a share of that of the plan.
+    """
+    if envelope.fits:
+        return
+    factor = largest_amplitude(plan, belief, 1.0, draws, seed)
+    worst = LIMITS[int(np.argmax(envelope.outside))]
+    share = f"{100 * envelope.leaving:.0f} % of {envelope.draws} vehicles that are believed possible"
+    where = f"break the limit of {worst}" if worst in ("speed", "climb") else f"leave the box along {worst}"
+    remedy = (
+        f"at {factor:.2g} times this amplitude it fits: give --amplitude, or none to have it scaled"
+        if factor > 0
+        else "no amplitude fits, even the hover drifts out: give a larger box, a shorter duration, or feedback"
+    )
+    raise PlanError(f"plan {plan.name}: {share} {where} (at most {100 * ALLOWED:.0f} % may); {remedy}")
+
+
+def violated(envelope: Envelope) -> Sequence[str]:
+    """The limits that more draws violate than are allowed."""
+    return [name for name, share in zip(LIMITS, envelope.outside, strict=True) if share > ALLOWED]
