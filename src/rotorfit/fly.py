@@ -212,7 +212,7 @@ class _Flight:
         self._try(self._send, HOVER)
         recorder.window(self._stamp, False)
         recorder.event(self._stamp, f"end: {ending.text}")
-        if ending.reason != "error":  # what has failed once is not asked again
+        if ending.reason not in ("error", "link_lost"):  # what has failed once is not asked again
             self._try(self._brake, coasting_axes(self.tracker))
         for _ in range(max(10, round(HOVERING * self.plan.rate))):
             self._try(self._listen)
@@ -366,15 +366,15 @@ class _Flight:
     def _brake(self, axes: Sequence[Coasting]) -> None:
         """Slows the axes that coast while poses are fresh."""
         on_the_way = nothing_on_the_way(axes, self.period / 1e9)
-        for _ in range(round(BRAKING * self.plan.rate)):
+        for _ in range(round(BRAKING * self.plan.rate) if axes else 0):
+            self._listen()
             pose, velocity = self.watch.pose, self.watch.velocity
-            if pose is None or not axes or self.link.now - self.watch.received > STALE * 1e9:
+            if pose is None or self.link.now - self.watch.received > STALE * 1e9:
                 return
             if math.hypot(velocity[0], velocity[1]) < BRAKED:
                 return
             command, on_the_way = braking(axes, on_the_way, pose, velocity, self.period / 1e9)
             self._send(command)
-            self._listen()
 
     def _listen(self) -> None:
         """One period in which only samples are taken in."""

@@ -64,7 +64,8 @@ class Limits:
         upper: The opposite corner [m].
         speed: Largest along x and y together [m/s].
         climb: Largest along z [m/s].
-        reaction: From an order to stop until it acts, along x, y, z: delay, and lag of the velocity loop [s].
+        reaction: From an order to stop until it acts, along x, y, z: delay, lag of a velocity loop, and that of the
+            velocity that is measured here [s].
         deceleration: Then, along x, y, z [m/s^2]; inf where the lag says all.
         duration: Longest flight [s].
         pose_age: Longest time without a pose [s].
@@ -133,7 +134,8 @@ def limits_of(plan: Plan) -> Limits:
     """
     braking = [_braking(plan, axis) for axis in AXES[:3]]
     space = plan.space
-    (x, a), (y, b), (z, c) = braking
+    x, y, z = (reaction + FILTER for reaction, _ in braking)
+    a, b, c = (deceleration for _, deceleration in braking)
     return Limits(space.lower, space.upper, space.speed, space.climb, (x, y, z), (a, b, c), plan.duration + SPARE)
 
 
