@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from link_plans import SPACE, StubRoom, plan_for
-from rotorfit.card import builtin_cards, card_from_mapping
+from link_room import StubRoom
+from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import LinkError
 from rotorfit.frames import yaw_from_quaternion
 from rotorfit.links import mavlink, wall_clock
@@ -59,7 +59,7 @@ class Bench:
         monkeypatch.setattr(mavlink, "seconds_until", lambda until: max(0.0, (until - self.instant) / 1e9))
         monkeypatch.setattr("select.select", self.wait)
         ours.fd, theirs.fd = 0, 1  # type: ignore[attr-defined]
-        self.link = mavlink.MavlinkLink(ours, mavlink_commands(CARD), SPACE.start[2])
+        self.link = mavlink.MavlinkLink(ours, mavlink_commands(CARD))
 
     def wait(
         self, ends: tuple[int], _write: Any, _error: Any, seconds: float
@@ -272,7 +272,7 @@ def test_quaternions_of_opposite_sign_are_the_same_attitude() -> None:
 
 def test_a_port_that_cannot_be_opened_is_one_line() -> None:
     with pytest.raises(LinkError, match=r"cannot open udpin:no-such-host.invalid:1"):
-        mavlink.open_link("udpin:no-such-host.invalid:1", plan_for("mavlink"))
+        mavlink.open_link("udpin:no-such-host.invalid:1", load_card("mavlink"))
 
 
 def test_every_autopilot_says_what_it_does_without_us() -> None:

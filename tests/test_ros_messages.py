@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from link_plans import plan_for
-from rotorfit.card import builtin_cards, card_from_mapping
+from rotorfit.card import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import LinkError
 from rotorfit.links import open_link, ros1, ros2
 from rotorfit.links.ros_messages import (
@@ -111,21 +110,21 @@ def test_without_rclpy_one_line_says_what_to_source() -> None:
     if importlib.util.find_spec("rclpy"):
         pytest.skip("rclpy is here")
     with pytest.raises(LinkError, match=r"needs the Python package rclpy.*source /opt/ros"):
-        open_link("ros2", plan_for("bebop2"))
+        open_link("ros2", load_card("bebop2"))
 
 
 def test_without_rospy_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rospy", None)
     monkeypatch.setattr(ros1.importlib.util, "find_spec", lambda _: object())
     with pytest.raises(LinkError, match=r"needs the Python package rospy.*python3-rospy"):
-        open_link("ros1", plan_for("bebop2"))
+        open_link("ros1", load_card("bebop2"))
 
 
 def test_an_address_is_refused_where_the_environment_names_the_graph() -> None:
     with pytest.raises(LinkError, match="ROS_MASTER_URI"):
-        open_link("ros1:http://host:11311", plan_for("bebop2"))
+        open_link("ros1:http://host:11311", load_card("bebop2"))
     with pytest.raises(LinkError, match="ROS_DOMAIN_ID"):
-        open_link("ros2:7", plan_for("bebop2"))
+        open_link("ros2:7", load_card("bebop2"))
 
 
 class Graph(ModuleType):
@@ -184,7 +183,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
 
 
 def test_ros2_sends_receives_acts_and_closes_once(graph: Graph) -> None:
-    link = open_link("ros2", plan_for("bebop2-optitrack"))
+    link = open_link("ros2", load_card("bebop2-optitrack"))
     link.act("take_off")
     link.send((0.1, 0.0, 0.0, 0.0))
     samples = link.receive(link.now + 1_000_000)
@@ -199,7 +198,7 @@ def test_ros2_sends_receives_acts_and_closes_once(graph: Graph) -> None:
 
 
 def test_ros2_says_when_the_driver_is_gone(graph: Graph) -> None:
-    link = open_link("ros2", plan_for("bebop2-optitrack"))
+    link = open_link("ros2", load_card("bebop2-optitrack"))
     graph.listeners = 0
 
     with pytest.raises(LinkError, match="nobody listens to /data_logger/cmd_vel any more"):
@@ -210,9 +209,9 @@ def test_ros2_says_when_the_driver_is_gone(graph: Graph) -> None:
 def test_ros2_says_when_nobody_listens_or_publishes_and_leaves_nothing_running(graph: Graph) -> None:
     graph.listeners = 0
     with pytest.raises(LinkError, match="nobody listens to /data_logger/cmd_vel; start the driver"):
-        open_link("ros2", plan_for("bebop2-optitrack"))
+        open_link("ros2", load_card("bebop2-optitrack"))
     graph.listeners = 1
     with pytest.raises(LinkError, match="nobody publishes /vicon/bebop2/bebop2"):
-        open_link("ros2", plan_for("bebop2"))
+        open_link("ros2", load_card("bebop2"))
 
     assert not graph.running

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 from fake_tello import Tello
 
-from link_plans import StubRoom, plan_for
-from rotorfit.card import builtin_cards
+from link_room import StubRoom
+from rotorfit.card import builtin_cards, load_card
 from rotorfit.errors import LinkError
 from rotorfit.links import tello
 from rotorfit.links.card_fields import pose_fields
@@ -60,7 +60,7 @@ def test_commands_poses_battery_and_actions_reach_their_ends(room: StubRoom) -> 
     port = free_port()
     drone = Tello(room, HOST, port)
     with drone.socket, running(drone.step):
-        link = tello.open_link(f"{HOST}:{port}", plan_for("tello"))
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
         link.act("take_off")
         link.send((0.5, 0.25, -0.1, 0.2))
         samples = link.receive(link.now + 3 * TENTH)
@@ -85,7 +85,7 @@ def test_a_tello_without_pads_gives_no_pose(room: StubRoom) -> None:
     port = free_port()
     drone = Tello(room, HOST, port, pads=False)
     with drone.socket, running(drone.step):
-        link = tello.open_link(f"{HOST}:{port}", plan_for("tello"))
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
         streams = {sample.stream for sample in link.receive(link.now + 3 * TENTH)}
         link.act("close")
 
@@ -96,7 +96,7 @@ def test_a_lost_link_is_an_error_at_the_next_command(room: StubRoom) -> None:
     port = free_port()
     drone = Tello(room, HOST, port)
     with drone.socket, running(drone.step):
-        link = tello.open_link(f"{HOST}:{port}", plan_for("tello"))
+        link = tello.open_link(f"{HOST}:{port}", load_card("tello"))
         drone.deaf = True
         link.receive(link.now + 5 * TENTH)
         with pytest.raises(LinkError, match=r"no state .* the link is lost"):
@@ -107,14 +107,14 @@ def test_a_lost_link_is_an_error_at_the_next_command(room: StubRoom) -> None:
 def test_nobody_there_is_one_line_that_says_what_to_try(room: StubRoom) -> None:
     assert room.asked == []
     with pytest.raises(LinkError, match=r"no answer from .*join its network"):
-        tello.open_link(f"{HOST}:{free_port()}", plan_for("tello"))
+        tello.open_link(f"{HOST}:{free_port()}", load_card("tello"))
 
 
 def test_a_port_that_is_taken_is_said() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("", 0))
         with pytest.raises(LinkError, match="is taken"):
-            tello.open_link(f"{HOST}:{other.getsockname()[1]}", plan_for("tello"))
+            tello.open_link(f"{HOST}:{other.getsockname()[1]}", load_card("tello"))
 
 
 def test_sticks_are_whole_numbers_with_the_signs_of_the_sdk() -> None:

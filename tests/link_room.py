@@ -1,21 +1,8 @@
-"""Plans for tests of links, which read a plan's card and start only; and a room that remembers what it was told."""
+"""A room for tests of links that remembers what it was told."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from rotorfit.card import builtin_cards
-from rotorfit.excitation import Sines
 from rotorfit.log import Sample
-from rotorfit.plan import Excitation, Plan, Space
-
-SPACE = Space((-2.0, -2.0, 0.3), (2.0, 2.0, 2.5), (0.0, 0.0, 1.2, 0.0), 1.5, 1.0)
-
-
-def plan_for(card: str | Mapping[str, Any]) -> Plan:
-    """A plan of a built-in card, by its name, or of a card as parsed from TOML."""
-    raw = builtin_cards()[card].raw if isinstance(card, str) else card
-    excitation = Excitation("x", "command", 0.0, 5.0, Sines((0.1,), (0.5,), (0.0,)))
-    return Plan("test", "two_sines", raw, 100.0, 5.0, 1.0, (excitation,), None, SPACE)
 
 
 class StubRoom:
