@@ -15,7 +15,7 @@ from rotorfit.frames import AXES, Array
 from rotorfit.model import COEFFICIENTS, Model
 from rotorfit.paper_vehicle import Truth
 from rotorfit.plan import Four
-from rotorfit.published import PUBLISHED
+from rotorfit.published import PUBLISHED, vehicle_of
 from rotorfit.settings import Meaning, expectation, meaning_of
 
 DAMPING: Mapping[str, tuple[float, float]] = {
@@ -52,7 +52,8 @@ class Belief:
 
     Attributes:
         truth: The likeliest vehicle, air and room.
-        covariance: Of input, damping and delay of x, y, z, yaw in turn, shape (12, 12).
+        covariance: Of input, damping and delay of x, y, z, yaw in turn, shape (12, 12). 0 between different axes: what
+            a fit finds there is small.
         trim_sigma: Standard deviation of the trim about that of the likeliest [m/s^2; rad/s^2 for yaw].
         levels: Axis to the four levels of its disturbance as the likelihood has them (`disturbance.LEVELS`), for the
             axes of a model; of the others they follow from the wind of `truth`.
@@ -92,44 +93,55 @@ def belief_from_card(card: Card) -> Belief:
     """What the limits and priors of a card make one expect of its vehicle.
 
     A full tilt accelerates by g tan(tilt), a full speed or rate is reached in the end. The damping is that of published
-    sets, the delay that of a Bebop 2. Where the card has a prior of a coefficient, that holds.
+    sets, the delay that of a Bebop 2. Where the card has no limit but names a vehicle with published sets, their mean
+    and spread are taken. Where it has a prior of a coefficient, that holds.
 
     Raises:
-        PlanError: The card does not say what a command reaches: no limit, or no meaning.
+        PlanError: The card does not say what a command reaches, and its vehicle is not known.
     """
-    mean, blocks, notes = np.zeros((4, 3)), np.zeros((12, 12)), []
-    for a, axis in enumerate(AXES):
-        at = slice(3 * a, 3 * a + 3)
-        if axis not in card.command:
-            mean[a], blocks[at, at] = (1.0, 1.0, DELAY[0]), np.diag([0.01, 0.01, DELAY[1] ** 2])
-            notes.append(f"the card has no command for {axis}: it cannot be flown")
-            continue
-        mean[a], blocks[at, at] = _expected(card, axis)
-    notes.append("noise and wind are those of a quiet motion-capture room; a windy one needs a model of a first flight")
-    return _checked(
-        Belief(with_coefficients(Truth(), mean.ravel()), blocks, TRIM, {}, f"card {card.name}", tuple(notes))
-    )
+    parts, notes = [], []
+    for axis in AXES:
+        mean, covariance, note = _expected(card, axis)
+        parts.append((mean, covariance))
+        notes += [note] if note else []
+    notes.append("noise and wind: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2); a first flight tells more")
+    truth = with_coefficients(Truth(), np.concatenate([mean for mean, _ in parts]))
+    covariance = _blocks([covariance for _, covariance in parts])
+    return _checked(Belief(truth, covariance, TRIM, {}, f"card {card.name}", tuple(notes)))
 
 
-def _expected(card: Card, axis: str) -> tuple[Array, Array]:
-    """Input, damping, delay of one axis and their covariance (3, 3)."""
-    meaning = meaning_of(card, axis)
+def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
+    """Input, damping, delay of one axis, their covariance (3, 3), and what had to be assumed."""
+    if axis not in card.command:
+        return np.array([1.0, 1.0, DELAY[0]]), np.diag([0.01, 0.01, DELAY[1] ** 2]), ""
+    meaning, prior, note = meaning_of(card, axis), card.prior.get(axis, {}), ""
     reach = expectation(meaning)
-    prior = card.prior.get(axis, {})
-    if reach is None and "input" not in prior:
+    vehicle = vehicle_of(card.name)
+    if reach is not None or "input" in prior:
+        damping, spread = DAMPING[meaning.asked or "velocity"]
+        mean, covariance = _product(reach or 1.0, meaning, damping, spread)
+    elif vehicle and len(sets := _stable(vehicle, axis)) > 1:
+        mean, covariance = np.array([*np.mean(sets, axis=0), DELAY[0]]), np.diag([0.0, 0.0, DELAY[1] ** 2])
+        covariance[:2, :2] = np.diag(np.var(sets, axis=0, ddof=1))
+        note = f"{axis}: the card has no limit, so the mean and spread of {len(sets)} published sets of the {vehicle}"
+    else:
         wanted = f"give [limits] {meaning.limit}" if meaning.limit else "give the channel a meaning and a limit"
         raise PlanError(
-            f"card {card.name}: it does not say what a command of 1 on {axis} reaches; {wanted}, or plan "
-            "--after a model of a first flight"
+            f"card {card.name}: it does not say what a command of 1 on {axis} reaches; {wanted}, or plan --after a "
+            "model of a first flight"
         )
-    damping, spread = DAMPING[meaning.asked or "velocity"]
-    mean, covariance = _product(reach or 1.0, meaning, damping, spread)
     for i, name in enumerate(COEFFICIENTS):
         if one := prior.get(name):
-            mean[i] = one.mean
-            covariance[i], covariance[:, i] = 0.0, 0.0
+            mean[i], covariance[i], covariance[:, i] = one.mean, 0.0, 0.0
             covariance[i, i] = one.sd**2
-    return mean, covariance
+    return mean, covariance, note
+
+
+def _stable(vehicle: str, axis: str) -> Array:
+    """Input and damping of an axis in a vehicle's published sets in fractions, the damping positive, shape (S, 2)."""
+    a = 2 * AXES.index(axis)
+    pairs = [one.gamma[a : a + 2] for one in PUBLISHED if one.vehicle == vehicle and one.command == "fraction"]
+    return np.array([pair for pair in pairs if pair[1] is not None and pair[1] > 0], float)
 
 
 def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> tuple[Array, Array]:
@@ -220,18 +232,18 @@ def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
 
 
 def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
-    """The covariance of a model in that of what it does not know, bounded by `UNKNOWN_SHARE`."""
-    names = [name for name in model.covariance_names if name in NAMES]
-    here = [NAMES.index(name) for name in names]
-    there = [model.covariance_names.index(name) for name in names]
+    """The covariances of a model in that of what it does not know, bounded by `UNKNOWN_SHARE`."""
     out = covariance.copy()
-    out[here], out[:, here] = 0.0, 0.0
-    if names:
-        share = np.tile([*UNKNOWN_SHARE, np.nan], 4)[here]
-        bound = np.where(np.isnan(share), DELAY[1] ** 2, (share * values[here]) ** 2)
+    for a, axis in enumerate(AXES):
+        names = [f"{axis}.{name}" for name in COEFFICIENTS]
+        if not set(names) <= set(model.covariance_names):
+            continue
+        there, at = [model.covariance_names.index(name) for name in names], slice(3 * a, 3 * a + 3)
+        bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
+        bound[2] = DELAY[1]
         own = model.covariance[np.ix_(there, there)]
-        out[np.ix_(here, here)] = np.linalg.inv(np.linalg.inv(own) + np.diag(1 / bound))
-    return np.asarray(out)
+        out[at, at] = np.linalg.inv(np.linalg.inv(own) + np.diag(1 / bound**2))
+    return out
 
 
 def _wind(levels: Sequence[float], damping: float) -> tuple[float, float]:
@@ -291,7 +303,10 @@ def belief_mapping(belief: Belief) -> dict[str, Any]:
         "stale_share": float(truth.stale_share),
         "trim_sigma": _plain(belief.trim_sigma),
         "levels": {axis: _plain(levels) for axis, levels in belief.levels.items()},
-        "covariance": [_plain(row) for row in belief.covariance],
+        "covariance": {
+            axis: [_plain(row) for row in belief.covariance[3 * a : 3 * a + 3, 3 * a : 3 * a + 3]]
+            for a, axis in enumerate(AXES)
+        },
     }
 
 
@@ -309,7 +324,7 @@ def belief_from_mapping(raw: Mapping[str, Any], where: str) -> Belief:
         )  # fmt: skip
         belief = Belief(
             truth=truth,
-            covariance=np.array(raw["covariance"], float).reshape(12, 12),
+            covariance=_blocks([np.array(raw["covariance"][axis], float).reshape(3, 3) for axis in AXES]),
             trim_sigma=_four(raw["trim_sigma"]),
             levels={axis: tuple(map(float, raw["levels"][axis])) for axis in AXES if axis in raw["levels"]},
             source=str(raw["source"]),
@@ -320,6 +335,14 @@ def belief_from_mapping(raw: Mapping[str, Any], where: str) -> Belief:
     except (TypeError, ValueError) as error:
         raise PlanError(f"{where}, [belief]: {error}; plan it again") from None
     return _checked(belief)
+
+
+def _blocks(parts: Sequence[Array]) -> Array:
+    """The blocks of the axes on the diagonal, shape (12, 12)."""
+    out = np.zeros((12, 12))
+    for a, part in enumerate(parts):
+        out[3 * a : 3 * a + 3, 3 * a : 3 * a + 3] = part
+    return out
 
 
 def _checked(belief: Belief) -> Belief:

@@ -4,7 +4,7 @@ The plan is flown by the likeliest vehicle in still air, and by vehicles drawn f
 wind of its own; its feedback believes in the likeliest all the while.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from rotorfit.belief import Belief, drawn
 from rotorfit.errors import PlanError
 from rotorfit.excitation import scaled
-from rotorfit.frames import Array
+from rotorfit.frames import AXES, Array
 from rotorfit.paper_vehicle import Truth, noise_free
 from rotorfit.plan import Plan
 from rotorfit.rehearsal import flown, path
@@ -49,6 +49,7 @@ class Envelope:
         speed: Greatest speed along x and y, along z, and rate of yaw of the nominal flight, shape (3,) [m/s, rad/s].
         speed_high: That of 97.5 % of the draws is not greater, shape (3,).
         outside: Share of the draws that violate each of `LIMITS`, shape (5,).
+        hasty: Share of the draws whose speed along x, or y, is above the limit over the root of 2, shape (2,).
         leaving: Share of the draws that violate any.
         saturated: Share of the commands, over all draws, that full scale bounds on some axis.
         draws: D.
@@ -62,6 +63,7 @@ class Envelope:
     speed: Array
     speed_high: Array
     outside: Array
+    hasty: Array
     leaving: float
     saturated: float
     draws: int
@@ -97,46 +99,45 @@ def predicted_path(
         saturated.append(bounded)
     others, ends = np.array(paths[1:]), np.array([[each.min(axis=0), each.max(axis=0)] for each in paths[1:]])
     low, high = np.quantile(others, [0.025, 0.975], axis=0)
+    shares = np.mean(broken[1:], axis=0)
     return Envelope(
         time=time, nominal=paths[0], low=low, high=high,
         extent=np.stack([np.quantile(ends[:, 0], 0.025, axis=0), np.quantile(ends[:, 1], 0.975, axis=0)]),
         speed=speeds[0], speed_high=np.quantile(np.array(speeds[1:]), 0.975, axis=0),
-        outside=np.mean(broken[1:], axis=0), leaving=float(np.mean(np.any(broken[1:], axis=1))),
+        outside=shares[:5], hasty=shares[5:], leaving=float(np.mean(np.any(np.array(broken[1:])[:, :5] > 0, axis=1))),
         saturated=float(np.mean(saturated[1:])), draws=draws,
     )  # fmt: skip
 
 
 def _one(plan: Plan, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
-    """One flight: path at the times (N, 4), greatest speeds (3,), violated limits (5,), share of bounded commands."""
+    """One flight: path (N, 4), greatest speeds (3,), violated limits and haste (7,), share of bounded commands."""
     tracker, space = tracker_of(plan), plan.space
     flight = flown(tracker, truth, seed)
     pose, velocity = path(plan, flight), flight.velocity
     stamp = flight.pose_stamp * 1e-9
     flat = np.hypot(velocity[:, 0], velocity[:, 1])
     fastest = np.array([flat.max(), np.abs(velocity[:, 2]).max(), np.abs(velocity[:, 3]).max()])
+    hasty = np.abs(velocity[:, :2]).max(axis=0) > space.speed / np.sqrt(2)
     inside = (pose[:, :3] >= np.array(space.lower)) & (pose[:, :3] <= np.array(space.upper))
-    violated = np.append(~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]))
+    violated = np.concatenate([~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]), hasty])
     bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
     where = np.stack([np.interp(time, stamp, pose[:, a]) for a in range(4)], axis=1)
-    return where, fastest, violated, bounded
+    return where, fastest, violated.astype(float), bounded
 
 
-def with_amplitude(plan: Plan, factor: float) -> Plan:
-    """The plan with all its signals times a factor."""
-    flown_ = (replace(each, signal=scaled(each.signal, factor)) for each in plan.excitations)
-    return replace(plan, excitations=tuple(flown_))
+def with_amplitudes(plan: Plan, factors: Mapping[str, float]) -> Plan:
+    """The plan with the signals of each axis times a factor."""
+    signals = (replace(each, signal=scaled(each.signal, factors[each.axis])) for each in plan.excitations)
+    return replace(plan, excitations=tuple(signals))
 
 
-def largest_amplitude(
-    plan: Plan,
-    belief: Belief,
-    upper: float = 1.0,
-    draws: int = DRAWS,
-    seed: int = 0,
-    progress: Progress | None = None,
-    allowed: float = ALLOWED,
-) -> float:
-    """The largest factor on all signals with which the plan stays in its space, by bisection.
+def largest_amplitudes(
+    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+) -> dict[str, float]:
+    """The largest factors on the signals with which the plan stays in its space, axis by axis, by bisection.
+
+    Each axis shrinks only where it violates a limit itself: x and y the sides of the box along them and the speed, z
+    its side and the climb. What then still leaves, as where the heading turns, shrinks all together.
 
     Args:
         plan: At the amplitude that is 1.
@@ -145,22 +146,71 @@ def largest_amplitude(
         draws: As `predicted_path` has them; the same vehicles and winds are flown with every factor.
         seed: As there.
         progress: Called with a fraction and a text; raising in it cancels.
-        allowed: Share of the draws that may leave.
 
     Returns:
-        The factor, right to 2 % of itself; 0 where even the hover leaves.
+        Axis to factor, right to 2 % of itself; all 0 where even the hover leaves.
     """
-    steps = int(np.ceil(np.log2(1 / FINENESS))) + 2
+    axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
+    low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
+    factors = high
+    for step in range(_STEPS):
+        if progress:
+            progress(0.5 * step / _STEPS, "looking for the largest amplitude")
+        if step == 1 and not predicted_path(with_amplitudes(plan, low), belief, draws, seed).fits:
+            return low
+        foreseen = predicted_path(with_amplitudes(plan, factors), belief, max(draws // 2, 1), seed)
+        for axis in axes:
+            low, high = (
+                (low, high | {axis: factors[axis]})
+                if _guilty(axis, axes, foreseen)
+                else (low | {axis: factors[axis]}, high)
+            )
+        if all(high[axis] - low[axis] <= FINENESS * low[axis] for axis in axes):
+            break
+        factors = {axis: (low[axis] + high[axis]) / 2 for axis in axes}
+    if min(low.values()) <= 0:
+        return dict.fromkeys(axes, 0.0)
+    room = min(np.sqrt(2), upper / max(low.values()))  # speeds along x and y need not be greatest at the same time
+    common = largest_amplitude(with_amplitudes(plan, low), belief, room, draws, seed, _second_half(progress))
+    return {axis: common * factor for axis, factor in low.items()}
+
+
+def _guilty(axis: str, axes: Sequence[str], foreseen: Envelope) -> bool:
+    """Whether an axis violates a limit itself; x and y that are flown together share the speed in equal parts."""
+    outside = dict(zip(LIMITS, foreseen.outside, strict=True))
+    if axis == "yaw":
+        return False
+    if axis == "z":
+        return bool(max(outside["z"], outside["climb"]) > ALLOWED)
+    speed = foreseen.hasty["xy".index(axis)] if {"x", "y"} <= set(axes) else outside["speed"]
+    return bool(max(outside[axis], speed) > ALLOWED)
+
+
+_STEPS = 9
+
+
+def _second_half(progress: Progress | None) -> Progress | None:
+    if progress is None:
+        return None
+    outer = progress
+    return lambda fraction, text: outer(0.5 + 0.5 * fraction, text)
+
+
+def largest_amplitude(
+    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+) -> float:
+    """The largest factor on all signals alike with which the plan stays in its space; arguments and search as above."""
 
     def stays(factor: float, step: int) -> bool:
         if progress:
-            progress(step / steps, f"looking for the largest amplitude: {factor:.2f}")
-        return predicted_path(with_amplitude(plan, factor), belief, draws, seed).leaving <= allowed
+            progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
+        factors = dict.fromkeys(AXES, factor)
+        return predicted_path(with_amplitudes(plan, factors), belief, draws, seed).fits
 
     if stays(upper, 0):
         return upper
     low, high = 0.0, upper
-    for step in range(1, steps):
+    for step in range(1, _STEPS):
         middle = (low + high) / 2
         low, high = (middle, high) if stays(middle, step) else (low, middle)
         if low and high - low <= FINENESS * low:
@@ -168,26 +218,38 @@ def largest_amplitude(
     return low
 
 
-def refuse_if_outside(plan: Plan, belief: Belief, envelope: Envelope, draws: int = DRAWS, seed: int = 0) -> None:
+def refuse_if_outside(
+    plan: Plan, belief: Belief, envelope: Envelope, amplitude: float = 1.0, draws: int = DRAWS, seed: int = 0
+) -> None:
     """Refuses a plan that leaves its space under the uncertainty of the belief.
 
+    Args:
+        plan: What would be flown.
+        belief: Of the vehicle, its air and its room.
+        envelope: Its prediction.
+        amplitude: Which the plan has now.
+        draws: Of the search for the amplitude that fits.
+        seed: Of it.
+
     Raises:
-        PlanError: With the largest amplitude that fits, as a share of that of the plan.
+        PlanError: With the largest amplitude that fits.
     """
     if envelope.fits:
         return
-    factor = largest_amplitude(plan, belief, 1.0, draws, seed)
+    fitting = amplitude * largest_amplitude(plan, belief, 1.0, draws, seed)
     worst = LIMITS[int(np.argmax(envelope.outside))]
     share = f"{100 * envelope.leaving:.0f} % of {envelope.draws} vehicles that are believed possible"
     where = f"break the limit of {worst}" if worst in ("speed", "climb") else f"leave the box along {worst}"
     remedy = (
-        f"at {factor:.2g} times this amplitude it fits: give --amplitude, or none to have it scaled"
-        if factor > 0
+        f"the largest amplitude that fits is {_floored(fitting)}: give --amplitude {_floored(fitting)}, or none to "
+        "have it scaled axis by axis"
+        if fitting > 0
         else "no amplitude fits, even the hover drifts out: give a larger box, a shorter duration, or feedback"
     )
-    raise PlanError(f"plan {plan.name}: {share} {where} (at most {100 * ALLOWED:.0f} % may); {remedy}")
+    raise PlanError(f"plan {plan.name}: {share} {where}, at most {100 * ALLOWED:.0f} % may; {remedy}")
 
 
-def violated(envelope: Envelope) -> Sequence[str]:
-    """The limits that more draws violate than are allowed."""
-    return [name for name, share in zip(LIMITS, envelope.outside, strict=True) if share > ALLOWED]
+def _floored(value: float) -> str:
+    """Two significant digits, never more than the value, so that what is offered does fit."""
+    grain = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / grain + 1e-9) * grain:.2g}"

@@ -17,18 +17,20 @@ Manchester, Input design for system identification via convex relaxation (2010),
 problem is bounded from above (`bench/bench_optimal.py`).
 """
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from rotorfit.axis_information import AxisInformation, axis_information
+from rotorfit.belief import Belief, levels_of
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Steps
-from rotorfit.frames import Array
-from rotorfit.held_motion import EARLY, Dynamics, extremes, transitions
+from rotorfit.frames import AXES, Array
+from rotorfit.held_motion import EARLY, Dynamics, against_feedback, extremes, transitions
+from rotorfit.plan import Excitation, Feedback
 
 Criterion = Literal["d", "a"]
 Progress = Callable[[float, str], None]
@@ -43,7 +45,7 @@ LONGEST = 60.0
 SHORTEST = 4.0
 """Shortest flight that is designed [s]."""
 
-STARTS, ROUNDS = 12, 48
+STARTS, ROUNDS = 9, 27
 """Signals that start the climb, and disturbances of the best afterwards."""
 
 SETTLED = 1e-6
@@ -152,6 +154,55 @@ def optimal_signal(
     )
 
 
+def optimal_excitations(
+    belief: Belief,
+    room: Mapping[str, AxisLimits],
+    start: float,
+    duration: float,
+    feedback: Feedback | None,
+    criterion: Criterion = "d",
+    seed: int = 0,
+    progress: Progress | None = None,
+    step: float = 0.1,
+) -> tuple[Excitation, ...]:
+    """Designs several axes that are flown together, ready for a plan without a ramp.
+
+    Each axis has a seed of its own, so that their commands differ. On an axis with feedback the signal also holds what
+    keeps the feedback from undoing the motion (`held_motion.against_feedback`).
+
+    Args:
+        belief: Of the vehicle, its air and its room.
+        room: Axis to its limits.
+        start: Of the signals in the plan [s].
+        duration: Of the signals [s].
+        feedback: Of the plan; it must believe in the same input gains.
+        criterion: As `optimal_signal` has it.
+        seed: Of the searches.
+        progress: Called with a fraction and a text; raising in it cancels.
+        step: How long a command holds at least, a multiple of the period of the plan's commands [s].
+
+    Raises:
+        PlanError: Limits without room, or a duration that is too short.
+    """
+    truth, out = belief.truth, []
+    for place, (axis, limits) in enumerate(room.items()):
+        a = AXES.index(axis)
+        dynamics = Dynamics(truth.gamma[2 * a], truth.gamma[2 * a + 1], truth.delay[a])
+        part = None if progress is None else functools.partial(_told, progress, place, len(room))
+        signal = optimal_signal(
+            dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
+            step=step, pose_rate=truth.pose_rate * (1 - truth.stale_share),
+        ).signal  # fmt: skip
+        if feedback is not None and axis in feedback.axes:
+            signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
+        out.append(Excitation(axis, "command", start, duration, signal))
+    return tuple(out)
+
+
+def _told(progress: Progress, place: int, of: int, share: float, text: str) -> None:
+    progress((place + share) / of, text)
+
+
 def _check(dynamics: tuple[float, float, float], limits: AxisLimits, duration: float) -> None:
     gain, damping, delay = dynamics
     if not (gain != 0 and damping > 0 and delay >= 0):
@@ -209,7 +260,7 @@ class _Problem:
             return np.asarray(inverse * scale / 6)
         return np.asarray(inverse @ inverse * scale / (2 * np.trace(inverse)))
 
-    @cached_property
+    @functools.cached_property
     def motion(self) -> tuple[Any, Array]:
         """Equations A x = 0 and bounds (3 N, 2) of x: N commands, the positions and the speeds after each of them."""
         from scipy.sparse import csc_array, eye_array, hstack, vstack
