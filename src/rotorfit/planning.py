@@ -1,7 +1,7 @@
 """Planning: card, space, design, axes, duration and belief -> Plan that stays in its space, with what it will tell."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ from rotorfit.belief import Belief, belief_mapping
 from rotorfit.card import Card
 from rotorfit.envelope import ALLOWED, Envelope, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
 from rotorfit.errors import PlanError
-from rotorfit.excitation import DESIGNS, Signal, crest_factor, designed, ident_reference, paper_sines
+from rotorfit.excitation import DESIGNS, Signal, crest_factor, designed, ident_reference, paper_sines, scaled
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS
+from rotorfit.optimal import AxisLimits, optimal_excitations
 from rotorfit.plan import Excitation, Feedback, Plan, Space
 from rotorfit.precision import Precision, predicted_errors
 from rotorfit.rehearsal import excited_axes
@@ -45,6 +46,12 @@ IDENT = Feedback(AXES, (1.33, 1.40, 3.50, 1.75), (1.50, 1.50, 2.00, 2.00))
 
 Source: jrsbenevides/drone_dev, config/bebopParameters.yaml, KpFL and KdFL of its feedback linearisation.
 """
+
+RESERVE = 0.85
+"""Share of the space that an optimal design uses at the likeliest vehicle: the rest is for the doubt about it."""
+
+YAW_REACH, YAW_RATE = np.pi / 2, 1.5
+"""How far and how fast an optimal design turns [rad, rad/s]."""
 
 NEARLY = 0.95
 """Share of the full amplitude from which on an open loop is good enough."""
@@ -92,27 +99,91 @@ def plan_flight(
             space; without, no amplitude that stays.
     """
     _check_request(card, space, design, axes, duration, amplitude)
-    axes = tuple(axis for axis in AXES if axis in axes)
-    excitations = _excitations(card, space, design, axes, duration, belief, seed)
-    name = f"{design} on {', '.join(axes)}"
-    bare = Plan(
-        name, design, card.raw, RATE, duration, RAMP, excitations, None, space, belief_mapping(belief), seed=seed
-    )
-    loops: dict[str, Feedback | None] = {"tracking": IDENT}
-    if design != "ident":
-        held = tuple(axis for axis in AXES if axis not in axes and axis in card.command)
-        hold = Feedback(held) if held else None
-        loops = {"open": None} if open_loop else {"open": hold, "centred": replace(CENTRING, axes=tuple(card.command))}
     if open_loop and design == "ident":
         raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
-    choices = {}
+    wanted = _Wanted(
+        card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed
+    )
+    loops = _loops(wanted, open_loop)
+    choices: dict[str, _Choice] = {}
     for place, (word, loop) in enumerate(loops.items()):
-        choices[word] = _sized(
-            replace(bare, feedback=loop), belief, amplitude, part_of(progress, place, len(loops) + 1)
-        )
-        if amplitude is None and min(choices[word][1].values()) >= NEARLY:
+        choices[word] = _choice(wanted, loop, part_of(progress, place, len(loops) + 1))
+        if amplitude is None and min(choices[word].factors.values()) >= NEARLY:
             break
     return _best(choices, belief, amplitude, part_of(progress, len(loops), len(loops) + 1))
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What is asked of `plan_flight`."""
+
+    card: Card
+    space: Space
+    design: str
+    axes: tuple[str, ...]
+    duration: float
+    belief: Belief
+    amplitude: float | None
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """A plan with one of the possible loops, and the factor of each axis on its full amplitude; 0 if none fits."""
+
+    plan: Plan
+    factors: Mapping[str, float]
+
+
+def _loops(wanted: _Wanted, open_loop: bool) -> dict[str, Feedback | None]:
+    """The feedbacks that are tried, the one that takes least from the signals first."""
+    if wanted.design == "ident":
+        return {"tracking": replace(IDENT, axes=tuple(wanted.card.command))}
+    if open_loop:
+        return {"open": None}
+    held = tuple(axis for axis in AXES if axis not in wanted.axes and axis in wanted.card.command)
+    return {"open": Feedback(held) if held else None, "centred": replace(CENTRING, axes=tuple(wanted.card.command))}
+
+
+def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -> _Choice:
+    """The plan with a loop, at the amplitude that is asked for or at the largest that fits."""
+    belief, length = wanted.belief, wanted.duration - 2 * QUIET
+    plan = Plan(
+        f"{wanted.design} on {', '.join(wanted.axes)}", wanted.design, wanted.card.raw, RATE, wanted.duration,
+        0.0 if wanted.design == "optimal" else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
+    )  # fmt: skip
+    if wanted.design == "optimal":
+        hover = predicted_path(plan, belief, seed=wanted.seed)
+        if not hover.fits:
+            return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
+        excitations = optimal_excitations(
+            belief, _limits(wanted, hover), QUIET, length, loop, seed=wanted.seed, progress=part_of(progress, 0, 2)
+        )
+        progress = part_of(progress, 1, 2)
+    else:
+        excitations = _ident(wanted.axes, length) if wanted.design == "ident" else _classic(wanted, length)
+    plan = replace(plan, excitations=excitations)
+    if wanted.amplitude is not None:
+        factors = dict.fromkeys(wanted.axes, wanted.amplitude)
+    else:
+        factors = largest_amplitudes(plan, belief, seed=wanted.seed, progress=progress)
+    return _Choice(with_amplitudes(plan, factors), factors)
+
+
+def _limits(wanted: _Wanted, hover: Envelope) -> dict[str, AxisLimits]:
+    """What the optimal design of each axis may use: the space less what a hover drifts in it, less a reserve."""
+    out, space = {}, wanted.space
+    for axis in wanted.axes:
+        a = AXES.index(axis)
+        command = full_amplitude(wanted.card, wanted.belief, axis)
+        if axis == "yaw":
+            out[axis] = AxisLimits(command, -YAW_REACH, YAW_REACH, YAW_RATE)
+            continue
+        together = {"x", "y"} <= set(wanted.axes) and axis != "z"
+        speed = space.climb if axis == "z" else space.speed / (np.sqrt(2) if together else 1)
+        low, high = space.lower[a] - hover.extent[0, a], space.upper[a] - hover.extent[1, a]
+        out[axis] = AxisLimits(command, *(float(RESERVE * each) for each in (low, high, speed)))
+    return out
 
 
 def _check_request(
@@ -134,29 +205,23 @@ def _check_request(
         raise PlanError(f"the start {space.start[:3]} is not inside the box {space.lower} to {space.upper}")
 
 
-def _excitations(
-    card: Card, space: Space, design: str, axes: Sequence[str], duration: float, belief: Belief, seed: int
-) -> tuple[Excitation, ...]:
-    """The signals at full amplitude."""
-    length = duration - 2 * QUIET
-    if design == "ident":
-        return _ident(axes, length)
+def _classic(wanted: _Wanted, length: float) -> tuple[Excitation, ...]:
+    """The signals of designs with a fixed form, at full amplitude."""
     out = []
-    for place, axis in enumerate(axes):
-        if design == "two_sines":
-            signal: Signal = _within_scale(paper_sines(axis), full_scale(card, axis))
+    for place, axis in enumerate(wanted.axes):
+        scale = full_scale(wanted.card, axis)
+        if wanted.design == "two_sines":
+            signal: Signal = _within_scale(paper_sines(axis), scale)
         else:
-            size = full_amplitude(card, belief, axis)
-            band = band_of(belief, space, axis, size)
-            signal = designed(design, size, length, band, place, len(axes), seed)
+            size = full_amplitude(wanted.card, wanted.belief, axis)
+            band = band_of(wanted.belief, wanted.space, axis, size)
+            signal = designed(wanted.design, size, length, band, place, len(wanted.axes), wanted.seed)
         out.append(Excitation(axis, "command", QUIET, length, signal))
     return tuple(out)
 
 
 def _within_scale(signal: Signal, scale: float) -> Signal:
     """The paper's yaw adds up to 1.2 of full scale: such sums are made to fit."""
-    from rotorfit.excitation import scaled
-
     peak = float(np.sum(np.abs(getattr(signal, "amplitude", 0.0))))
     return scaled(signal, min(1.0, scale / peak))
 
@@ -195,65 +260,38 @@ def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[
     return float(min(max(fills, damping / 2), high / 3)), high
 
 
-def _sized(
-    plan: Plan, belief: Belief, amplitude: float | None, progress: Progress | None
-) -> tuple[Plan, Mapping[str, float]]:
-    """The plan at the amplitude that is asked for, or at the largest that fits, and that factor by axis."""
-    axes = excited_axes(plan)
-    if amplitude is not None:
-        factors = dict.fromkeys(axes, amplitude)
-    else:
-        factors = largest_amplitudes(plan, belief, seed=plan.seed, progress=progress)
-    return with_amplitudes(plan, factors), factors
-
-
-def _best(
-    choices: Mapping[str, tuple[Plan, Mapping[str, float]]],
-    belief: Belief,
-    amplitude: float | None,
-    progress: Progress | None,
-) -> Plan:
+def _best(choices: Mapping[str, _Choice], belief: Belief, amplitude: float | None, progress: Progress | None) -> Plan:
     """The loop whose standard errors are least, with its prediction, and why."""
-    possible = {word: choice for word, choice in choices.items() if min(choice[1].values()) > 0}
+    possible = {word: choice for word, choice in choices.items() if min(choice.factors.values()) > 0}
     if not possible:
-        plan = next(iter(choices.values()))[0]
         raise PlanError(
-            f"plan {plan.name}: no amplitude stays inside for 19 of 20 vehicles that are believed possible: even the "
-            "hover drifts out; give a larger box, a shorter duration, or feedback"
+            f"plan {next(iter(choices.values())).plan.name}: no amplitude stays inside for 19 of 20 vehicles that are "
+            "believed possible, even the hover drifts out; give a larger box, a shorter duration, or no --open-loop"
         )
     if amplitude is not None and len(possible) == 2:
-        envelope = predicted_path(possible["open"][0], belief, seed=possible["open"][0].seed)
-        possible.pop("centred" if envelope.fits else "open")
-    spreads = {word: mean_error(plan, belief) for word, (plan, _) in possible.items()}
-    word = min(spreads, key=lambda each: spreads[each])
-    plan, factors = possible[word]
-    notes = _loop_notes(word, possible, belief, amplitude)
-    return predicted(plan, belief, factors, notes, progress)
-
-
-def _loop_notes(
-    word: str,
-    possible: Mapping[str, tuple[Plan, Mapping[str, float]]],
-    belief: Belief,
-    amplitude: float | None,
-) -> list[str]:
-    """What the loop is for, and what it costs."""
-    plan, factors = possible[word]
+        plan = possible["open"].plan
+        possible.pop("centred" if predicted_path(plan, belief, seed=plan.seed).fits else "open")
+    word = min(possible, key=lambda each: mean_error(possible[each].plan, belief))
+    chosen = possible[word]
     notes = []
     if word == "centred":
-        open_factors = possible["open"][1] if "open" in possible else {}
-        bare = replace(plan, feedback=None)
-        cost = 100 * (mean_error(plan, belief) / mean_error(bare, belief) - 1)
-        text = f"soft feedback centres the excited axes; at the same signals it changes the mean error by {cost:+.0f} %"
-        if amplitude is None and open_factors:
-            text += f"; without it the largest amplitude is {min(open_factors.values()):.2g}"
-        elif amplitude is None:
-            text += "; without it even the hover drifts out"
-        notes.append(text)
-    if amplitude is None and min(factors.values()) < 1:
-        sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in factors.items())
+        notes.append(_centring_note(chosen, possible.get("open"), belief, amplitude))
+    if amplitude is None and not 0.995 <= min(chosen.factors.values()) <= max(chosen.factors.values()) <= 1.005:
+        sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
         notes.append(f"scaled to fit the space, of full amplitude: {sizes}")
-    return notes
+    return predicted(chosen.plan, belief, chosen.factors, notes, progress)
+
+
+def _centring_note(chosen: _Choice, without: _Choice | None, belief: Belief, amplitude: float | None) -> str:
+    """What the feedback on excited axes is for, and what it costs."""
+    bare = replace(chosen.plan, feedback=None)
+    cost = 100 * (mean_error(chosen.plan, belief) / mean_error(bare, belief) - 1)
+    text = f"soft feedback centres the excited axes; at the same signals it changes the mean error by {cost:+.0f} %"
+    if amplitude is not None:
+        return f"{text}; without it the flight leaves the space"
+    if without is None:
+        return f"{text}; without it even the hover drifts out"
+    return f"{text}; without it the largest amplitude is {min(without.factors.values()):.2g}"
 
 
 def mean_error(plan: Plan, belief: Belief) -> float:

@@ -35,7 +35,7 @@ COMMANDED, TAKE_OFF, LAND = 0, 1, 2  # kinds of events
 MAX_STEP = 4_000_000  # ns; docs/flight-room.md has what halving it changes
 WIND_STEP = 20_000_000  # ns between the nodes of the wind; a multiple of the step
 NEVER = np.iinfo(np.int64).max
-GAIN_TIME = 2.0  # s in which an autopilot learns that its thrust gain has changed; chosen
+GAIN_TIME = 0.2  # s in which an autopilot learns that its thrust gain has changed; chosen: it sinks 1 cm a minute
 LEAST_COSINE = 0.5  # beyond a tilt of 60 deg height is no longer held at any price
 
 _DTYPE = np.dtype(

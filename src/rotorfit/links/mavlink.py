@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card import Card
 from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields
 from rotorfit.links.link import Action
@@ -40,7 +40,6 @@ from rotorfit.links.mavlink_messages import (
 )
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
-from rotorfit.plan import Plan
 
 DEFAULT_ADDRESS = "udpin:0.0.0.0:14540"
 SYSTEM, COMPONENT = 245, 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -55,19 +54,18 @@ TRIES = 5
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
 
 
-def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) -> "MavlinkLink":
+def open_link(address: str, card: Card) -> "MavlinkLink":
     """Waits for an autopilot.
 
     Args:
         address: As pymavlink has it; empty for `udpin:0.0.0.0:14540`, where PX4 looks for companion computers.
-        plan: Its card says what the velocities mean (the built-in one is `mavlink`); take-off is to its start's height.
+        card: What the velocities mean; the built-in one is `mavlink`.
 
     Raises:
         LinkError: No such port, no heartbeat, an autopilot that is neither PX4 nor ArduPilot, another card.
         ModuleNotFoundError: No pymavlink.
     """
-    card = card_from_mapping(plan.card, plan.name)
-    link = MavlinkLink(_connect(address), mavlink_commands(card), plan.space.start[2])
+    link = MavlinkLink(_connect(address), mavlink_commands(card))
     link.greet()
     return link
 
@@ -79,7 +77,7 @@ def open_poses(address: str) -> "MavlinkLink":
         LinkError: As `open_link`.
         ModuleNotFoundError: No pymavlink.
     """
-    link = MavlinkLink(_connect(address), None, 0.0)
+    link = MavlinkLink(_connect(address), None)
     link.greet()
     return link
 
@@ -87,11 +85,10 @@ def open_poses(address: str) -> "MavlinkLink":
 class MavlinkLink:
     """A vehicle with an autopilot that speaks MAVLink; implements `links.Link`. Runs in the caller's thread."""
 
-    def __init__(self, connection: Any, commands: CommandFields | None, height: float) -> None:
+    def __init__(self, connection: Any, commands: CommandFields | None) -> None:
         self.live = True
         self._connection = connection
         self._commands = commands
-        self._height = height
         self._poses = Poses()
         self._inbox: list[Sample] = []
         self._start = wall_clock()
@@ -247,13 +244,13 @@ class MavlinkLink:
     def _repeat(self) -> None:
         """Sends the first step, or again."""
         self._asked, self._tries = wall_clock(), self._tries + 1
-        self._command(*command_parameters(self._steps[0], self._known, self._height))
+        self._command(*command_parameters(self._steps[0], self._known))
 
     def _command(self, command: int, parameters: Sequence[float]) -> None:
         self._connection.mav.command_long_send(*self._target, command, max(self._tries - 1, 0), *parameters)
 
     def _answered(self, command: int, result: int) -> None:
-        if not self._steps or command_parameters(self._steps[0], self._known, self._height)[0] != command:
+        if not self._steps or command_parameters(self._steps[0], self._known)[0] != command:
             return
         if result == ACCEPTED:
             self._steps.popleft()

@@ -32,6 +32,9 @@ RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed"
 STREAMS = {32: 50.0, 31: 50.0, 1: 1.0, 245: 2.0}
 """Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, SYS_STATUS, EXTENDED_SYS_STATE [Hz]."""
 
+TAKE_OFF_HEIGHT = 1.5
+"""Of ArduPilot, which must be told [m]."""
+
 ATTITUDES_KEPT, POSITIONS_KEPT = 50, 50
 
 
@@ -118,10 +121,10 @@ def setpoint(fields: CommandFields, command: Sequence[float], boot_ms: int, targ
     return (boot_ms, *target, BODY_NED, VELOCITY_AND_YAW_RATE, *nothing, vx, vy, vz, *nothing, 0.0, rate)
 
 
-def command_parameters(step: str, autopilot: Autopilot, height: float) -> tuple[int, tuple[float, ...]]:
+def command_parameters(step: str, autopilot: Autopilot) -> tuple[int, tuple[float, ...]]:
     """MAV_CMD and its seven parameters for a step: `mode`, `arm`, `take_off` or `land`.
 
-    Take-off on ArduPilot climbs to `height` above home [m]; PX4 is given no height (NaN) and climbs to its own
+    Take-off on ArduPilot climbs to `TAKE_OFF_HEIGHT` above home; PX4 is given no height (NaN) and climbs to its own
     MIS_TAKEOFF_ALT, because it would read the number as one above the sea.
     """
     nan = math.nan
@@ -133,7 +136,7 @@ def command_parameters(step: str, autopilot: Autopilot, height: float) -> tuple[
         return LAND, (0.0, 0.0, 0.0, nan if autopilot.name == "PX4" else 0.0, 0.0, 0.0, 0.0)
     if autopilot.name == "PX4":
         return TAKE_OFF, (nan, nan, nan, nan, nan, nan, nan)
-    return TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
+    return TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, TAKE_OFF_HEIGHT)
 
 
 class SenderClock:

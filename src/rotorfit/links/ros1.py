@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card import Card
 from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields, PoseFields
 from rotorfit.links.link import Action
@@ -32,19 +32,18 @@ from rotorfit.links.ros_messages import (
 )
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
-from rotorfit.plan import Plan
 
 DEBIAN = "/usr/lib/python3/dist-packages"
 PATIENCE = 5.0
 """How long a driver may take to be found on the graph [s]."""
 
 
-def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) -> "Ros1Link":
-    """Connects to the driver that the plan's card describes.
+def open_link(address: str, card: Card) -> "Ros1Link":
+    """Connects to the driver that a card describes.
 
     Args:
         address: Must be empty: the master is in ROS_MASTER_URI, the topics are in the card.
-        plan: Its card names the topics and fields.
+        card: Names the topics and fields.
 
     Raises:
         LinkError: No master, no driver that listens, no pose topic, a card that fits neither.
@@ -52,7 +51,6 @@ def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) ->
     """
     if address:
         raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
-    card = card_from_mapping(plan.card, plan.name)
     commands, poses = ros_commands(card), ros_poses(card)
     return Ros1Link(_node(), commands, poses, card.fail_safe or FAIL_SAFE)
 

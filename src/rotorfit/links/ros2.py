@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card import Card
 from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields, PoseFields
 from rotorfit.links.link import Action
@@ -26,7 +26,6 @@ from rotorfit.links.ros_messages import (
 )
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
-from rotorfit.plan import Plan
 
 PATIENCE = 5.0
 """How long a driver may take to be found on the graph [s]."""
@@ -35,12 +34,12 @@ _ACTIONS = ("take_off", "land")
 _SECOND = 1_000_000_000
 
 
-def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) -> "Ros2Link":
-    """Connects to the driver that the plan's card describes.
+def open_link(address: str, card: Card) -> "Ros2Link":
+    """Connects to the driver that a card describes.
 
     Args:
         address: Must be empty: the graph is that of ROS_DOMAIN_ID, the topics are in the card.
-        plan: Its card names the topics and fields.
+        card: Names the topics and fields.
 
     Raises:
         LinkError: No driver that listens, no pose topic, a card that fits neither.
@@ -48,7 +47,6 @@ def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) ->
     """
     if address:
         raise LinkError(f"ros2 takes no address ({address!r}); set ROS_DOMAIN_ID, and name topics in the card")
-    card = card_from_mapping(plan.card, plan.name)
     return Ros2Link(ros_commands(card), ros_poses(card), card.fail_safe or FAIL_SAFE)
 
 

@@ -11,13 +11,12 @@ import socket
 import time
 from collections.abc import Mapping, Sequence
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
 from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields, PoseFields, command_fields, pose_fields, pose_values, raw_values
 from rotorfit.links.link import Action
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
-from rotorfit.plan import Plan
 
 HOST, COMMAND_PORT, STATE_PORT = "192.168.10.1", 8889, 8890
 STICKS = ("a", "b", "c", "d")
@@ -32,12 +31,12 @@ FAIL_SAFE = (
 )
 
 
-def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) -> "TelloLink":
+def open_link(address: str, card: Card) -> "TelloLink":
     """Puts a Tello into SDK mode and looks for mission pads below it.
 
     Args:
         address: HOST or HOST:STATE_PORT; empty for 192.168.10.1, which a Tello has on its own network.
-        plan: Its card says what the sticks and the state packet mean; the built-in one is `tello`.
+        card: What the sticks and the state packet mean; the built-in one is `tello`.
 
     Raises:
         LinkError: Nobody answers, the port of the state is taken, or a card that is not of a Tello.
@@ -45,7 +44,6 @@ def open_link(address: str, plan: Plan, _seed: int = 0, _flying: bool = True) ->
     host, _, port = address.partition(":")
     if port and not port.isdigit():
         raise LinkError(f"tello:{address}: {port!r} is no port; write tello, tello:HOST or tello:HOST:STATE_PORT")
-    card = card_from_mapping(plan.card, plan.name)
     link = TelloLink(card, host or HOST, int(port or STATE_PORT))
     link.greet()
     return link
