@@ -148,8 +148,8 @@ def told(live: Live, name: str) -> None:
     jitter = live.told["jitter"]
     p50, p99, lost = transport(live)
     print(f"\n{name}: {live.told['reason']}: {live.told['text']}")
-    print(f"  commands {len(commands['log_time']) / span:.1f}/s, late by p50 {1e3 * jitter['p50']:.2f} ms, "
-          f"p99 {1e3 * jitter['p99']:.2f} ms, max {1e3 * jitter['max']:.2f} ms; notes {live.told['notes']}")  # fmt: skip
+    late = ", ".join(f"{name} {1e3 * value:.2f} ms" for name, value in jitter.items())
+    print(f"  commands {len(commands['log_time']) / span:.1f}/s, late by {late}; notes {live.told['notes']}")
     print(f"  command to vehicle p50 {p50:.2f} ms, p99 {p99:.2f} ms, {lost} not arrived")
     print(f"  {len(age)} poses, {len(age) / span:.1f}/s, stamp to arrival p50 {np.median(age):.1f} ms, "
           f"p99 {np.quantile(age, 0.99):.1f} ms")  # fmt: skip
@@ -164,10 +164,10 @@ def agree(live: Path, direct: Path) -> None:
         for part in PARTS:
             (a, b), (low, high) = over.ci95[part], plain.ci95[part]
             assert None not in (a, b, low, high), f"{axis}.{part}: {over.status[part]}, {plain.status[part]}"
-            fits_together = a <= high and low <= b
-            print(f"  {axis + '.' + part:12s} live {getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]   "
-                  f"direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}]{'' if fits_together else '   APART'}")  # fmt: skip
-            apart += [] if fits_together else [f"{axis}.{part}"]
+            name, verdict = f"{axis}.{part}", "" if a <= high and low <= b else "APART"
+            apart += [name] if verdict else []
+            live_text = f"{getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]"
+            print(f"  {name:12s} {live_text}   direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}] {verdict}")
     assert apart == []
 
 

@@ -1,4 +1,4 @@
-"""Flies a plan on a link as `rotorfit fly` does, and prints what came of it as JSON: PLAN LINK OUT [POSES]."""
+"""Flies a plan in the flight room itself, in simulated time, with the sensors of a fake vehicle: PLAN VEHICLE FAKE OUT."""
 
 import json
 import sys
