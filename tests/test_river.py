@@ -114,6 +114,7 @@ RIVER = (
     "abort",
     "preflight",
     "fly",
+    "mission",
     "report",
     "demo",
     "terminal",
