@@ -359,6 +359,7 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 @click.option(
     "--link", "link", metavar="NAME[:ADDRESS]", required=True, help="sim, replay, ros1, ros2, mavlink, tello."
 )
+@click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
 @click.option("-o", "output", type=_file(), metavar="flight.mcap", required=True, help="The recording to write.")
 @_card("the plan's own")
 @click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
@@ -367,8 +368,8 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 @click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
 @_json
 def fly(
-    plan_path: str, link: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int, yes: bool,
-    as_json: bool,
+    plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
+    yes: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
     from rotorfit.errors import LinkError
@@ -377,7 +378,7 @@ def fly(
     from rotorfit.terminal import show
     from rotorfit.terminal.flight import flown_view, next_command, preflight_view, status_line
 
-    with mission(plan_path, link, output, card, take_off, seed) as wanted:
+    with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
         if not as_json:
             show(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
         refuse(wanted.ready)

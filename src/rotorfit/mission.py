@@ -40,8 +40,9 @@ class Mission:
 
 @contextmanager
 def mission(
-    plan_path: str, link: str, output: Path, card: str | None = None, take_off: bool = False, seed: int = 0
-) -> Iterator[Mission]:
+    plan_path: str, link: str, output: Path, card: str | None = None, take_off: bool = False, seed: int = 0,
+    poses: str = "",
+) -> Iterator[Mission]:  # fmt: skip
     """Opens a link for a plan and looks at both; the link is closed at the end.
 
     Args:
@@ -51,6 +52,7 @@ def mission(
         card: Name or file of the card that says how the vehicle is set and connected now; None for the plan's.
         take_off: Whether the flight begins on the floor.
         seed: Of a simulated vehicle.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
 
     Raises:
         PlanError, CardError: One of them cannot be used.
@@ -61,7 +63,7 @@ def mission(
     check_new(output)
     now = load_card(card) if card else None
     own = now or card_from_mapping(plan.card, f"of plan {plan_path}")
-    opened = open_link(link, own, plan.space.start, seed, not take_off)
+    opened = open_link(link, own, plan.space.start, seed, not take_off, poses)
     try:
         yield Mission(plan, opened, link, preflight(plan, opened, now, take_off), output, take_off)
     finally:
