@@ -14,21 +14,28 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 
 from rotorfit.card import builtin_cards
 from rotorfit.excitation import Sines
 from rotorfit.fit import Fit
+from rotorfit.fly import fly
 from rotorfit.frames import AXES
+from rotorfit.links.sim import SimLink
 from rotorfit.pipeline import fit_logs, parse_log
 from rotorfit.plan import Excitation, Plan, Space
 from rotorfit.plan_file import save_plan
+from rotorfit.recorder import card_as_recorded, record
+from rotorfit.sensors import Mocap
+from rotorfit.simulator import Conditions, FlightRoom
 from rotorfit.sources import read
+from rotorfit.vehicle import load_vehicle
 
 pytestmark = pytest.mark.slow
 
@@ -70,8 +77,6 @@ def plan_of(card: Mapping[str, Any], vehicle: str, seed: int) -> Plan:
 
 def with_limits(card: str, vehicle: str) -> dict[str, Any]:
     """A built-in card with the limits of a vehicle of the flight room."""
-    from rotorfit.vehicle import load_vehicle
-
     return {**builtin_cards()[card].raw, "limits": load_vehicle(vehicle).card()["limits"]}
 
 
@@ -98,27 +103,27 @@ def fake_words(name: str, *options: str) -> tuple[str, ...]:
 
 
 def fly_live(folder: Path, plan: Plan, link: str, fake: tuple[str, ...], **environment: str) -> Live:
-    """The flight, with the fake vehicle and rotorfit each in a process of its own."""
+    """The flight by the command line, with the fake vehicle and rotorfit each in a process of its own."""
     save_plan(plan, folder / "plan.toml")
     arrivals, log = folder / "arrivals.json", folder / "flight.mcap"
     with process(*fake, "--arrivals", str(arrivals), ready="ready", **environment):
-        words = (sys.executable, str(FAKES / "fly_once.py"), str(folder / "plan.toml"), link, str(log))
+        words = [sys.executable, "-m", "rotorfit", "fly", str(folder / "plan.toml"), "--link", link, "-o", str(log)]
         done = subprocess.run(
-            words, env={**os.environ, **environment}, capture_output=True, text=True, timeout=120, check=False
-        )
+            [*words, "--yes", "--no-land", "--json"],
+            env={**os.environ, **environment}, capture_output=True, text=True, timeout=150, check=False,
+        )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return Live(json.loads(done.stdout), log, [(at, tuple(one)) for at, one in json.loads(arrivals.read_text())])
 
 
-def fly_direct(folder: Path, plan: Plan, vehicle: str) -> Path:
-    """The same plan in the flight room without anything between, in simulated time."""
-    from rotorfit.vehicle import load_vehicle
-
-    own = Plan(**{**vars(plan), "card": load_vehicle(vehicle).card(), "seed": 77})
-    save_plan(own, folder / "direct.toml")
+def fly_direct(folder: Path, plan: Plan, vehicle: str, mocap: Mocap) -> Path:
+    """The same plan in the flight room without anything between, in simulated time, with the fake's sensors."""
+    own = load_vehicle(vehicle)
+    plan = replace(plan, card=own.card())
+    link = SimLink(FlightRoom(own, Conditions(mocap=mocap), 77, plan.space.start))
     log = folder / "direct.mcap"
-    words = (sys.executable, str(FAKES / "fly_once.py"), str(folder / "direct.toml"), f"sim:{vehicle}", str(log))
-    subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    card = tomli_w.dumps(card_as_recorded(plan.card))
+    assert fly(plan, link, record(log, {"card": card}), land=False).reason == "completed"
     return log
 
 
@@ -148,8 +153,8 @@ def told(live: Live, name: str) -> None:
     jitter = live.told["jitter"]
     p50, p99, lost = transport(live)
     print(f"\n{name}: {live.told['reason']}: {live.told['text']}")
-    print(f"  commands {len(commands['log_time']) / span:.1f}/s, late by p50 {1e3 * jitter['p50']:.2f} ms, "
-          f"p99 {1e3 * jitter['p99']:.2f} ms, max {1e3 * jitter['max']:.2f} ms; notes {live.told['notes']}")  # fmt: skip
+    late = ", ".join(f"{name} {1e3 * value:.2f} ms" for name, value in jitter.items())
+    print(f"  commands {len(commands['log_time']) / span:.1f}/s, late by {late}; notes {live.told['notes']}")
     print(f"  command to vehicle p50 {p50:.2f} ms, p99 {p99:.2f} ms, {lost} not arrived")
     print(f"  {len(age)} poses, {len(age) / span:.1f}/s, stamp to arrival p50 {np.median(age):.1f} ms, "
           f"p99 {np.quantile(age, 0.99):.1f} ms")  # fmt: skip
@@ -164,10 +169,10 @@ def agree(live: Path, direct: Path) -> None:
         for part in PARTS:
             (a, b), (low, high) = over.ci95[part], plain.ci95[part]
             assert None not in (a, b, low, high), f"{axis}.{part}: {over.status[part]}, {plain.status[part]}"
-            fits_together = a <= high and low <= b
-            print(f"  {axis + '.' + part:12s} live {getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]   "
-                  f"direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}]{'' if fits_together else '   APART'}")  # fmt: skip
-            apart += [] if fits_together else [f"{axis}.{part}"]
+            name, verdict = f"{axis}.{part}", "" if a <= high and low <= b else "APART"
+            apart += [name] if verdict else []
+            live_text = f"{getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]"
+            print(f"  {name:12s} {live_text}   direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}] {verdict}")
     assert apart == []
 
 
@@ -227,7 +232,7 @@ def test_a_flight_over_ros_1_identifies_what_a_direct_one_does(
 
     told(live, f"ros1, {kind}")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "bebop2"))
+    agree(live.log, fly_direct(tmp_path, plan, "bebop2", Mocap()))
 
 
 # MAVLink and Tello
@@ -236,6 +241,8 @@ def test_a_flight_over_ros_1_identifies_what_a_direct_one_does(
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_a_flight_over_mavlink_identifies_what_a_direct_one_does(tmp_path: Path, autopilot: str) -> None:
     pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
+    from fake_autopilot import MOCAP
+
     plan = plan_of(with_limits("mavlink", "m100"), "m100", 2)
     port = free_port()
     options = ("--vehicle", "m100", "--address", f"udpout:127.0.0.1:{port}")
@@ -245,10 +252,12 @@ def test_a_flight_over_mavlink_identifies_what_a_direct_one_does(tmp_path: Path,
 
     told(live, f"mavlink, {autopilot}")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "m100"))
+    agree(live.log, fly_direct(tmp_path, plan, "m100", MOCAP))
 
 
 def test_a_flight_over_udp_to_a_tello_identifies_what_a_direct_one_does(tmp_path: Path) -> None:
+    from fake_tello import MOCAP
+
     plan = plan_of(with_limits("tello", "tello"), "tello", 3)
     port = free_port()
     host = f"127.2.{os.getpid() >> 8 & 255}.{os.getpid() & 255}"
@@ -258,4 +267,4 @@ def test_a_flight_over_udp_to_a_tello_identifies_what_a_direct_one_does(tmp_path
 
     told(live, "tello")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "tello"))
+    agree(live.log, fly_direct(tmp_path, plan, "tello", MOCAP))

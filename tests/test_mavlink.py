@@ -106,15 +106,17 @@ def test_take_off_flight_and_landing_as_the_autopilots_document_them(bench: Benc
         bench.link.send((0.0, 0.0, 0.0, 0.0))
 
 
-def test_a_vehicle_in_the_air_is_taken_over_after_a_second_of_setpoints(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(monkeypatch, mode="flying")
+def test_a_vehicle_in_the_air_is_taken_over_with_the_first_command_not_before(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
     bench.link.greet()
-    bench.fly(1.0)
-    assert bench.autopilot.mode == (3, 0)  # still the pilot's
+    bench.link.receive(bench.instant + 2 * SECOND)  # a preflight
+    assert bench.autopilot.requests.count(176) == 0
+    assert bench.room.commands == []
 
-    bench.fly(2.5)
+    bench.fly(0.2, (0.1, 0.0, 0.0, 0.0))
 
-    assert bench.autopilot.mode == (6, 0)
+    assert bench.autopilot.mode == ((4,) if bench.autopilot.ardupilot else (6, 0))
+    assert len(bench.room.commands) >= 8  # of ten
 
 
 def test_a_vehicle_on_the_ground_is_not_put_into_offboard(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from rotorfit.pipeline import LogSpan, load_flight
 from rotorfit.recorder import COMMAND, POSE, Recorder, card_as_recorded, record
 from rotorfit.sources import read
 from rotorfit.survey import survey_logs
-from rotorfit.terminal import survey_view
+from rotorfit.terminal.survey import survey_view
 from test_sources import mcap_record, text
 
 numbers = st.floats(allow_nan=False, width=64)

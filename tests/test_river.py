@@ -115,6 +115,7 @@ RIVER = (
     "abort",
     "preflight",
     "fly",
+    "mission",
     "report",
     "demo",
     "preview",

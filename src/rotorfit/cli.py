@@ -399,8 +399,8 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
         write_picture(one, path)
     if as_json:
         return _print_json(plans_mapping(plans, files, pictures, proposal))
-    from rotorfit.terminal.plan import next_view, plan_view
     from rotorfit.terminal import show
+    from rotorfit.terminal.plan import next_view, plan_view
 
     if proposal:
         show(next_view(proposal))
@@ -411,6 +411,47 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
     if not files:
         click.echo("\nNothing was written; -o plan.toml keeps the plan.")
     return None
+
+
+@main.command()
+@click.argument("plan_path", metavar="PLAN")
+@click.option(
+    "--link", "link", metavar="NAME[:ADDRESS]", required=True, help="sim, replay, ros1, ros2, mavlink, tello."
+)
+@click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
+@click.option("-o", "output", type=_file(), metavar="flight.mcap", required=True, help="The recording to write.")
+@_card("the plan's own")
+@click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
+@click.option("--take-off", is_flag=True, help="Begin on the floor.")
+@click.option("--seed", type=int, default=0, help="Of a simulated vehicle.")
+@click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
+@_json
+def fly(
+    plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
+    yes: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
+    from rotorfit.errors import LinkError
+    from rotorfit.mission import flown_mapping, flown_mission, mission
+    from rotorfit.preflight import refuse
+    from rotorfit.terminal import show
+    from rotorfit.terminal.flight import flown_view, next_command, preflight_view, status_line
+
+    with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
+        if not as_json:
+            show(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
+        refuse(wanted.ready)
+        if wanted.link.live and not yes:
+            click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
+        result = flown_mission(wanted, land, status_line)
+    if result.reason != "completed":
+        raise LinkError(
+            f"ended early, after {result.duration:.1f} s of the plan: {result.text}; the log so far: {result.path}"
+        )
+    if as_json:
+        return _print_json(flown_mapping(result, wanted.ready))
+    show(flown_view(result))
+    return click.echo(f"\nNext: {next_command([str(output)])}")
 
 
 @main.command()

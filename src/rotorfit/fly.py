@@ -40,7 +40,10 @@ WATCHING = 3.0
 APPROACH_SPEED, APPROACH_TURN = 0.3, 0.5
 """Of the point that leads the vehicle to its start [m/s, rad/s]."""
 
-SETTLING = 10.0
+LEANING = 0.2
+"""Rate at which that point then moves on against what is still missing [1/s]."""
+
+SETTLING = 15.0
 """How long the vehicle may then take to be there and at rest [s]."""
 
 TAKE_OFF, CLIMBED = 15.0, 0.3
@@ -276,12 +279,15 @@ class _Flight:
         way = there - here
         way[3] = math.remainder(way[3], math.tau)
         needed = max(float(np.linalg.norm(way[:3])) / APPROACH_SPEED, abs(way[3]) / APPROACH_TURN)
+        lean = np.zeros(4)
         still = instants(leader.plan, np.zeros(1))[0]
         while True:
             if (ending := self._wait(self.limits)) is not None:
                 return ending
             since = self._since()
-            self.tracking = replace(self.tracking, origin=here + min(1.0, since / needed) * way)
+            if since > needed:  # against a steady wind, to which the feedback yields
+                lean += LEANING * self.period / 1e9 * (here + way - self.tracking.pose)
+            self.tracking = replace(self.tracking, origin=here + min(1.0, since / needed) * way + lean)
             self.tracking, command = obeyed(leader, self.tracking, still)
             self._send(command.tolist())
             distance, angle = from_start(self.plan, self.watch)

@@ -8,13 +8,15 @@ import numpy as np
 
 from rotorfit.belief import belief_from_mapping
 from rotorfit.card import Card, card_from_mapping
-from rotorfit.envelope import predicted_path, refuse_if_outside
-from rotorfit.errors import LinkError, PlanError
-from rotorfit.guard import Limits, Watch, limits_of, observed, room_left
+from rotorfit.errors import LinkError
+from rotorfit.guard import Limits, Watch, judged, limits_of, observed, room_left
 from rotorfit.links.link import Link
 from rotorfit.log import Sample
+from rotorfit.paper_vehicle import noise_free
 from rotorfit.plan import Plan
+from rotorfit.rehearsal import flown, path
 from rotorfit.settings import disagreement
+from rotorfit.tracking import tracker_of
 
 LISTENING = 1.0
 """How long poses are looked at [s]."""
@@ -87,7 +89,7 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
     if card is not None:
         trouble = disagreement(card_from_mapping(plan.card, f"of plan {plan.name}"), card)
         checks.append(Check("card", not trouble, trouble or f"as planned: {card.name}"))
-    checks += _envelope(plan)
+    checks += _rehearsed(plan, limits)
     clock, notes = _clock(poses)
     return Ready(tuple(checks), clock, notes)
 
@@ -166,17 +168,29 @@ def _battery(watch: Watch) -> list[Check]:
     return [Check("battery", ok, text if ok else f"{text}; at least {CHARGE:.0%} are needed")]
 
 
-def _envelope(plan: Plan) -> list[Check]:
-    """Whether the plan stays in its space for vehicles drawn from its belief; nothing where it has none."""
+def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
+    """Whether the plan stays in its space: as it was planned, and for the likeliest vehicle under this guard.
+
+    The plan may have been edited, so it is flown once more; with vehicles drawn from the belief `rotorfit plan` has
+    done it. Nothing where the plan has no belief.
+    """
+    leaving, allowed = plan.predicted.get("leaving", 0.0), plan.predicted.get("allowed", 1.0)
+    if leaving > allowed:
+        text = f"{leaving:.0%} of the vehicles that are believed possible leave its space; plan it again"
+        return [Check("plan", False, text)]
     if "covariance" not in plan.belief:
         return []
-    belief = belief_from_mapping(plan.belief, f"plan {plan.name}")
-    envelope = predicted_path(plan, belief, seed=plan.seed)
-    try:
-        refuse_if_outside(plan, belief, envelope, seed=plan.seed)
-    except PlanError as error:
-        return [Check("plan", False, str(error))]
-    return [Check("plan", True, f"fits: {envelope.leaving:.0%} of {envelope.draws} believed vehicles leave the space")]
+    truth = noise_free(belief_from_mapping(plan.belief, f"plan {plan.name}").truth)
+    flight = flown(tracker_of(plan), truth, plan.seed)
+    watch = Watch(heard_other=0)
+    for time, pose, velocity in zip(
+        flight.pose_stamp.tolist(), path(plan, flight).tolist(), flight.velocity.tolist(), strict=True
+    ):
+        watch = replace(watch, pose=tuple(pose), velocity=tuple(velocity), received=time, heard=time)
+        if (verdict := judged(watch, limits, time, 0.0, 0.0)) is not None:
+            text = f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; plan it again"
+            return [Check("plan", False, text)]
+    return [Check("plan", True, "the likeliest vehicle stays inside, braking distance included")]
 
 
 def _clock(poses: Sequence[Sample]) -> tuple[str, tuple[str, ...]]:

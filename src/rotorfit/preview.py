@@ -11,9 +11,9 @@ from rotorfit.belief import belief_from_mapping
 from rotorfit.envelope import Envelope, predicted_path
 from rotorfit.frames import AXES, Array
 from rotorfit.model import COEFFICIENTS
-from rotorfit.terminal.plan import UNITS, Z95, believed, plus_minus
 from rotorfit.plan import Plan
 from rotorfit.rehearsal import excited_axes
+from rotorfit.terminal.plan import UNITS, Z95, believed, plus_minus
 from rotorfit.tracking import command_at, reference_at
 
 if TYPE_CHECKING:

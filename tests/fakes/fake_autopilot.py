@@ -10,6 +10,9 @@ from pymavlink import mavutil
 
 from rotorfit.sensors import Mocap
 
+MOCAP = Mocap(rate=50.0, noise=0.002, turn_noise=0.002, latency=0.01, jitter=0.001)
+"""The autopilot's own estimate: 50 Hz, and the delay of a filter."""
+
 BOOT = 123_456_789  # the autopilot was started so long before the room [ns]
 SECOND = 1_000_000_000
 AUTO, OFFBOARD, POSITION = 4, 6, 3
@@ -120,8 +123,7 @@ def connect(address: str) -> Any:
 
 
 def main() -> None:
-    # the autopilot's own estimate, 50 Hz, a filter's delay
-    parser, make = arguments("bebop2", Mocap(rate=50.0, noise=0.002, turn_noise=0.002, latency=0.01, jitter=0.001))
+    parser, make = arguments("bebop2", MOCAP)
     parser.add_argument("--address", default="udpout:127.0.0.1:14540")
     parser.add_argument("--ardupilot", action="store_true")
     options = parser.parse_args()

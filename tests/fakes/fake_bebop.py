@@ -12,6 +12,7 @@ from std_msgs.msg import Empty
 
 from rotorfit.sensors import Mocap
 
+MOCAP = Mocap()
 KINDS = {"PoseStamped": PoseStamped, "TransformStamped": TransformStamped, "Odometry": Odometry}
 
 
@@ -57,7 +58,7 @@ class Node:
 
 
 def main() -> None:
-    parser, make = arguments("bebop2", Mocap())
+    parser, make = arguments("bebop2", MOCAP)
     parser.add_argument("--kind", default="PoseStamped", choices=KINDS)
     parser.add_argument("--topic", default="/rigid_body_1/pose")
     options = parser.parse_args()

@@ -9,6 +9,10 @@ from live_room import LiveRoom, arguments, run_until_told, yaw_of
 
 from rotorfit.sensors import Mocap
 
+SIGHT = Mocap(rate=500.0, noise=0.002, turn_noise=0.005, latency=0.0, jitter=0.0)
+MOCAP = Mocap(rate=10.0, noise=0.0035, turn_noise=0.007, latency=0.0, jitter=0.0)
+"""What the camera sees, and what is left of it in the state packet: 10 Hz, whole centimetres and degrees."""
+
 SECOND = 1_000_000_000
 PERIOD = SECOND // 10
 
@@ -73,7 +77,7 @@ class Tello:
 
 
 def main() -> None:
-    parser, make = arguments("bebop2", Mocap(rate=120.0, noise=0.002, turn_noise=0.005, latency=0.008, jitter=0.0))
+    parser, make = arguments("bebop2", SIGHT)
     parser.add_argument("--host", default="127.0.0.2")
     parser.add_argument("--state-port", type=int, default=8890)
     options = parser.parse_args()

@@ -5,12 +5,14 @@ real drone go through the same code. Each kind of link is a module with `open_li
 imported when it is asked for.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from types import MappingProxyType
 
 from rotorfit.card import Card
 from rotorfit.errors import LinkError
+from rotorfit.links.joined import join
 from rotorfit.links.link import Action, Link
 from rotorfit.plan import Four
 
@@ -39,7 +41,14 @@ INSTALL: Mapping[str, str] = MappingProxyType(
 """How to get what a link needs beyond rotorfit itself."""
 
 
-def open_link(text: str, card: Card, start: Four = (0.0, 0.0, 1.5, 0.0), seed: int = 0, flying: bool = True) -> Link:
+def open_link(
+    text: str,
+    card: Card,
+    start: Four = (0.0, 0.0, 1.5, 0.0),
+    seed: int = 0,
+    flying: bool = True,
+    poses: str = "",
+) -> Link:
     """Opens a link.
 
     Args:
@@ -48,6 +57,7 @@ def open_link(text: str, card: Card, start: Four = (0.0, 0.0, 1.5, 0.0), seed: i
         start: Where a simulated vehicle is: x, y, z [m] and yaw [rad].
         seed: Of a simulated vehicle.
         flying: Whether a simulated vehicle is in the air already.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
 
     Raises:
         LinkError: No such link, something to install is missing, or nobody answers.
@@ -55,10 +65,24 @@ def open_link(text: str, card: Card, start: Four = (0.0, 0.0, 1.5, 0.0), seed: i
     name, _, address = text.partition(":")
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
-    try:
+    with _told_to_install(name):
         module = import_module(LINKS[name])
         link: Link = module.open_link(address, card, *((start, seed, flying) if name == "sim" else ()))
+    if not poses:
+        return link
+    try:
+        with _told_to_install(poses.partition(":")[0]):
+            return join(link, poses)
+    except LinkError:
+        link.act("close")
+        raise
+
+
+@contextmanager
+def _told_to_install(name: str) -> Iterator[None]:
+    """A package that is missing is one line that says how to get it."""
+    try:
+        yield
     except ModuleNotFoundError as error:
         remedy = INSTALL.get(name, f"pip install {error.name}")
-        raise LinkError(f"--link {name} needs the Python package {error.name}: {remedy}") from error
-    return link
+        raise LinkError(f"link {name} needs the Python package {error.name}: {remedy}") from error

@@ -47,8 +47,8 @@ SECOND = 1_000_000_000
 PATIENCE, SILENCE = 10 * SECOND, 3 * SECOND
 """How long a first heartbeat may take, and how long the next ones (1 Hz) may stay away [ns]."""
 
-STREAMED = int(1.2 * SECOND)
-"""How long setpoints are sent before the mode is asked for [ns]."""
+STREAMED, STREAM_PERIOD = int(1.2 * SECOND), SECOND // 20
+"""How long setpoints are sent before the mode is asked for, and how often those that nobody obeys yet [ns]."""
 
 TRIES = 5
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
@@ -97,8 +97,9 @@ class MavlinkLink:
         self._heard = self._beaten = self._synced = 0
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
         self._asked, self._tries = 0, 0
-        self._first_setpoint = 0
-        self._engaged = self._climbing = self._landing = False
+        self._first_setpoint = self._last_setpoint = 0
+        self._sending = False
+        self._engaged = self._climbing = self._landing = self._in_our_mode = False
         self._on_ground = False
         self._engagements = 0
         self._trouble = ""
@@ -130,18 +131,22 @@ class MavlinkLink:
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def send(self, command: Sequence[float]) -> None:
-        """Sends a velocity; see `links.Link`. The flight mode is asked for after a second of these."""
+        """Sends a velocity; see `links.Link`. The first one in the air asks for the flight mode, too."""
         self._check()
         if self._commands is None:
             raise LinkError("mavlink: the link was opened for poses only")
         if self._landing or (self._climbing and self._known.name == "ArduPilot"):
             return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
-        now = wall_clock()
-        self._first_setpoint = self._first_setpoint or now
-        arguments = setpoint(self._commands, command, (now - self._start) // 1_000_000, self._target)
-        self._connection.mav.set_position_target_local_ned_send(*arguments)
-        if now - self._first_setpoint > STREAMED and not self._engaged:
-            self._engage(now)
+        self._sending = True
+        self._set(self._commands, command)
+        if not self._engaged and (not self._known.streams or wall_clock() - self._first_setpoint > STREAMED):
+            self._engage(wall_clock())
+
+    def _set(self, commands: CommandFields, command: Sequence[float]) -> None:
+        self._last_setpoint = wall_clock()
+        self._first_setpoint = self._first_setpoint or self._last_setpoint
+        boot = (self._last_setpoint - self._start) // 1_000_000
+        self._connection.mav.set_position_target_local_ned_send(*setpoint(commands, command, boot, self._target))
 
     def receive(self, until: int) -> list[Sample]:
         """What has come since the last call; see `links.Link`."""
@@ -219,12 +224,12 @@ class MavlinkLink:
         """Follows the flight mode; whoever takes the vehicle out of ours, a pilot or a fail-safe, keeps it."""
         if self._climbing and self._known.name == "PX4" and mode == PX4_LOITER and not self._steps:
             self._climbing = False
-        ours = mode[:1] == self._known.mode[:1]
+        ours = self._in_our_mode = mode[:1] == self._known.mode[:1]
         if self._engaged and not ours and not self._landing:
             self._trouble = (
                 f"mavlink: the vehicle left {self._known.mode_name} by itself or by its pilot; not taken back"
             )
-        self._engaged = self._engaged or (ours and self._first_setpoint > 0)
+        self._engaged = self._engaged or (ours and self._sending)
 
     def _ask(self, *steps: str) -> None:
         self._steps.extend(steps)
@@ -233,7 +238,7 @@ class MavlinkLink:
 
     def _engage(self, now: int) -> None:
         """Asks for the flight mode once the vehicle is in the air, once a second and not for ever."""
-        if self._climbing or self._on_ground or self._steps or now - self._asked < SECOND:
+        if self._climbing or self._on_ground or self._in_our_mode or self._steps or now - self._asked < SECOND:
             return
         self._engagements += 1
         if self._engagements > TRIES:
@@ -272,6 +277,10 @@ class MavlinkLink:
             self._beaten = self._synced = now
             self._connection.mav.heartbeat_send(18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
             self._connection.mav.timesync_send(0, now)
+        # PX4 enters its mode only when setpoints have come for a second; in any other mode it does not obey them
+        idle = self._heard and self._known.streams and not self._sending and not self._in_our_mode
+        if idle and self._commands is not None and now - self._last_setpoint >= STREAM_PERIOD:
+            self._set(self._commands, (0.0, 0.0, 0.0, 0.0))
         if self._steps and now - self._asked >= SECOND:
             if self._tries < TRIES:
                 self._repeat()

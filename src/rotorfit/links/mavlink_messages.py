@@ -47,6 +47,7 @@ class Autopilot:
         mode: Its `custom_mode` under our commands, as `mode_of` reads it, and for MAV_CMD_DO_SET_MODE.
         mode_name: For people.
         steps: What a take-off takes, in order; names of `command_parameters`.
+        streams: Whether setpoints must come before the mode is entered.
         fail_safe: What it does when commands stop.
     """
 
@@ -54,6 +55,7 @@ class Autopilot:
     mode: tuple[int, ...]
     mode_name: str
     steps: tuple[str, ...]
+    streams: bool
     fail_safe: str
 
 
@@ -63,6 +65,7 @@ AUTOPILOTS = {
         (6, 0),
         "OFFBOARD",
         ("arm", "take_off"),
+        True,
         "PX4 leaves OFFBOARD when setpoints come at less than 2 Hz for COM_OF_LOSS_T (1 s by default), and does what "
         "COM_OBL_RC_ACT says (default: Position mode, which holds with a remote control). Set it to Land or Hold.",
     ),
@@ -71,6 +74,7 @@ AUTOPILOTS = {
         (4,),
         "GUIDED",
         ("mode", "arm", "take_off"),
+        False,
         "ArduPilot Copter stops and hovers 3 s after the last velocity in GUIDED; it does not land by itself.",
     ),
 }
