@@ -3,7 +3,7 @@
     python bench/bench_rotorpy.py [SECONDS]
 
 Prints the coefficients of both logs with their 95 % half-widths, their difference in standard errors of the
-difference, and how far the two paths part. Skips where rotorpy is not installed (`pip install rotorpy`).
+difference, and how far the two paths part; after a small step also for shorter steps of rotorpy. Skips where rotorpy is not installed (`pip install rotorpy`).
 """
 
 import os
@@ -21,7 +21,7 @@ def main() -> None:
     if find_spec("rotorpy") is None:
         print("skipped: rotorpy is not installed; pip install rotorpy")
         return
-    from rotorpy_flights import AXES, CASES, fly_both
+    from rotorpy_flights import AXES, CASES, fly_both, step_gap
 
     duration = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     for name, gain in CASES.items():
@@ -33,8 +33,9 @@ def main() -> None:
             "  paths part by at most "
             + ", ".join(f"{a:.1f} of {r:.0f} mm on {axis}" for a, r, axis in zip(apart, reach, AXES, strict=True))
         )
+        gaps = ", ".join(f"{step_gap(name, h):.2%} ({h * 1e3:g} ms)" for h in (0.002, 0.001, 0.0005))
+        print(f"  after a small step they part by {gaps}, by how often rotorpy's loops look")
         print(f"  {'':12}{'room':>20}{'rotorpy':>20}{'difference':>12}  in s.e.")
-        ours, theirs = pair.found
         for axis in AXES:
             print_axis(axis, *(found[axis] for found in pair.found))
 
