@@ -2,8 +2,9 @@
 
     python bench/bench_rotorpy.py [SECONDS]
 
-Prints the coefficients of both logs with their 95 % half-widths, their difference in standard errors of the
-difference, and how far the two paths part; after a small step also for shorter steps of rotorpy. Skips where rotorpy is not installed (`pip install rotorpy`).
+Prints the coefficients of both logs with their 95 % half-widths and their difference in standard errors of the
+difference, how far the two paths part, and how far after a small step, for shorter and shorter steps of rotorpy.
+Skips where rotorpy is not installed (`pip install rotorpy`).
 """
 
 import os
