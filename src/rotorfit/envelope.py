@@ -211,6 +211,8 @@ def largest_amplitude(
 
     if stays(upper, 0):
         return upper
+    if not stays(0.0, 0):
+        return 0.0
     low, high = 0.0, upper
     for step in range(1, _STEPS):
         middle = max((low + high) / 2, 0.8 * high)  # most often little has to be taken off

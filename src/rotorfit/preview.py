@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,14 +57,14 @@ def picture(plan: Plan, envelope: Envelope) -> Figure:
 
     figure = Figure(figsize=(10, 7.2), layout="constrained")
     figure.suptitle(_headline(plan), x=0.01, ha="left", fontsize=10, fontweight="bold")
-    grid = figure.add_gridspec(3, 3, height_ratios=(1.0, 1.0, 1.25))
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.0, 1.3), width_ratios=(1.75, 1.0))
     axes = excited_axes(plan)
-    _signals(figure.add_subplot(grid[0, :2]), plan, axes)
-    _motion(figure.add_subplot(grid[1, :2]), envelope, axes)
-    _table(figure.add_subplot(grid[0, 2]), plan)
-    _speeds(figure.add_subplot(grid[1, 2]), plan)
-    _view(figure.add_subplot(grid[2, :2]), plan, envelope, (0, 1))
-    _view(figure.add_subplot(grid[2, 2]), plan, envelope, (0, 2))
+    _signals(figure.add_subplot(grid[0, 0]), plan, axes)
+    _motion(figure.add_subplot(grid[1, 0]), envelope, axes)
+    _table(figure.add_subplot(grid[0, 1]), plan)
+    _speeds(figure.add_subplot(grid[1, 1]), plan)
+    _view(figure.add_subplot(grid[2, 0]), plan, envelope, (0, 1))
+    _view(figure.add_subplot(grid[2, 1]), plan, envelope, (0, 2))
     return figure
 
 
@@ -80,7 +81,7 @@ def _signals(panel: Axes, plan: Plan, axes: tuple[str, ...]) -> None:
         a = AXES.index(axis)
         series: Array = reference[:, a] if axis in positions else command[:, a]
         panel.plot(t, series, color=COLOURS[axis], label=axis)
-    panel.set_title("position references [m, rad]" if positions else "commands of the signals [unit of the card]")
+    panel.set_title("position references, from the start [m, rad]" if positions else "commands of the signals")
     _over_time(panel, plan.duration)
 
 
@@ -100,23 +101,41 @@ def _motion(panel: Axes, envelope: Envelope, axes: tuple[str, ...]) -> None:
             linewidth=0,
         )  # fmt: skip
         panel.plot(envelope.time, envelope.nominal[:, a] - begin, color=COLOURS[axis], label=axis)
-    panel.set_title("expected motion from the start [m, rad]; band: 95 % of believed vehicles")
+    panel.set_title("expected motion from the start [m, rad], and 95 % of it")
     _over_time(panel, float(envelope.time[-1]))
 
 
 def _table(panel: Axes, plan: Plan) -> None:
     """What will be known."""
+    from matplotlib.transforms import Bbox
+
     panel.axis("off")
     panel.set_title("known after the flight, 95 % intervals")
-    rows = [
-        [plus_minus(value, Z95 * errors[name]) for name, value in zip(COEFFICIENTS, believed(plan, axis), strict=True)]
-        for axis, errors in plan.predicted["stderr"].items()
-    ]
+    rows = []
+    for axis, errors in plan.predicted["stderr"].items():
+        pairs = zip(COEFFICIENTS, believed(plan, axis), strict=True)
+        rows.append([plus_minus(value, Z95 * errors[name]).replace("+-", "\u00b1") for name, value in pairs])
     heads = [f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True)]
-    table = panel.table(rows, rowLabels=list(plan.predicted["stderr"]), colLabels=heads, loc="upper center", edges="")
+    labels = list(plan.predicted["stderr"])
+    cells = [["", *heads], *([label, *row] for label, row in zip(labels, rows, strict=True))]
+    height = 0.17 * len(cells)
+    table = panel.table(
+        cells,
+        colWidths=[0.07, 0.29, 0.29, 0.35],
+        bbox=Bbox.from_bounds(0.0, 1.0 - height, 1.0, height),
+        cellLoc="right",
+        edges="horizontal",
+    )
     table.auto_set_font_size(False)
-    table.set_fontsize(7)
-    table.scale(1.0, 1.35)
+    table.set_fontsize(6.5)
+    for place, cell in table.get_celld().items():
+        cell.set_edgecolor("#d5d5d5")
+        cell.set_linewidth(0.5)
+        if place[0] == 0 or place[1] == 0:
+            cell.set_text_props(weight="bold")
+    notes = [f"believed: {plan.belief.get('source', '')}", *plan.predicted.get("notes", ())]
+    text = "\n".join(line for note in notes for line in textwrap.wrap(note, 62))
+    panel.text(0.0, 0.93 - height, text, va="top", fontsize=6.5, color="#555555", transform=panel.transAxes)
 
 
 def _speeds(panel: Axes, plan: Plan) -> None:
@@ -151,7 +170,7 @@ def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) ->
     panel.set_ylabel(f"{AXES[j]} [m]")
     panel.set_title("from above" if j == 1 else "from the side")
     if j == 1:
-        panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        panel.legend(loc="lower right", bbox_to_anchor=(1, 1.0), ncols=4, borderaxespad=0)
 
 
 def _box(
