@@ -34,9 +34,9 @@ LARGEST = (3.0, 3.0, 3.0, 4.0)
 """Largest acceleration that a signal asks for [m/s^2, rad/s^2]: a tilt of 17 degrees, where its tangent is still 3 %
 from linear."""
 
-FASTEST, SLOWEST = 8.0, 2.5
-"""Bounds of the upper end of the band [rad/s], which else is one over the delay: there a delay turns the phase by one
-radian, and above it the noise of the poses drowns the answer."""
+FAST, FASTEST, SLOWEST = 1.5, 10.0, 4.0
+"""The band ends at 1.5 over the delay: there a delay turns the phase by 1.5 radian. And between these bounds [rad/s]:
+above, the noise of the poses drowns the answer, and a real attitude loop no longer follows."""
 
 CENTRING = Feedback(AXES, (0.3, 0.3, 0.6, 0.6), (0.5, 0.5, 1.0, 1.0))
 """Soft feedback on excited axes."""
@@ -247,17 +247,22 @@ def full_amplitude(card: Card, belief: Belief, axis: str) -> float:
 def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[float, float]:
     """Lowest and highest frequency worth exciting on an axis [rad/s].
 
-    The delay is told by what is fast, up to one over the delay. The damping is told by what is as slow as it, but slow
-    content costs room: below the frequency at which a sine of a quarter of the amplitude fills half the way to the
-    nearest wall, the whole signal would have to shrink.
+    The delay is told by what is fast, up to somewhat above one over the delay. The damping is told by what is as slow
+    as it, but slow content costs room and speed, and the whole signal would have to shrink for it: the band begins
+    where a sine of the full amplitude fills a quarter of the way to the nearest wall, or reaches the speed limit.
     """
     a = AXES.index(axis)
     gain, damping, delay = abs(belief.truth.gamma[2 * a]), belief.truth.gamma[2 * a + 1], belief.truth.delay[a]
-    high = float(np.clip(1 / max(delay, 1e-3), SLOWEST, FASTEST))
-    reach = np.pi / 2 if axis == "yaw" else min(space.start[a] - space.lower[a], space.upper[a] - space.start[a])
-    size = gain * amplitude / 4 / (reach / 2)  # = w sqrt(w^2 + b^2) at the frequency that fills half the way
-    fills = float(np.sqrt((np.sqrt(damping**4 + 4 * size**2) - damping**2) / 2))
-    return float(min(max(fills, damping / 2), high / 3)), high
+    high = float(np.clip(FAST / max(delay, 1e-3), SLOWEST, FASTEST))
+    if axis == "yaw":
+        reach, speed = YAW_REACH, YAW_RATE
+    else:
+        reach = min(space.start[a] - space.lower[a], space.upper[a] - space.start[a])
+        speed = space.climb if axis == "z" else space.speed
+    size = gain * amplitude / (reach / 4)  # w sqrt(w^2 + b^2), where a quarter is filled
+    fills = np.sqrt((np.sqrt(damping**4 + 4 * size**2) - damping**2) / 2)
+    races = np.sqrt(max((gain * amplitude / speed) ** 2 - damping**2, 0.0))
+    return float(min(max(fills, races, damping / 2), high / 3)), high
 
 
 def _best(choices: Mapping[str, _Choice], belief: Belief, amplitude: float | None, progress: Progress | None) -> Plan:
