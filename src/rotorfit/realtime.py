@@ -20,22 +20,22 @@ def hurried(wall_clock: bool) -> Iterator[str]:
     """No collection of garbage, and real-time priority for all threads, for as long as it lasts.
 
     Args:
-        wall_clock: Whether anything is to be paced; else only garbage waits, and the note is empty.
+        wall_clock: Whether anything is to be paced; else nothing is changed.
 
     Yields:
         What the system did not allow, one sentence; empty where it allowed all.
     """
+    if not wall_clock:
+        yield ""
+        return
     collecting, interval = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
     gc.disable()
+    sys.setswitchinterval(SWITCH)
     before: dict[int, tuple[int, os.sched_param]] = {}
     try:
-        note = ""
-        if wall_clock:
-            sys.setswitchinterval(SWITCH)
-            note = _raised(before)
-        yield note
+        yield _raised(before)
     finally:
         for thread, (policy, parameter) in before.items():
             _schedule(thread, policy, parameter)
