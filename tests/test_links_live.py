@@ -31,6 +31,7 @@ from rotorfit.links.sim import SimLink
 from rotorfit.pipeline import fit_logs, parse_log
 from rotorfit.plan import Excitation, Plan, Space
 from rotorfit.plan_file import save_plan
+from rotorfit.preflight import preflight, refuse
 from rotorfit.recorder import card_as_recorded, record
 from rotorfit.sensors import Mocap
 from rotorfit.simulator import Conditions, FlightRoom
@@ -122,6 +123,7 @@ def fly_direct(folder: Path, plan: Plan, vehicle: str, mocap: Mocap) -> Path:
     plan = replace(plan, card=own.card())
     link = SimLink(FlightRoom(own, Conditions(mocap=mocap), 77, plan.space.start))
     log = folder / "direct.mcap"
+    refuse(preflight(plan, link))
     card = tomli_w.dumps(card_as_recorded(plan.card))
     assert fly(plan, link, record(log, {"card": card}), land=False).reason == "completed"
     return log
