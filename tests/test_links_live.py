@@ -64,7 +64,7 @@ class Live:
     arrived: list[tuple[int, tuple[float, ...]]]
 
 
-def plan_of(card: Mapping[str, Any], vehicle: str, seed: int) -> Plan:
+def plan_of(card: Mapping[str, Any], vehicle: str, seed: int, duration: float = DURATION, height: float = 1.5) -> Plan:
     """Sines on all four axes at once, of different frequencies, so that no axis looks like another."""
     rng = np.random.default_rng(seed)
     excitations = []
@@ -72,8 +72,9 @@ def plan_of(card: Mapping[str, Any], vehicle: str, seed: int) -> Plan:
         frequency = np.array([1.3, 2.3, 3.7, 5.3]) + 0.2 * number
         amplitude = AMPLITUDES[vehicle][number] * np.array([0.3, 0.3, 0.25, 0.15])
         signal = Sines(tuple(amplitude), tuple(frequency), tuple(rng.uniform(0, 2 * np.pi, 4)))
-        excitations.append(Excitation(axis, "command", 0.0, DURATION, signal))
-    return Plan("live", "multisine", card, 100.0, DURATION, 2.0, tuple(excitations), None, SPACE)
+        excitations.append(Excitation(axis, "command", 0.0, duration, signal))
+    space = replace(SPACE, start=(0.0, 0.0, height, 0.0))
+    return Plan("live", "multisine", card, 100.0, duration, 2.0, tuple(excitations), None, space)
 
 
 def with_limits(card: str, vehicle: str) -> dict[str, Any]:
@@ -103,16 +104,23 @@ def fake_words(name: str, *options: str) -> tuple[str, ...]:
     return (sys.executable, "-c", WITH_DEBIAN, str(FAKES / f"{name}.py"), *options)
 
 
-def fly_live(folder: Path, plan: Plan, link: str, fake: tuple[str, ...], **environment: str) -> Live:
-    """The flight by the command line, with the fake vehicle and rotorfit each in a process of its own."""
+def fly_words(folder: Path, plan: Plan, link: str, *options: str) -> list[str]:
+    """The command line that flies a plan, which is written first."""
     save_plan(plan, folder / "plan.toml")
+    words = [sys.executable, "-m", "rotorfit", "fly", str(folder / "plan.toml"), "--link", link]
+    return [*words, "-o", str(folder / "flight.mcap"), "--yes", "--json", *options]
+
+
+def fly_live(
+    folder: Path, plan: Plan, link: str, fake: tuple[str, ...], *options: str, **environment: str
+) -> Live:  # fmt: skip
+    """The flight by the command line, with the fake vehicle and rotorfit each in a process of its own."""
     arrivals, log = folder / "arrivals.json", folder / "flight.mcap"
+    words = fly_words(folder, plan, link, *(options or ("--no-land",)))
     with process(*fake, "--arrivals", str(arrivals), ready="ready", **environment):
-        words = [sys.executable, "-m", "rotorfit", "fly", str(folder / "plan.toml"), "--link", link, "-o", str(log)]
         done = subprocess.run(
-            [*words, "--yes", "--no-land", "--json"],
-            env={**os.environ, **environment}, capture_output=True, text=True, timeout=150, check=False,
-        )  # fmt: skip
+            words, env={**os.environ, **environment}, capture_output=True, text=True, timeout=150, check=False
+        )
     assert done.returncode == 0, done.stderr
     return Live(json.loads(done.stdout), log, [(at, tuple(one)) for at, one in json.loads(arrivals.read_text())])
 
@@ -270,3 +278,82 @@ def test_a_flight_over_udp_to_a_tello_identifies_what_a_direct_one_does(tmp_path
     told(live, "tello")
     assert live.told["reason"] == "completed"
     agree(live.log, fly_direct(tmp_path, plan, "tello", MOCAP))
+
+
+# Take-off, landing, and drivers that die
+
+
+def height_of(log: Path) -> np.ndarray[Any, Any]:
+    return np.asarray(read(log).tables["/rotorfit/pose"].columns["pose.position.z"], float)
+
+
+def took_off_and_landed(live: Live) -> None:
+    height = height_of(live.log)
+    assert live.told["reason"] == "completed"
+    assert live.told["landed"]
+    assert height[:3].max() < 0.1
+    assert height.max() > 0.7
+    assert height[-1] < height.max() - 0.5  # on its way down when the recording ends
+
+
+def test_take_off_and_landing_over_ros_1(tmp_path: Path, master: dict[str, str]) -> None:
+    plan = plan_of(with_limits("bebop2-drone-dev", "bebop2"), "bebop2", 4, 8.0, 1.0)
+    fake = fake_words("fake_bebop", "--kind", "TransformStamped", "--topic", "/vicon/bebop/bebop", "--grounded")
+
+    took_off_and_landed(fly_live(tmp_path, plan, "ros1", fake, "--take-off", "--land", **master))
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_take_off_and_landing_over_mavlink(tmp_path: Path, autopilot: str) -> None:
+    pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
+    plan = plan_of(with_limits("mavlink", "m100"), "m100", 5, 8.0, 1.2)
+    port = free_port()
+    options = ("--vehicle", "m100", "--grounded", "--address", f"udpout:127.0.0.1:{port}")
+    fake = fake_words("fake_autopilot", *options, *(["--ardupilot"] if autopilot == "ardupilot" else []))
+
+    took_off_and_landed(fly_live(tmp_path, plan, f"mavlink:udpin:127.0.0.1:{port}", fake, "--take-off", "--land"))
+
+
+def test_take_off_and_landing_of_a_tello(tmp_path: Path) -> None:
+    plan = plan_of(with_limits("tello", "tello"), "tello", 6, 8.0, 0.8)
+    port = free_port()
+    host = f"127.3.{os.getpid() >> 8 & 255}.{os.getpid() & 255}"
+    fake = fake_words("fake_tello", "--vehicle", "tello", "--grounded", "--host", host, "--state-port", str(port))
+
+    took_off_and_landed(fly_live(tmp_path, plan, f"tello:{host}:{port}", fake, "--take-off", "--land"))
+
+
+def test_a_tello_without_a_pad_takes_its_poses_from_ros_1(tmp_path: Path, master: dict[str, str]) -> None:
+    """Two vehicles, of course: the fakes share no room. What is shown is that both links run in one flight."""
+    plan = plan_of(with_limits("tello", "tello"), "tello", 7, 5.0, 1.5)
+    port = free_port()
+    host = f"127.4.{os.getpid() >> 8 & 255}.{os.getpid() & 255}"
+    other = fake_words("fake_bebop", "--kind", "PoseStamped", "--topic", "/vicon/tello")
+    fake = fake_words("fake_tello", "--vehicle", "tello", "--host", host, "--state-port", str(port))
+    options = ("--poses", "ros1:/vicon/tello", "--no-land")
+
+    with process(*other, ready="ready", **master):
+        live = fly_live(tmp_path, plan, f"tello:{host}:{port}", fake, *options, **master)
+
+    assert live.told["reason"] == "completed"
+    assert len(live.arrived) > 450
+    assert live.told["poses"] > 550  # 120 a second, by ROS
+
+
+def test_a_driver_that_dies_is_a_lost_link_and_the_log_is_readable(tmp_path: Path, master: dict[str, str]) -> None:
+    plan = plan_of(with_limits("bebop2-drone-dev", "bebop2"), "bebop2", 8, 30.0)
+    fake = fake_words("fake_bebop", "--kind", "TransformStamped", "--topic", "/vicon/bebop/bebop")
+
+    with process(*fake, ready="ready", **master) as driver:
+        flight = subprocess.Popen(
+            fly_words(tmp_path, plan, "ros1"), env={**os.environ, **master},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        time.sleep(12)
+        driver.kill()
+        out, err = flight.communicate(timeout=30)
+
+    assert (flight.returncode, out) == (1, "")
+    assert "nobody listens to /bebop/cmd_vel any more" in err
+    assert len(err.strip().splitlines()) == 1
+    assert len(height_of(tmp_path / "flight.mcap")) > 200
