@@ -137,8 +137,8 @@ def fly_direct(folder: Path, plan: Plan, vehicle: str, mocap: Mocap) -> Path:
     return log
 
 
-def transport(live: Live) -> tuple[float, float, float]:
-    """From sending a command to its arrival at the vehicle: median, 99th percentile [ms], and how many were lost."""
+def transport(live: Live) -> tuple[float, float, float, int]:
+    """From sending a command to its arrival at the vehicle: mean, median, 99th percentile [ms]; how many were lost."""
     table = read(live.log).tables["/rotorfit/command"].columns
     names = ("twist.linear.x", "twist.linear.y", "twist.linear.z", "twist.angular.z")
     sent = np.column_stack([table[name] for name in names])
@@ -152,7 +152,7 @@ def transport(live: Live) -> tuple[float, float, float]:
         same = np.flatnonzero(np.abs(sent[begin:last] - value).max(axis=1) < 0.006) if last > begin else []
         if len(same) and np.abs(value).max() > 0:
             way.append((moment - times[begin + same[-1]]) / 1e6)
-    return float(np.median(way)), float(np.quantile(way, 0.99)), len(times) - len(at)
+    return float(np.mean(way)), float(np.median(way)), float(np.quantile(way, 0.99)), len(times) - len(at)
 
 
 def told(live: Live, name: str) -> None:
@@ -161,28 +161,33 @@ def told(live: Live, name: str) -> None:
     span = np.ptp(np.asarray(commands["log_time"], np.int64)) / 1e9
     age = (np.asarray(poses["log_time"], np.int64) - np.asarray(poses["header.stamp"], np.int64)) / 1e6
     jitter = live.told["jitter"]
-    p50, p99, lost = transport(live)
+    mean, p50, p99, lost = transport(live)
     print(f"\n{name}: {live.told['reason']}: {live.told['text']}")
     late = ", ".join(f"{name} {1e3 * value:.2f} ms" for name, value in jitter.items())
     print(f"  commands {len(commands['log_time']) / span:.1f}/s, late by {late}; notes {live.told['notes']}")
-    print(f"  command to vehicle p50 {p50:.2f} ms, p99 {p99:.2f} ms, {lost} not arrived")
+    print(f"  command to vehicle mean {mean:.2f} ms, p50 {p50:.2f} ms, p99 {p99:.2f} ms, {lost} not arrived")
     print(f"  {len(age)} poses, {len(age) / span:.1f}/s, stamp to arrival p50 {np.median(age):.1f} ms, "
           f"p99 {np.quantile(age, 0.99):.1f} ms")  # fmt: skip
 
 
-def agree(live: Path, direct: Path) -> None:
-    """Prints coefficients side by side; every pair of 95 % intervals must overlap."""
-    fits: list[Fit] = [fit_logs([parse_log(str(one))]) for one in (live, direct)]
-    apart = []
+def agree(live: Live, direct: Path) -> None:
+    """Prints coefficients side by side; every pair of 95 % intervals must overlap.
+
+    A delay over middleware truly holds the way there as well, so its interval may end that much lower.
+    """
+    fits: list[Fit] = [fit_logs([parse_log(str(one))]) for one in (live.log, direct)]
+    way, apart = transport(live)[0] / 1e3, list[str]()
     for axis in AXES:
-        over, plain = (one.model.axes[axis] for one in fits)
+        over, plain = (each.model.axes[axis] for each in fits)
         for part in PARTS:
             (a, b), (low, high) = over.ci95[part], plain.ci95[part]
             assert None not in (a, b, low, high), f"{axis}.{part}: {over.status[part]}, {plain.status[part]}"
-            name, verdict = f"{axis}.{part}", "" if a <= high and low <= b else "APART"
+            name, least = f"{axis}.{part}", a - way if part == "delay" else a
+            verdict = "" if least <= high and low <= b else "APART"
             apart += [name] if verdict else []
-            live_text = f"{getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]"
-            print(f"  {name:12s} {live_text}   direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}] {verdict}")
+            one = f"live {getattr(over, part):8.4f} [{a:8.4f}, {b:8.4f}]"
+            other = f"direct {getattr(plain, part):8.4f} [{low:8.4f}, {high:8.4f}]"
+            print(f"  {name:12s} {one}   {other} {verdict}")
     assert apart == []
 
 
@@ -242,7 +247,7 @@ def test_a_flight_over_ros_1_identifies_what_a_direct_one_does(
 
     told(live, f"ros1, {kind}")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "bebop2", Mocap()))
+    agree(live, fly_direct(tmp_path, plan, "bebop2", Mocap()))
 
 
 # MAVLink and Tello
@@ -262,7 +267,7 @@ def test_a_flight_over_mavlink_identifies_what_a_direct_one_does(tmp_path: Path,
 
     told(live, f"mavlink, {autopilot}")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "m100", MOCAP))
+    agree(live, fly_direct(tmp_path, plan, "m100", MOCAP))
 
 
 def test_a_flight_over_udp_to_a_tello_identifies_what_a_direct_one_does(tmp_path: Path) -> None:
@@ -277,7 +282,7 @@ def test_a_flight_over_udp_to_a_tello_identifies_what_a_direct_one_does(tmp_path
 
     told(live, "tello")
     assert live.told["reason"] == "completed"
-    agree(live.log, fly_direct(tmp_path, plan, "tello", MOCAP))
+    agree(live, fly_direct(tmp_path, plan, "tello", MOCAP))
 
 
 # Take-off, landing, and drivers that die
