@@ -83,17 +83,18 @@ def flown_mission(wanted: Mission, land: bool, status: Callable[[], AbstractCont
         LogError: The recording cannot be written.
     """
     plan = wanted.plan
-    attached = {"plan": plan_text(plan), "card": recorded_card(wanted), "link": wanted.name}
+    attached = attached_to(plan, wanted.ready, wanted.name)
     with operator_abort() as abort, status() as progress:
         recorder = record(wanted.output, attached)
         return fly(plan, wanted.link, recorder, land, wanted.take_off, abort, progress)
 
 
-def recorded_card(wanted: Mission) -> str:
-    """The card that the recording carries, as TOML."""
+def attached_to(plan: Plan, ready: Ready, link: str) -> dict[str, str]:
+    """What a recording carries besides its streams: the plan and the card as TOML, and the link's name."""
     import tomli_w
 
-    return tomli_w.dumps(card_as_recorded(wanted.plan.card, wanted.ready.pose_clock))
+    card = tomli_w.dumps(card_as_recorded(plan.card, ready.pose_clock))
+    return {"plan": plan_text(plan), "card": card, "link": link}
 
 
 def check_new(output: Path) -> None:
