@@ -10,11 +10,10 @@ import numpy as np
 
 from rotorfit.belief import belief_from_mapping
 from rotorfit.envelope import Envelope, predicted_path
+from rotorfit.expected import EXPECTED_HEADS, expected_rows
 from rotorfit.frames import AXES, Array
-from rotorfit.model import COEFFICIENTS
 from rotorfit.plan import Plan
 from rotorfit.rehearsal import excited_axes
-from rotorfit.terminal.plan import UNITS, Z95, believed, plus_minus
 from rotorfit.tracking import command_at, reference_at
 
 if TYPE_CHECKING:
@@ -111,13 +110,8 @@ def _table(panel: Axes, plan: Plan) -> None:
 
     panel.axis("off")
     panel.set_title("known after the flight, 95 % intervals")
-    rows = []
-    for axis, errors in plan.predicted["stderr"].items():
-        pairs = zip(COEFFICIENTS, believed(plan, axis), strict=True)
-        rows.append([plus_minus(value, Z95 * errors[name]).replace("+-", "\u00b1") for name, value in pairs])
-    heads = [f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True)]
-    labels = list(plan.predicted["stderr"])
-    cells = [["", *heads], *([label, *row] for label, row in zip(labels, rows, strict=True))]
+    rows = [[cell.replace("+-", "\u00b1") for cell in row] for row in expected_rows(plan)]
+    cells = [["", *EXPECTED_HEADS], *rows]
     height = 0.17 * len(cells)
     table = panel.table(
         cells,
