@@ -24,6 +24,8 @@ FORMATS = MappingProxyType(
         "mcap": "rotorfit.sources.mcap",
         "mat": "rotorfit.sources.mat",
         "mat73": "rotorfit.sources.mat73",
+        "ulog": "rotorfit.sources.ulog",
+        "dataflash": "rotorfit.sources.dataflash",
         "csv": "rotorfit.sources.csv",
     }
 )
