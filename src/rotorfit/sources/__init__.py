@@ -26,6 +26,9 @@ FORMATS = MappingProxyType(
         "mat73": "rotorfit.sources.mat73",
         "ulog": "rotorfit.sources.ulog",
         "dataflash": "rotorfit.sources.dataflash",
+        "parquet": "rotorfit.sources.parquet",
+        "motive": "rotorfit.sources.motive",
+        "vicon": "rotorfit.sources.vicon",
         "csv": "rotorfit.sources.csv",
     }
 )

@@ -15,6 +15,9 @@ FORMATS = {
     "mat73": "MATLAB, version 7.3 (.mat); needs h5py: pip install 'rotorfit[mat73]'",
     "ulog": "PX4 log (.ulg)",
     "dataflash": "ArduPilot log (.bin), with TimeUS, TimeMS or no time",
+    "parquet": "Parquet: one flat table (.parquet)",
+    "motive": "OptiTrack Motive export (.csv), format 1.2 and later",
+    "vicon": "Vicon export (.csv) of Tracker or Nexus",
     "csv": "CSV: a row of names, then rows of numbers between commas, semicolons or tabs",
 }
 """Format to what a user calls it."""
