@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot_logs import FLASH_ATT, FLASH_FMT, flash, flash_attitudes, flash_format, flash_record
+from rotorfit.card import card_from_mapping
 from rotorfit.errors import LogError
 from rotorfit.log import Log
 from rotorfit.sources import dataflash as reader
 from rotorfit.sources import read
+from rotorfit.stream import commands_of
 
 STAMPS = np.arange(1_000_000, 3_000_000, 10_000)
 ATTITUDES = flash_attitudes(STAMPS.tolist())
@@ -99,6 +101,23 @@ def test_messages_without_a_time_get_it_from_their_place_in_the_file(tmp_path: P
     np.testing.assert_array_equal(alone.tables["MODE"].columns["log_time"], mode["log_time"])
     assert "log_time" not in log.tables["ATT"].columns
     assert log.notes == ("no time in MODE: their log_time is told by their place among messages that have one",)
+
+
+def test_the_mode_opens_a_window_on_commands_of_another_message(tmp_path: Path) -> None:
+    rows = []
+    for t in range(1000, 11_000, 20):
+        rows += [flash_record(2, "MH", t >= 5000, 500)] * (t in (1000, 5000))
+        rows.append(flash_record(1, "Icc", t, t % 300, 6))
+    raw = {
+        "command": {"time": {"from": "ATT:TimeMS", "unit": "ms"}, "x": "ATT:Roll"},
+        "pose": {"time": {"from": "ATT:TimeMS", "unit": "ms"}, "x": "ATT:Roll", "y": 0, "z": 0, "yaw": 0},
+        "window": {"when": "MODE:Mode"},
+    }
+
+    commands, _, _ = commands_of(log_of(tmp_path, OLD + b"".join(rows)), card_from_mapping(raw, "test"))
+
+    assert commands.stamps[0] / 1e9 == pytest.approx(5.0, abs=0.04)
+    assert len(commands.stamps) == pytest.approx(300, abs=2)
 
 
 def test_a_log_whose_only_clock_is_that_of_satellites_is_stamped_by_it_between_the_fixes(tmp_path: Path) -> None:

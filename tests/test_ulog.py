@@ -24,6 +24,7 @@ from rotorfit.errors import LogError
 from rotorfit.log import Log
 from rotorfit.sources import read
 from rotorfit.sources import ulog as reader
+from rotorfit.survey import survey
 
 STAMPS = np.arange(1_000_000, 3_000_000, 10_000)
 STATES = ulog_states(STAMPS.tolist())
@@ -92,7 +93,8 @@ def test_only_the_topics_asked_for_are_decoded(tmp_path: Path) -> None:
 def test_dropouts_are_counted_and_other_records_passed_over(tmp_path: Path) -> None:
     others = [
         ulog_record("I", b"\x08char a b", b"value"), ulog_record("P", b"\x09float KPX", bytes(4)),
-        ulog_record("L", b"6", bytes(8), b"a text"), ulog_record("S", ULOG_SYNC), ulog_record("R", b"\0\0"),
+        ulog_record("L", b"6", bytes(8), b"a text"), ulog_record("M", b"\0\x08char a b", bytes(40_000)),
+        ulog_record("S", ULOG_SYNC), ulog_record("R", b"\0\0"),
         ulog_record("O", struct.pack("<H", 250)), ulog_record("O", struct.pack("<H", 500)),
     ]  # fmt: skip
 
@@ -207,6 +209,16 @@ def test_a_number_that_is_given_away_again_belongs_to_its_new_topic_from_there_o
     assert {name: len(table.columns["timestamp"]) for name, table in log.tables.items()} == {"state": 3, "other": 1}
 
 
+@pytest.mark.parametrize("period", [1_000, 100_000, 3_000_000])
+def test_a_survey_takes_stamps_for_microseconds_however_slow_a_topic_is(period: int, tmp_path: Path) -> None:
+    log = log_of(tmp_path, HEAD + b"".join(ulog_states(range(period, 20 * period, period))))
+
+    (table,) = survey(log).tables
+
+    assert table.rate is not None
+    assert table.rate.period == pytest.approx(period / 1e6)
+
+
 @settings(max_examples=150, deadline=None, database=None, derandomize=True)
 @given(st.lists(st.tuples(st.integers(0, 4000), st.binary(max_size=12), st.integers(0, 40)), min_size=1, max_size=6))
 def test_mutated_logs_are_read_or_refused_in_one_line(changes: list[tuple[int, bytes, int]]) -> None:
@@ -226,7 +238,7 @@ def test_a_real_log_is_read_whole(real_flights: Path) -> None:
     log = read(real_flights / "px4-s500" / "TestFlight1.ulg")
 
     position = log.tables["vehicle_local_position"].columns
-    assert (len(log.tables), log.skipped) == (77, {})
+    assert (len(log.tables), log.skipped, log.notes) == (77, {}, ())  # reports of three crashes are appended
     assert {"sensor_accel", "sensor_accel_1"} <= set(log.tables)
     assert len(position["x"]) == 586
     assert np.all(np.diff(position["timestamp"].astype(np.int64)) > 0)

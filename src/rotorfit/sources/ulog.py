@@ -32,7 +32,8 @@ _NUMBERS = {f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "
     "bool": BOOL,
 }
 _FIELD = re.compile(r"(?P<type>[\w/-]+)(\[(?P<count>\d{1,5})\])? +(?P<name>\w+)")
-_LONGEST = 1 << 13  # of records that are not of data: the autopilot writes no definition beyond 1600 bytes
+_DEFINITION, _KEY = re.compile(rb"[\w/-]+:"), re.compile(rb"[\w\[\]]+ [ -~]+")
+_LONGEST_TEXT = 1 << 13
 _WIDEST_RECORD, _DEEPEST, _MOST_COLUMNS, _MOST_OF_ALL = 1 << 16, 16, 1 << 12, 1 << 16
 
 
@@ -189,16 +190,21 @@ def _plausible(log: _Log, data: bytes, position: int) -> bool:
         case "A":
             return 3 < length < 300 and content[3:].isascii()
         case "F":
-            return 3 < length < _LONGEST and content[0] > 32
+            return _DEFINITION.match(content) is not None
         case "I" | "P":
-            return 3 < length < _LONGEST and 2 < content[0] < length
-        case "M" | "Q":
-            return 4 < length < _LONGEST and 2 < content[1] < length
+            return length > 3 and _is_key(content[1 : 1 + content[0]], content[0])
+        case "M" | "Q":  # what a crash left behind may be long
+            return length > 4 and _is_key(content[2 : 2 + content[1]], content[1])
         case "L" | "C":
-            return 8 < length < _LONGEST and chr(content[0]) in "01234567"
+            return 8 < length < _LONGEST_TEXT and chr(content[0]) in "01234567"
         case "B":
             return _FLAGS.size <= length < 300
     return False
+
+
+def _is_key(text: bytes, length: int) -> bool:
+    """Whether a piece of information is named as all are: a type, a name."""
+    return len(text) == length and _KEY.fullmatch(text) is not None
 
 
 def _define(log: _Log, kind: int, content: bytes) -> None:

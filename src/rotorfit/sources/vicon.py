@@ -17,6 +17,8 @@ from rotorfit.sources.content import Content, listed, one_line
 from rotorfit.sources.csv import NUMBER, UTF8_MARK, cells, columns_below, separator_of, text_of
 
 _BLANK_LINE = re.compile(rb"\n[,;\t \r\"]*(?=\n|\Z)")
+_FILLED = re.compile(rb"[^\s,;\"]")
+_MOST_SECTIONS, _FASTEST = 32, 1e6
 _GLOBAL = re.compile(r"Global Angle( \([^)]*\))? +")
 _KINDS = {"T": "position", "R": "rotation"}
 
@@ -81,19 +83,39 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 def _sections(data: bytes, notes: list[str]) -> list[_Section]:
     """The sections of the text, one behind the other."""
     sections: list[_Section] = []
-    place = 0
-    while data[place:].strip():
-        place += len(data[place:]) - len(data[place:].lstrip())
+    place = _filled(data, 0)
+    while place < len(data):
         lines, start = _lines(data, place)
         axes = _axes(lines[3]) if len(lines) == 5 else None
-        if axes is None:
+        if axes is None or len(sections) == _MOST_SECTIONS:
             notes.append(f"{len(data) - place} bytes from byte {place} on are no section of a Vicon export: left out")
             break
-        blank = _BLANK_LINE.search(data, start - 1)
-        end = blank.start() + 1 if blank else len(data)
+        end = _end(data, start)
         sections.append(_section(lines, axes, (start, end)))
-        place = end
+        place = _filled(data, end)
     return sections
+
+
+def _filled(data: bytes, place: int) -> int:
+    """Where something stands again, at or behind a place."""
+    found = _FILLED.search(data, place)
+    return found.start() if found else len(data)
+
+
+def _end(data: bytes, start: int) -> int:
+    """Where the rows of a section end: at a blank line, unless rows go on behind it because damage made it."""
+    for blank in _BLANK_LINE.finditer(data, start - 1):
+        filled = _filled(data, blank.end())
+        line = data[filled : filled + 64].partition(b"\n")[0].decode(errors="replace")
+        if not NUMBER.fullmatch(re.split("[,;\t]", line)[0].strip()) or _begins(data, blank.end()):
+            return blank.start() + 1
+    return len(data)
+
+
+def _begins(data: bytes, place: int) -> bool:
+    """Whether a section begins behind a blank line."""
+    lines, _ = _lines(data, _filled(data, place))
+    return len(lines) >= 4 and _axes(lines[3]) is not None
 
 
 def _lines(data: bytes, start: int) -> tuple[list[str], int]:
@@ -117,7 +139,7 @@ def _section(lines: list[str], axes: list[str], part: tuple[int, int]) -> _Secti
     """A section from the five lines of its head."""
     separator = separator_of(lines[3])
     title, rate, names, _, units = ([*cells(line, separator), *[""] * len(axes)][: len(axes)] for line in lines)
-    digits = [cell.replace(",", ".") for cell in rate if NUMBER.fullmatch(cell)]
+    rates = [float(cell.replace(",", ".")) for cell in rate if NUMBER.fullmatch(cell)]
     owner, columns, parts = "", ["frame", "sub_frame"], dict[str, list[str]]()
     for name, axis in list(zip(names, axes, strict=True))[2:]:
         owner = _owner(name) or owner
@@ -125,7 +147,13 @@ def _section(lines: list[str], axes: list[str], part: tuple[int, int]) -> _Secti
         parts.setdefault(owner, []).append(axis)
     helical = [name for name, found in parts.items() if {"RX", "RY", "RZ", "TX"} <= set(found) and "RW" not in found]
     return _Section(
-        title[0], float(digits[0]) if digits else 0.0, columns, units[: len(axes)], helical, separator, part
+        title[0],
+        rates[0] if rates and 0 < rates[0] < _FASTEST else 0.0,
+        columns,
+        units[: len(axes)],
+        helical,
+        separator,
+        part,
     )
 
 
