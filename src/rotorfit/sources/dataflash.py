@@ -129,23 +129,34 @@ def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
     A record is believed when a record follows: what stands before a break may be torn itself.
     """
     places: list[list[int]] = [[] for _ in range(256)]
+    known: dict[bytes, tuple[list[int], int]] = {}  # heads seen in this block: where they go, their length
     position, end, lengths = 0, len(data), log.lengths
     latest: list[int] = []  # where the record before this one went; empty where there is none
     while position + _HEAD.size <= end:
-        mark, kind = _HEAD.unpack_from(data, position)
-        if mark == _MARK and lengths[kind]:
-            after = position + lengths[kind]
-            if after > end:
+        if record := known.get(data[position : position + _HEAD.size]):
+            found, length = record
+            if position + length > end:
                 break
-            latest = places[kind]
-            latest.append(position)
-            if kind == _FMT_TYPE:
-                _define(log, data[position + _HEAD.size : after])
-        else:
+            latest = found
+            found.append(position)
+            position += length
+            continue
+        mark, kind = _HEAD.unpack_from(data, position)
+        after = position + lengths[kind]
+        if mark != _MARK or not lengths[kind]:
             if latest:
                 latest.pop()
             latest, after = [], _next(lengths, data, position + 1)
             log.damage.found(offset + position, after - position)
+        elif kind != _FMT_TYPE:
+            known[data[position : position + _HEAD.size]] = places[kind], lengths[kind]
+            continue
+        elif after > end:
+            break
+        else:
+            latest = places[kind]
+            latest.append(position)
+            _define(log, data[position + _HEAD.size : after])
         position = after
     if not last and latest:  # whether a record follows is seen in the next block
         position = latest.pop()

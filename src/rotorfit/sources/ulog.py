@@ -121,30 +121,38 @@ def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
     A record is believed when a record follows: what stands before a break may be torn itself.
     """
     places: dict[int, list[int]] = {number: [] for number in log.numbers}
-    position, end, numbers = 0, len(data), log.numbers
+    known: dict[bytes, tuple[list[int], int]] = {}  # heads of data seen in this block: where they go, their length
+    position, end = 0, len(data)
     before, latest = 0, None  # the record before this one, and the list that it went to
     while position + _HEAD.size <= end:
+        if record := known.get(data[position : position + _HEAD.size]):
+            found, length = record
+            if position + length > end:
+                break
+            before, latest = position, found
+            found.append(position)
+            position += length
+            continue
         length, kind, number = _HEAD.unpack_from(data, position)
         after = position + 3 + length
-        if kind == _DATA and number in numbers and numbers[number][1] <= length <= numbers[number][2]:
-            if after > end:
-                break
-            before, latest = position, places[number]
-            latest.append(position)
-        elif kind != _DATA and _plausible(log, data, position):
-            if after > end:
-                break
+        if not _plausible(log, data, position):
+            if latest:
+                latest.pop()
+            latest, after = None, _next(log, data, position + 1)
+            log.damage.found(offset + position, after - position)
+        elif kind == _DATA:
+            known[data[position : position + _HEAD.size]] = places[number], 3 + length
+            continue
+        elif after > end:
+            break
+        else:
             before, latest = position, None
             if kind == _SUBSCRIPTION:  # the number may have been another topic's
                 number = int.from_bytes(data[position + 4 : position + 6], "little")
                 _gather(log, data, {number: places.pop(number, [])})
                 places[number] = []
+                known.clear()
             _define(log, kind, data[position + 3 : after])
-        else:
-            if latest:
-                latest.pop()
-            latest, after = None, _next(log, data, position + 1)
-            log.damage.found(offset + position, after - position)
         position = after
     if not last and latest:  # whether a record follows is seen in the next block
         latest.pop()
