@@ -237,6 +237,63 @@ def test_times_that_no_clock_shows_tell_no_place(tmp_path: Path) -> None:
     assert mode["log_time"].tolist() == [5_000_000]
 
 
+TEXT = """
+ 3
+
+ArduCopter V3.1.3 (deadbeef)
+Free RAM: 1331
+FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format
+FMT, 1, 13, ATT, Icc, TimeMS,Roll,Pitch
+FMT, 2, 6, MODE, MH, Mode,ThrCrs
+FMT, 5, 67, MSG, Z, Message
+FMT, 6, 20, IMU, QBf, TimeUS,I,GyrX
+FMT, 7, 44, FMTU, QBNN, TimeUS,FmtType,UnitIds,MultIds
+FMT, 129, 23, PARM, Nf, Name,Value
+PARM, RATE_RLL_P, 0.15
+FMTU, 0, 6, s#E, F--
+"""
+
+
+def text_of(rows: list[str]) -> str:
+    return "\n".join([TEXT.strip("\n"), *rows, ""])
+
+
+def test_the_text_of_a_log_is_read_as_the_log_itself(tmp_path: Path) -> None:
+    rows = []
+    for t in range(1000, 61_000, 20):
+        rows += [f"ATT, {t}, {t % 300 / 100:.2f}, -0.05"] + [f"IMU, {t}000, {core}, 0.5" for core in (0, 1)]
+        rows += [f"MODE, {t // 1000}, 500"] * (t % 10_000 == 0)
+    rows += ["MSG, Flown, and landed", "ATT, 9", "nonsense, 3"]
+    (tmp_path / "flight.log").write_text(text_of(rows))
+
+    log = read(tmp_path / "flight.log")
+
+    assert log.format == "dataflash_text"
+    assert list(log.tables) == ["ATT", "MODE", "IMU", "IMU_1"]
+    assert log.tables["ATT"].columns["Roll"][:3].tolist() == [1.0, 1.2, 1.4]
+    assert len(log.tables["IMU_1"].columns["GyrX"]) == 3000
+    mode = log.tables["MODE"].columns
+    np.testing.assert_allclose(mode["log_time"] / 1e9, mode["Mode"], atol=0.1)
+    assert log.notes == (
+        "2 torn lines left out",
+        "no time in MODE: their log_time is told by their place among messages that have one",
+    )
+    assert list(read(tmp_path / "flight.log", {"IMU_1"}).tables) == ["IMU_1"]
+
+
+@pytest.mark.parametrize(
+    "row", ["IMU, 5, nan, 1", "IMU, 5, 99999999999999999999, 1", "IMU, up, 0, 1", "FMTU, 0, 99999999, #, #", "FMT, 9"]
+)
+def test_cells_that_cannot_be_cost_their_column_at_most(row: str, tmp_path: Path) -> None:
+    rows = [f"ATT, {t}, 0.5, -0.05" for t in range(1000, 2000, 20)]
+    (tmp_path / "flight.log").write_text(text_of([*rows, row, *rows, "MODE, 3, 4"]))
+
+    log = read(tmp_path / "flight.log")
+
+    assert len(log.tables["ATT"].columns["TimeMS"]) == 100
+    assert len(log.tables["MODE"].columns["log_time"]) == 1
+
+
 def test_a_real_log_is_read_whole_and_one_of_definitions_is_refused(real_flights: Path) -> None:
     log = read(real_flights / "arducopter" / "2014-10-18_20-04-24.bin")
 

@@ -143,7 +143,7 @@ def test_a_file_cut_short_gives_the_rows_before_the_cut_and_says_so_or_one_clear
         np.testing.assert_array_equal(x, rec.pose[: len(x), 0])
         assert len(x) >= rows_before
         # Nothing to say where only the index behind the messages is cut, or a CSV just behind a line.
-        sheet = name.startswith(("csv", "motive", "vicon"))
+        sheet = name.startswith(("csv", "motive", "vicon", "dataflash_text"))
         unseen = content[:size].endswith(b"\n") if sheet else len(x) == 60
         assert log.notes or unseen, f"{size} of {len(content)} bytes"
         rows_before = len(x)

@@ -231,6 +231,18 @@ def write_dataflash(path: Path, rec: Recording) -> Path:
     return path
 
 
+def write_dataflash_text(path: Path, rec: Recording) -> Path:
+    lines = [
+        "ArduCopter V3.1.3", "", "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format",
+        f"FMT, 1, 75, pose, Qqddddddd, TimeUS,t_pose,{','.join(POSE_NAMES)}",
+        f"FMT, 2, 51, cmd, Qqdddd, TimeUS,t_command,{','.join(COMMAND_NAMES)}",
+        "FMT, 129, 23, PARM, Nf, Name,Value", "PARM, RATE_RLL_P, 0.15",
+    ]  # fmt: skip
+    lines += [f"{name}, {t // 1000}, {t}, {', '.join(map(str, values))}" for t, name, values in in_order(rec)]
+    path.write_text("\r\n".join([*lines, ""]), newline="")
+    return path
+
+
 MOCAP_NAMES = {
     "clock.position.x": "t_pose",
     "clock.position.y": "t_command",
@@ -304,6 +316,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Recording], Path]]] = {
     "lone mcap, ros1": ("mcap", write_mcap_ros1),
     "ulog": ("ulog", write_ulog),
     "dataflash": ("dataflash", write_dataflash),
+    "dataflash_text": ("dataflash_text", write_dataflash_text),
     "parquet": ("parquet", write_parquet),
     "motive": ("motive", write_motive),
     "vicon": ("vicon", write_vicon),

@@ -26,6 +26,7 @@ FORMATS = MappingProxyType(
         "mat73": "rotorfit.sources.mat73",
         "ulog": "rotorfit.sources.ulog",
         "dataflash": "rotorfit.sources.dataflash",
+        "dataflash_text": "rotorfit.sources.dataflash_text",
         "parquet": "rotorfit.sources.parquet",
         "motive": "rotorfit.sources.motive",
         "vicon": "rotorfit.sources.vicon",

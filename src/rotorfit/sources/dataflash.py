@@ -9,7 +9,7 @@ libraries/AP_Logger/LogStructure.h that it refers to.
 """
 
 import struct
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,15 +34,18 @@ _FORMATS = {
 }  # fmt: skip
 """Character to numpy's format, length of an array, and what the value was multiplied by to be a whole number."""
 _TEXTS = {"n": 4, "N": 16, "Z": 64}
-_ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
+ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 """Messages that describe the log and the settings."""
-_Anchors = tuple[Column, Column]
+Anchors = tuple[Column, Column]
+"""Places in a file and the time there [ns]."""
+
+_MOST_INSTANCES = 256
 _SPACING = 256
 """Bytes between the anchors that tell the time of a place in the file: a few milliseconds of flight."""
 
 
 @dataclass(frozen=True)
-class _Clock:
+class Clock:
     """A column that tells the time, the nanoseconds of a count, and whether it is the satellites' time."""
 
     leaf: Leaf
@@ -51,7 +54,7 @@ class _Clock:
 
 
 @dataclass
-class _Message:
+class Message:
     """Messages of one type on their way to a table.
 
     Attributes:
@@ -61,7 +64,7 @@ class _Message:
         labels: All columns, texts among them.
         clock: Column that tells the time, and what it counts in; None where there is none.
         instance: Column that tells sensors or cores of the same kind apart; empty where there is none.
-        offsets: Where its records begin, kept for those without a clock.
+        places: Where its records begin, kept for those without a clock.
     """
 
     name: str
@@ -69,11 +72,11 @@ class _Message:
     layout: Layout | None
     reason: str
     labels: list[str]
-    clock: _Clock | None
+    clock: Clock | None
     instance: str = ""
     count: int = 0
     rows: Rows = field(default_factory=Rows)
-    offsets: list[Column] = field(default_factory=list)
+    places: list[Column] = field(default_factory=list)
 
 
 @dataclass
@@ -90,9 +93,9 @@ class _Log:
     """
 
     wanted: Collection[str] | None
-    messages: dict[int, _Message] = field(default_factory=dict)
+    messages: dict[int, Message] = field(default_factory=dict)
     lengths: list[int] = field(default_factory=lambda: [0] * 256)
-    anchors: tuple[list[_Anchors], list[_Anchors]] = field(default_factory=lambda: ([], []))
+    anchors: tuple[list[Anchors], list[Anchors]] = field(default_factory=lambda: ([], []))
     redefined: set[str] = field(default_factory=set)
     damage: Damage = field(default_factory=Damage)
 
@@ -180,14 +183,14 @@ def _define(log: _Log, content: bytes) -> None:
     names = [label.strip() for label in labels.split(",")]
     if kind == _FMT_TYPE or length < _HEAD.size:
         return
-    message = _message(log, name, length, format_, names)
+    message = message_of(log.wanted, name, length, format_, names)
     known = log.messages.setdefault(kind, message)
     log.lengths[kind] = known.length
     if (known.name, known.length) != (name, length):
         log.redefined.add(known.name)
 
 
-def _message(log: _Log, name: str, length: int, format_: str, labels: list[str]) -> _Message:
+def message_of(wanted: Collection[str] | None, name: str, length: int, format_: str, labels: list[str]) -> Message:
     """A type by its definition: characters of the format, and as many names."""
     leaves: dict[str, Leaf] = {}
     place = 0
@@ -199,9 +202,9 @@ def _message(log: _Log, name: str, length: int, format_: str, labels: list[str])
         else:
             place += _TEXTS.get(character, length)  # beyond the record where nobody knows how long it is
     fits = place + _HEAD.size <= length and len(format_) == len(labels) * bool(format_)
-    asked = log.wanted is None or any(name in (table, table.rpartition("_")[0]) for table in log.wanted)
+    asked = wanted is None or any(name in (table, table.rpartition("_")[0]) for table in wanted)
     reason = ""
-    if name in _ABOUT:
+    if name in ABOUT:
         reason = "describes the log"
     elif not asked:
         reason = "not asked for"
@@ -210,27 +213,28 @@ def _message(log: _Log, name: str, length: int, format_: str, labels: list[str])
     elif not leaves:
         reason = "holds no numbers"
     layout = None if reason else Layout(tuple(leaves.values()), _HEAD.size, place)
-    return _Message(name, length, layout, reason, labels, _clock(name, leaves) if fits else None)
+    return Message(name, length, layout, reason, labels, _clock(name, leaves) if fits else None)
 
 
-def _clock(name: str, leaves: dict[str, Leaf]) -> _Clock | None:
+def _clock(name: str, leaves: dict[str, Leaf]) -> Clock | None:
     """The column that tells the time. TimeMS and Time of GPS are the satellites'; T beside them is the autopilot's."""
     of_gps = name.startswith("GPS")
     names = {"TimeUS": 1000, "T": 10**6} if of_gps else {"TimeUS": 1000, "TimeMS": 10**6}
     for label, factor in {**names, **({"TimeMS": 10**6, "Time": 10**6} if of_gps else {})}.items():
         if label in leaves and leaves[label].format[-2] in "iu" and leaves[label].count is None:
-            return _Clock(leaves[label], factor, label not in names)
+            return Clock(leaves[label], factor, label not in names)
     return None
 
 
-def _without_time(message: _Message) -> bool:
+def without_time(message: Message) -> bool:
+    """Whether no column of a message tells the autopilot's time."""
     return message.clock is None or message.clock.satellites
 
 
 def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> None:
     """Gives the records of a block to their types, and keeps what tells the time of a place in the file."""
-    untimed = any(message.layout is not None and _without_time(message) for message in log.messages.values())
-    found_anchors: tuple[list[_Anchors], list[_Anchors]] = ([], [])
+    untimed = any(message.layout is not None and without_time(message) for message in log.messages.values())
+    found_anchors: tuple[list[Anchors], list[Anchors]] = ([], [])
     for kind, found in enumerate(places):
         if not found or kind not in log.messages:
             continue
@@ -238,8 +242,8 @@ def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> Non
         message.count += len(found)
         if message.layout is not None:
             message.rows.gather(data, found, message.layout)
-            if _without_time(message):
-                message.offsets.append(np.array(found) + offset)
+            if without_time(message):
+                message.places.append(np.array(found) + offset)
         if message.name == "FMTU" and message.length == _HEAD.size + _FMTU.size:
             _units(log, data, found)
         if untimed and message.clock is not None:
@@ -252,7 +256,7 @@ def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> Non
             anchors.append((starts[order] + offset, times[order]))
 
 
-def _anchors(data: bytes, found: list[int], clock: _Clock) -> _Anchors:
+def _anchors(data: bytes, found: list[int], clock: Clock) -> Anchors:
     """Where messages with a clock begin, and what it says [ns]."""
     starts = np.array(found)
     layout = Layout((clock.leaf,), _HEAD.size, clock.leaf.offset + int(clock.leaf.format[-1]))
@@ -261,7 +265,7 @@ def _anchors(data: bytes, found: list[int], clock: _Clock) -> _Anchors:
     return starts[sane], values[sane].astype(np.int64) * clock.nanoseconds
 
 
-def _timeline(log: _Log) -> _Anchors | None:
+def _timeline(log: _Log) -> Anchors | None:
     """What tells the time of a place in the file: the autopilot's clock or, where it shows nowhere, the satellites'."""
     for anchors in log.anchors:
         if anchors:
@@ -271,12 +275,13 @@ def _timeline(log: _Log) -> _Anchors | None:
     return None
 
 
-def _instances(message: _Message, columns: dict[str, Column]) -> dict[str, dict[str, Column]]:
+def _instances(message: Message, columns: dict[str, Column]) -> dict[str, dict[str, Column]]:
     """Tables of a message: one for each sensor or core; `NAME` is that with the number 0, `NAME_1` the next."""
-    if not message.instance:
+    numbers = columns.get(message.instance, np.zeros(0))
+    apart = np.unique(numbers) if numbers.dtype.kind in "iu" else np.zeros(0)
+    if not 0 < len(apart) <= _MOST_INSTANCES:
         return {message.name: columns}
-    numbers = columns[message.instance]
-    parts = {int(number): numbers == number for number in np.unique(numbers)}
+    parts = {int(number): numbers == number for number in apart}
     return {
         f"{message.name}_{number}" if number else message.name: {name: column[rows] for name, column in columns.items()}
         for number, rows in parts.items()
@@ -298,33 +303,60 @@ def _units(log: _Log, data: bytes, found: list[int]) -> None:
 def _content(path: Path, log: _Log, size: int) -> Content:
     """Tables of what was found."""
     notes = log.damage.notes(size)
-    if not any(message.count for message in log.messages.values() if message.name not in _ABOUT):
+    if log.redefined:
+        notes.append(f"later definitions of {listed(sorted(log.redefined))} differ: the first one is used")
+
+    def columns(message: Message) -> dict[str, Column]:
+        return message.rows.columns(message.layout) if message.layout is not None else {}
+
+    return content_of(path, log.wanted, log.messages.values(), columns, _timeline(log), notes)
+
+
+def content_of(
+    path: Path,
+    wanted: Collection[str] | None,
+    messages: Collection[Message],
+    columns_of_message: Callable[[Message], dict[str, Column]],
+    timeline: Anchors | None,
+    notes: list[str],
+) -> Content:
+    """Tables of messages; those without a time get `log_time` from their places.
+
+    Args:
+        path: For the text of errors.
+        wanted: Names of the tables to give; None for all.
+        messages: All that are defined.
+        columns_of_message: Gives the columns of one.
+        timeline: Places in the file and the time there [ns]; None where nothing tells it.
+        notes: What was lost so far.
+
+    Raises:
+        LogError: No message besides definitions.
+    """
+    if not any(message.count for message in messages if message.name not in ABOUT):
         why = f" ({notes[0]})" if notes else ""
         raise LogError(
-            f"{path}: the log defines {len(log.messages)} messages and holds none of them{why}; "
+            f"{path}: the log defines {len(messages)} messages and holds none of them{why}; "
             "download it from the autopilot again"
         )
     tables: dict[str, Table] = {}
     skipped: dict[str, str] = {}
     placed: list[str] = []
-    anchors = _timeline(log)
-    for message in log.messages.values():
-        if not message.count or message.layout is None:
-            if message.count or message.name in (log.wanted or ()):  # a log defines many that it never holds
+    for message in messages:
+        columns = columns_of_message(message) if message.count and message.layout is not None else {}
+        if not columns:
+            if message.count or message.name in (wanted or ()):  # a log defines many that it never holds
                 reason = one_line(f"{message.reason or 'no message'} ({message.count} messages)")
                 skipped.setdefault(message.name, reason)
             continue
-        columns = message.rows.columns(message.layout)
-        if _without_time(message) and anchors is not None:
-            columns = {"log_time": np.interp(np.concatenate(message.offsets), *anchors).astype(np.int64)} | columns
+        if without_time(message) and timeline is not None:
+            columns = {"log_time": np.interp(np.concatenate(message.places), *timeline).astype(np.int64)} | columns
             placed.append(message.name)
         for name, part in _instances(message, columns).items():
-            if log.wanted is None or name in log.wanted:
+            if wanted is None or name in wanted:
                 tables[name] = Table(name, part)
             else:
                 skipped[name] = "not asked for"
     if placed:
         notes.append(f"no time in {listed(placed)}: their log_time is told by their place among messages that have one")
-    if log.redefined:
-        notes.append(f"later definitions of {listed(sorted(log.redefined))} differ: the first one is used")
     return Content(tables, skipped, tuple(notes))

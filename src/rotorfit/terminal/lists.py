@@ -15,6 +15,7 @@ FORMATS = {
     "mat73": "MATLAB, version 7.3 (.mat); needs h5py: pip install 'rotorfit[mat73]'",
     "ulog": "PX4 log (.ulg)",
     "dataflash": "ArduPilot log (.bin), with TimeUS, TimeMS or no time",
+    "dataflash_text": "ArduPilot log as text (.log)",
     "parquet": "Parquet: one flat table (.parquet)",
     "motive": "OptiTrack Motive export (.csv), format 1.2 and later",
     "vicon": "Vicon export (.csv) of Tracker or Nexus",
