@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorfit.card import card_from_mapping
 from rotorfit.errors import LogError
 from rotorfit.log import Log
 from rotorfit.sources import read
+from rotorfit.stream import poses_of
 from test_log import log_or_line
 
 MOTIVE = """Format Version,1.23,Take Name,a take,Capture Frame Rate,120.000000,Export Frame Rate,120.000000,\
@@ -55,6 +57,31 @@ def test_bodies_and_markers_of_motive_are_named_columns_and_what_was_hidden_is_n
         "Motive captured 2019-09-18 04.30.02.695 PM, rotation Quaternion, lengths in Meters, coordinates Global, "
         "frames per second 120.000000; axes as exported (Y is up unless the export said otherwise)",
     )
+
+
+def test_with_y_up_the_axes_in_a_ring_give_a_pose_with_z_up(tmp_path: Path) -> None:
+    t = np.linspace(0, 2, 50)
+    place, yaw = np.stack([np.cos(t), t**2, 1 + t]), 0.5 + t  # east, north, up; counter-clockwise
+    columns = {
+        "time": t, **dict(zip(("position.z", "position.x", "position.y"), place, strict=True)),
+        "rotation.w": np.cos(yaw / 2), "rotation.x": 0 * t, "rotation.y": np.sin(yaw / 2), "rotation.z": 0 * t,
+    }  # fmt: skip
+    kinds, axes = zip(*(name.split(".") for name in list(columns)[1:]), strict=True)
+    header = [
+        "Format Version,1.23,Rotation Type,Quaternion", ",Type" + ",Rigid Body" * 7, ",Name" + ",b" * 7,
+        f",,{','.join(kinds)}", f"Frame,Time (Seconds),{','.join(axes)}",
+    ]  # fmt: skip
+    rows = [f"{frame},{','.join(map(repr, row.tolist()))}" for frame, row in enumerate(np.stack([*columns.values()]).T)]
+    pose = {"time": "time", "x": "b.position.z", "y": "b.position.x", "z": "b.position.y"}
+    raw = {
+        "command": {"time": "time", "x": "frame"},
+        "pose": pose | {"quaternion": [f"b.rotation.{axis}" for axis in "wzxy"]},
+    }
+
+    poses = poses_of(log_of(tmp_path, "\n".join([*header, *rows, ""])), card_from_mapping(raw, "test"))
+
+    np.testing.assert_allclose(poses.values[:, :3], place.T, atol=1e-12)
+    np.testing.assert_allclose(np.unwrap(poses.values[:, 3]), yaw, atol=1e-12)
 
 
 EULER = """Format Version,1.2,Rotation Type,XYZ,Length Units,Millimeters

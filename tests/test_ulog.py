@@ -234,6 +234,29 @@ def test_mutated_logs_are_read_or_refused_in_one_line(changes: list[tuple[int, b
     assert sum(topic.count for topic in log.topics.values()) <= 80 + sum(len(new) for _, new, _ in changes)
 
 
+def assert_as_pyulog(path: Path) -> None:
+    """Reads a log and compares every number with pyulog."""
+    other = pytest.importorskip("pyulog").ULog(str(path))
+    log, compared = read(path), 0
+    for data in other.data_list:
+        table = log.tables[f"{data.name}_{data.multi_id}" if data.multi_id else data.name]
+        for name, values in table.columns.items():
+            parts = {name: values} if values.ndim == 1 else {f"{name}[{i}]": part for i, part in enumerate(values.T)}
+            for label, part in parts.items():
+                np.testing.assert_array_equal(part, data.data[label])
+                compared += 1
+    assert compared > 5
+
+
+def test_a_log_comes_as_pyulog_reads_it(tmp_path: Path) -> None:
+    log_of(tmp_path, HEAD + b"".join(STATES))
+    assert_as_pyulog(tmp_path / "log.ulg")
+
+
+def test_a_real_log_comes_as_pyulog_reads_it(real_flights: Path) -> None:
+    assert_as_pyulog(real_flights / "px4-s500" / "TestFlight1.ulg")
+
+
 def test_a_real_log_is_read_whole(real_flights: Path) -> None:
     log = read(real_flights / "px4-s500" / "TestFlight1.ulg")
 

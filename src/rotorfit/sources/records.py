@@ -97,10 +97,8 @@ class Damage:
         """What is said of it; nothing where the file is whole."""
         notes = []
         if self.places:
-            where = (
-                f"at byte {self.first}" if self.places == 1 else f"in {self.places} places, first at byte {self.first}"
-            )
-            notes.append(f"damaged {where} of {size}: {self.skipped} bytes left out, read on behind them")
+            where = "" if self.places == 1 else f"in {self.places} places, first "
+            notes.append(f"damaged {where}at byte {self.first} of {size}: {self.skipped} bytes left out")
         if self.left:
             notes.append(f"the file is cut short: its last {self.left} bytes are no whole record")
         return notes

@@ -1,8 +1,9 @@
 """PX4 logs (ULog): topics of the autopilot, each a table; instance 1 of a topic is the table `topic_1`.
 
 The file is a chain of records. Where it is broken (a full card, an empty battery, a bad sector), the chain is taken
-up at the next record that can be one. The reader is our own because pyulog gives nothing where a definition is
-damaged, and keeps the whole log in memory whatever is asked for; a test holds it to pyulog's answers on whole files.
+up at the next record that can be one. The reader is our own because pyulog 1.3 goes on only at the next mark for
+that, up to half a second later, and ends in a KeyError on some damaged definitions; a test holds ours to pyulog's
+answers on whole files.
 
 Source: https://docs.px4.io/main/en/dev_log/ulog_file_format
 """
@@ -239,7 +240,7 @@ def _subscribe(log: _Log, number: int, name: str, instance: int) -> None:
     try:
         leaves, size, least = log.layouts[name] = log.layouts.get(name) or _layout(log, name)
     except DamageError as error:
-        log.topics.setdefault(table, _Topic(None, str(error)))
+        log.numbers[number] = (log.topics.setdefault(table, _Topic(None, str(error))), 2, _WIDEST_RECORD)
         return
     if table not in log.topics:
         asked = log.wanted is None or table in log.wanted
