@@ -3,10 +3,15 @@
     python bench/bench_autopilot_logs.py [LOG...]
 
 Writes a ULog of 60 MB and a DataFlash log of 20 MB, or takes the logs named, and reads everything, then two of their
-tables. Every reading is a process of its own, the best of three after imports. Needs `pip install pyulog pymavlink`.
+tables. Every reading is a process of its own, the best of three after imports. Then 512 bytes of each ULog are set to
+zero at a place drawn at random, eight times (seed 0), and the messages that are lost are counted. Needs
+`pip install pyulog pymavlink`.
 """
 
+import contextlib
+import io
 import json
+import random
 import subprocess
 import sys
 from pathlib import Path
@@ -15,11 +20,24 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from autopilot_logs import flash, flash_format, flash_record, ulog, ulog_data, ulog_format, ulog_subscription
+from autopilot_logs import (
+    ULOG_SYNC,
+    flash,
+    flash_format,
+    flash_record,
+    ulog,
+    ulog_data,
+    ulog_format,
+    ulog_record,
+    ulog_subscription,
+)
 
 RUNS = 3
 OURS = """
-from rotorfit.sources import dataflash, read, ulog
+from importlib import import_module
+from rotorfit.sources import FORMATS, read
+for module in FORMATS.values():
+    import_module(module)
 def work():
     log = read(path, tables)
     return sum(len(next(iter(table.columns.values()))) for table in log.tables.values())
@@ -54,6 +72,7 @@ def write_ulog(path: Path) -> Path:
     records = [ulog_format(name, f"uint64_t timestamp;float[{width}] values;") for name, (width, _) in kinds.items()]
     records += [ulog_subscription(number, name) for number, name in enumerate(kinds)]
     for step in range(600_000):
+        records += [ulog_record("S", ULOG_SYNC)] * (step % 100 == 0)
         records += [
             ulog_data(number, f"Q{width}f", step * 5000, *[step] * width)
             for number, (width, every) in enumerate(kinds.values())
@@ -101,13 +120,38 @@ def rows(path: Path) -> None:
         )
 
 
+def losses(path: Path, folder: Path) -> None:
+    """Prints how many messages a hole of 512 bytes costs each reader of ULog, at eight places."""
+    from pyulog import ULog
+
+    from rotorfit.sources import read
+
+    content, hole, rng = path.read_bytes(), folder / "hole.ulg", random.Random(0)
+    counts: list[tuple[int, int]] = []
+    for place in (None, *(rng.randrange(len(content) // 20, len(content) - 512) for _ in range(8))):
+        data = bytearray(content)
+        if place is not None:
+            data[place : place + 512] = bytes(512)
+        hole.write_bytes(data)
+        with contextlib.redirect_stdout(io.StringIO()):
+            theirs = sum(len(data.data["timestamp"]) for data in ULog(str(hole)).data_list)
+        ours = sum(len(table.columns["timestamp"]) for table in read(hole).tables.values())
+        counts.append((ours, theirs))
+    lost = [[counts[0][k] - one[k] for one in counts[1:]] for k in (0, 1)]
+    print(f"\n{path.name}: a hole of 512 bytes costs {lost[0]} of {counts[0][0]} messages, pyulog {lost[1]}")
+
+
 def main() -> None:
     print("| file | messages | s | s of the other (messages) | ratio |")
     print("|---|---|---|---|---|")
     with TemporaryDirectory() as folder:
         logs = [Path(word) for word in sys.argv[1:]]
-        for path in logs or (write_ulog(Path(folder) / "px4.ulg"), write_dataflash(Path(folder) / "arducopter.bin")):
+        logs = logs or [write_ulog(Path(folder) / "px4.ulg"), write_dataflash(Path(folder) / "arducopter.bin")]
+        for path in logs:
             rows(path)
+        for path in logs:
+            if path.read_bytes()[:4] == b"ULog":
+                losses(path, Path(folder))
 
 
 if __name__ == "__main__":
