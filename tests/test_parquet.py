@@ -89,6 +89,17 @@ def test_a_file_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pyte
         log_of(tmp_path, pl.DataFrame({"t": [1, 2]}))
 
 
+def test_a_process_that_a_file_takes_down_costs_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pl.DataFrame({"t": [1, 2]}).write_parquet(tmp_path / "log.parquet")
+    killer = tmp_path / "python"
+    killer.write_text("#!/bin/sh\nkill -ABRT $$\n")
+    killer.chmod(0o755)
+    monkeypatch.setattr(parquet.sys, "executable", str(killer))
+
+    with pytest.raises(LogError, match="damaged Parquet; copy the file again"):
+        read(tmp_path / "log.parquet")
+
+
 def test_a_file_of_text_only_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no column of numbers in the file"):
         log_of(tmp_path, pl.DataFrame({"mode": ["up"]}))
