@@ -21,6 +21,8 @@ RIVER = (
     "sources",
     "clock",
     "columns",
+    "beside",
+    "window",
     "stream",
     "flight",
     "draft",

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rotorfit.card import Card
+from rotorfit.card import Card, card_for
 from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, heading_from_world
@@ -94,6 +94,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             less than two seconds, or yaw in degrees taken for radians.
     """
+    card = card_for(log, card)
     commands, axes, origin = commands_of(log, card)
     poses = poses_of(log, card)
     end = _window_end(log, commands, poses, origin)

@@ -76,8 +76,8 @@ def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
 def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
     raw = read(log.path)
-    card = card or card_of(raw)
-    return raw, card, flight_from_log(raw, card, log.span)
+    flight = flight_from_log(raw, card or card_of(raw), log.span)
+    return raw, flight.card, flight
 
 
 def fit_logs(

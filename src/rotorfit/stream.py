@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorfit.beside import drawn, held_beside, is_beside, sampled, told
 from rotorfit.card import Card, Channel, column, split_source
 from rotorfit.clock import (
     GAP_PERIODS,
@@ -24,6 +25,7 @@ from rotorfit.clock import (
 from rotorfit.errors import CardError, FlightError
 from rotorfit.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.log import Log
+from rotorfit.window import conditions, resets
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
@@ -81,14 +83,13 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
         FlightError: No commands, a clock that runs backwards or lacks its unit, a window that is never open.
     """
     stamps, series, notes = _read(log, card.command_time, card.command, "command")
-    silent = [axis for axis, values in series.items() if not np.any(np.isfinite(values))]
-    if silent and len(silent) < len(series):
-        text = f"the command of {', '.join(silent)} is never a number: taken as not commanded"
-        notes = (*notes, Note("axis_never_commanded", text, len(stamps)))
-        series = {axis: values for axis, values in series.items() if axis not in silent}
+    series, silent = _commanded(series)
     values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
-    stream = _in_order(_numbers(Stream("command", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _inside_window(stream, log, card)
+    stream = Stream("command", stamps, values, np.full(len(stamps), _NEVER), (*notes, *silent))
+    if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
+        # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
+        stream = _closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
+    stream = _inside_window(_in_order(_numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
     return _held(_without_garbage_start(stream), log, card), tuple(series), origin
 
@@ -109,17 +110,16 @@ def poses_of(log: Log, card: Card) -> Stream:
     """
     stamps, series, notes = _read(log, card.pose_time, card.pose, "pose")
     x, y, z = series["x"], series["y"], series["z"]
-    if "yaw" in series:
-        yaw = series["yaw"]
-    else:
-        parts = [series[f"q{part}"] for part in "wxyz"]
-        lost = np.sum(np.square(parts), axis=0) < 1e-6  # mocap bridges write zeros while the body is out of sight
-        yaw = np.where(lost, np.nan, yaw_from_quaternion(*parts))
+    yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
+    drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
+    own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
+    own[3] = own[3] and "qw" not in drawn_
     if card.frame == "NED":
-        x, y, z, yaw = y, x, -z, np.pi / 2 - yaw
+        x, y, z, yaw, own = y, x, -z, np.pi / 2 - yaw, [own[1], own[0], *own[2:]]
     values = np.stack([x, y, z, yaw], axis=1)
     stream = _in_order(_numbers(Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _kept(stream, fresh(stream.values), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
+    seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
+    stream = _kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
@@ -146,7 +146,8 @@ def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mas
     """
     stamps = stamps_of(log, time)
     rows = np.zeros(len(stamps), dtype=np.bool_)
-    for channel in channels.values():
+    own = [channel for channel in channels.values() if not is_beside(time, channel)]
+    for channel in own or channels.values():
         if isinstance(channel.source, str):  # a constant is no sample
             there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
             rows[: len(there)] |= there
@@ -177,9 +178,34 @@ def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> 
 def _read(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
-    """Stamps and series of one length; the last surplus sample goes, because dropping the first would forge a delay."""
+    """Stamps and series of one length, and what stands in other tables brought onto the stamps."""
+    stamps, series, notes = _own(log, time, channels, what)
+    others = {name: channel for name, channel in channels.items() if is_beside(time, channel)}
+    if not others:
+        return stamps, series, notes
+    if what == "command":
+        series |= {axis: held_beside(log, time, channel, stamps) for axis, channel in others.items()}
+    else:
+        turned = {name[1]: sampled(log, time, channel) for name, channel in others.items() if name.startswith("q")}
+        found = {axis: sampled(log, time, channel) for axis, channel in others.items() if axis in AXES}
+        if turned:
+            found["yaw"] = turned["w"][0], _heading(*(turned[part][1] for part in "wxyz"))
+        if "yaw" in found:
+            found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
+        series |= {axis: drawn(clock, values, stamps) for axis, (clock, values) in found.items()}
+    names = ", ".join(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
+    how = "held" if what == "command" else "drawn between samples"
+    text = f"{names} of {len(stamps)} {what}s come from another table than its time: {how}"
+    return stamps, series, (*notes, Note(f"joined_{what}", text, len(stamps)))
+
+
+def _own(
+    log: Log, time: Channel, channels: Mapping[str, Channel], what: str
+) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
+    """Stamps and series of one table; the last surplus sample goes, because dropping the first would forge a delay."""
     stamps = stamps_of(log, time)
-    series = {name: column(log, channel, len(stamps)) for name, channel in channels.items()}
+    own = {name: channel for name, channel in channels.items() if not is_beside(time, channel)}
+    series = {name: column(log, channel, len(stamps)) for name, channel in own.items()}
     counts = {"time": len(stamps)} | {name: len(values) for name, values in series.items()}
     shared, longest = min(counts.values()), max(counts.values())
     if shared == 0:
@@ -194,6 +220,29 @@ def _read(
     surplus = ", ".join(name for name, count in counts.items() if count == longest)
     note = Note(f"surplus_{what}", f"1 last sample of {what} {surplus} has no partner: dropped", 1)
     return stamps[:shared], {name: values[:shared] for name, values in series.items()}, (note,)
+
+
+def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, ...]]:
+    """Without axes that are seldom or never commanded while the others are: NaN is how autopilots say so."""
+    notes: list[Note] = []
+    for axis in list(series):
+        others = [values for name, values in series.items() if name != axis]
+        rest = np.all(np.isfinite(others), axis=0) if others else np.zeros(0, dtype=np.bool_)
+        missing = int(np.sum(rest & ~np.isfinite(series[axis]))) if others else 0
+        if missing > np.sum(rest) / 2 or (others and not np.any(np.isfinite(series[axis]))):
+            series = {name: values for name, values in series.items() if name != axis}
+            text = f"the command of {axis} is never a number: taken as not commanded"
+            if missing and missing < np.sum(rest):
+                text = f"the command of {axis} is a number in {np.sum(rest) - missing} of {np.sum(rest)} commands"
+                text += " of the other axes: taken as not commanded"
+            notes.append(Note("axis_never_commanded", text, missing or len(rest)))
+    return series, tuple(notes)
+
+
+def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
+    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is out of sight."""
+    lost = np.sum(np.square([w, x, y, z]), axis=0) < 1e-6
+    return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
 
 
 def _kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
@@ -252,21 +301,24 @@ def _in_order(stream: Stream, log: Log) -> Stream:
 
 def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     """Commands while the card's window is open; the last one before it closes acts no longer than that."""
-    if card.window is None:
+    stamps = stream.stamps
+    for why, open_ in conditions(log, card, stamps):
+        if not np.any(open_[np.isin(stamps, stream.stamps)]):
+            raise FlightError(f"{log.path}: the window is never open: during all the commands that are left {why}")
+        stream = _closed(stream, stamps[~open_])
+        stream = _kept(stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped")
+    steps = resets(log, card, stamps)
+    if not steps.size:
         return stream
-    values = _window_values(log, card, card.window, stream.stamps)
-    open_ = np.nan_to_num(values) != 0
-    if not np.any(open_):
-        raise FlightError(f"{log.path}: window {card.window.source} is never open during the commands")
-    closing = np.append(stream.stamps[~open_], _NEVER)
+    note = Note("pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size)
+    return replace(_closed(stream, steps), notes=(*stream.notes, note))
+
+
+def _closed(stream: Stream, stamps: Stamps) -> Stream:
+    """With commands that act no longer than to the next of these stamps."""
+    closing = np.append(np.sort(stamps), _NEVER)
     until = closing[np.searchsorted(closing, stream.stamps, side="right")]
-    why = f"lie where {card.window.source} is zero: dropped"
-    return _kept(replace(stream, until=until), open_, "commands_outside_window", why)
-
-
-def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Array:
-    """The window's column held onto the commands' stamps; NaN before its first value."""
-    return _held_onto(log, card, window, stamps, "window")
+    return replace(stream, until=np.minimum(stream.until, until))
 
 
 def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
@@ -287,34 +339,14 @@ def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
         return None
     values = np.full((stamps.size, len(AXES)), np.nan)
     for axis, channel in card.reference.items():
-        values[:, AXES.index(axis)] = _held_onto(log, card, channel, stamps, "reference")
+        if not isinstance(channel.source, str):
+            values[:, AXES.index(axis)] = column(log, channel)[0]
+            continue
+        clock, series = told(log, card, channel, "reference")
+        values[:, AXES.index(axis)] = held(clock, series, stamps)
     if card.frame == "NED":
         values = np.stack([values[:, 1], values[:, 0], -values[:, 2], np.pi / 2 - values[:, 3]], axis=1)
     return values
-
-
-def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str) -> Array:
-    """A column held onto the commands' stamps; NaN before its first value.
-
-    Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
-    column of its own table that is named as the commands' clock, else `log_time` (messages of autopilots without one).
-    """
-    values = column(log, channel)
-    if not isinstance(channel.source, str):
-        return np.full(stamps.size, values[0])
-    table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
-    own = replace(card.command_time, source=f"{table}:{name}" if table else name)
-    if table in log.tables and name not in log.tables[table].columns and "log_time" in log.tables[table].columns:
-        own = Channel(f"{table}:log_time")
-    beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
-    for time in [*beside, own]:
-        clock = stamps_of(log, time)
-        if abs(len(clock) - len(values)) <= 1:
-            break
-    else:
-        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
-    shared = min(len(clock), len(values))
-    return held(clock[:shared], values[:shared], stamps)
 
 
 def _without_garbage_start(stream: Stream) -> Stream:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, card_of, fitting_cards, load_card
+from rotorfit.card import Card, card_for, card_of, fitting_cards, load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum
@@ -144,6 +144,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     except CardError as err:
         problem = str(err)
     if card is not None:
+        card = card_for(log, card)
         try:
             flight = _flight_survey(log, card, flight_from_log(log, card))
         except FlightError as err:
