@@ -13,13 +13,13 @@ from rotorfit.card import (
     Condition,
     builtin_cards,
     card_from_mapping,
-    card_that_fits,
     column,
     fitting_cards,
     load_card,
 )
 from rotorfit.errors import CardError
 from rotorfit.log import Log, Table
+from rotorfit.proposal import card_of
 
 TEXT = """
 name = "test"
@@ -323,7 +323,7 @@ def joystick() -> dict:
 
 
 def test_the_one_card_whose_columns_are_all_there_is_found() -> None:
-    assert card_that_fits(log_of(flight=joystick())) == load_card("bebop2-joystick")
+    assert card_of(log_of(flight=joystick())) == load_card("bebop2-joystick")
 
 
 def test_no_fitting_card_offers_a_draft_and_several_ask_for_one() -> None:
@@ -336,9 +336,9 @@ def test_no_fitting_card_offers_a_draft_and_several_ask_for_one() -> None:
     }
 
     with pytest.raises(CardError, match="--draft-card") as none:
-        card_that_fits(neither)
+        card_of(neither)
     with pytest.raises(CardError, match=r"several built-in cards fit .*--card") as several:
-        card_that_fits(log_of(flight=both))
+        card_of(log_of(flight=both))
 
     assert one_line(none)
     assert one_line(several)

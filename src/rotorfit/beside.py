@@ -5,10 +5,24 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.card import Card, Channel, column, split_source
-from rotorfit.clock import GAP_PERIODS, GAP_TOLERANCE, MISSING_STAMP, Mask, Stamps, held, increasing, median_period, stamps_of
+from rotorfit.clock import (
+    GAP_PERIODS,
+    GAP_TOLERANCE,
+    MISSING_STAMP,
+    Mask,
+    Stamps,
+    held,
+    increasing,
+    median_period,
+    stamps_of,
+)
 from rotorfit.errors import CardError
 from rotorfit.frames import Array
 from rotorfit.log import Log
+
+TOGETHER = 0.1
+"""Share of a median period by which a command of another table may be later and still belong to the same instant:
+autopilots write the messages of one step of their controller one after the other."""
 
 
 def is_beside(time: Channel, channel: Channel) -> bool:
@@ -62,6 +76,7 @@ def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
 def held_beside(log: Log, time: Channel, channel: Channel, stamps: Stamps) -> Array:
     """A command of another table held onto stamps, shape (N,); NaN before its first and where it had stopped coming."""
     clock, values = sampled(log, time, channel)
+    clock = clock - round(TOGETHER * (median_period(clock) or 0))
     return np.where(_reached(clock, stamps), held(clock, values, stamps), np.nan)
 
 

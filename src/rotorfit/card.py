@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -93,6 +94,7 @@ class Card:
         prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.
         raw: The whole card as parsed from TOML: what the model file stores.
         fail_safe: What the vehicle does by itself when commands stop, for people; empty where the card does not say.
+        over: Built-in cards that are not proposed where this one makes a flight of the log, too.
     """
 
     name: str
@@ -112,6 +114,7 @@ class Card:
     prior: Mapping[str, Mapping[str, Prior]] = field(default_factory=dict)
     raw: Mapping[str, Any] = field(default_factory=dict)
     fail_safe: str = ""
+    over: tuple[str, ...] = ()
 
 
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
@@ -183,7 +186,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
             `[command]`, `[pose]` and their essential keys is missing.
     """
     place = f"card {where}"
-    _check_keys(raw, ("name", "frame", "fail_safe", *_SECTIONS), place)
+    _check_keys(raw, ("name", "frame", "fail_safe", "over", *_SECTIONS), place)
     sections = {key: _section(raw, key, place) for key in _SECTIONS if key != "window"}
     missing = [key for key in ("command", "pose") if key not in raw]
     if missing:
@@ -211,38 +214,8 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
         raw=raw,
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
+        over=tuple(_text(name, f"{place}, over") for name in raw.get("over", [])),
     )
-
-
-def card_that_fits(log: Log) -> Card:
-    """The one built-in card whose columns are all in the log.
-
-    Raises:
-        CardError: No card fits, or several do; the text says how to go on.
-    """
-    fitting = fitting_cards(log)
-    if len(fitting) == 1:
-        return next(iter(fitting.values()))
-    if fitting:
-        raise CardError(f"{log.path}: several built-in cards fit ({', '.join(fitting)}); name one with `--card`")
-    raise CardError(
-        f"{log.path}: no built-in card fits; draft one with `rotorfit info {log.path} --draft-card FILE`, "
-        "or name one with `--card`"
-    )
-
-
-def card_of(log: Log) -> Card:
-    """The card that the log carries, as recordings of `rotorfit fly` do; else the one built-in card that fits.
-
-    Raises:
-        CardError: The log's card is damaged; or it carries none, and none or several fit.
-    """
-    if "card" not in log.attached:
-        return card_that_fits(log)
-    try:
-        return card_from_mapping(tomllib.loads(log.attached["card"]), f"attached to {log.path}")
-    except tomllib.TOMLDecodeError as error:
-        raise CardError(f"{log.path}: the card in it is damaged ({error}); name one with `--card`") from error
 
 
 def fitting_cards(log: Log) -> dict[str, Card]:
@@ -255,13 +228,20 @@ def card_for(log: Log, card: Card) -> Card:
 
     Args:
         log: Where the columns are.
-        card: What may name alternatives (`yaw = ["new:name", "old:name"]`).
+        card: What may name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`),
+            which stands for the one table that it describes.
     """
+    log_tables = (*log.tables, *log.skipped)
+
+    def bare(channel: Channel) -> Channel:
+        table, name = split_source(channel.source)
+        there = [one for one in log_tables if fnmatchcase(one, table)] if "*" in table else []
+        return replace(channel, source=f"{there[0]}:{name}", others=()) if len(there) == 1 else channel
 
     def named(channel: Channel) -> Channel:
         if not channel.others:
-            return channel
-        known = (one for one in (channel, *channel.others) if _holds(log, one.source))
+            return bare(channel)
+        known = (one for one in map(bare, (channel, *channel.others)) if _holds(log, one.source))
         return replace(next(known, channel), others=())
 
     def all_named(channels: Mapping[str, Channel]) -> dict[str, Channel]:
@@ -529,7 +509,7 @@ def _numbers(value: Any, place: str) -> tuple[float, ...]:
 
 def _resets(value: Any, place: str) -> tuple[Channel, ...]:
     names = value if isinstance(value, list) else [value]
-    return tuple(Channel(_text(name, f"{place} resets")) for name in names)
+    return tuple(_recorded({"resets": name}, "resets", (), place) for name in names)
 
 
 def _pose(section: Mapping[str, Any], place: str) -> dict[str, Channel]:

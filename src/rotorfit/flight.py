@@ -9,6 +9,7 @@ from rotorfit.card import Card, card_for
 from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.ground import airborne
 from rotorfit.log import Log
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
 
@@ -97,6 +98,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     card = card_for(log, card)
     commands, axes, origin = commands_of(log, card)
     poses = poses_of(log, card)
+    commands = airborne(commands, poses)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
     begin, finish = origin + round(start * 1e9), origin + round(stop * 1e9)

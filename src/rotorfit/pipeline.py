@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_of, load_card
+from rotorfit.card import Card, card_from_mapping, load_card
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -24,6 +24,7 @@ from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
+from rotorfit.proposal import card_of
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate

@@ -25,7 +25,7 @@ from rotorfit.clock import (
 from rotorfit.errors import CardError, FlightError
 from rotorfit.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.log import Log
-from rotorfit.window import conditions, resets
+from rotorfit.window import conditions, idle_ends, resets
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
@@ -88,10 +88,11 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
     stream = Stream("command", stamps, values, np.full(len(stamps), _NEVER), (*notes, *silent))
     if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
         # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
-        stream = _closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
+        stream = closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
     stream = _inside_window(_in_order(_numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
-    return _held(_without_garbage_start(stream), log, card), tuple(series), origin
+    stream = _without_idle_ends(_without_garbage_start(stream))
+    return _held(stream, log, card), tuple(series), origin
 
 
 def poses_of(log: Log, card: Card) -> Stream:
@@ -119,7 +120,7 @@ def poses_of(log: Log, card: Card) -> Stream:
     values = np.stack([x, y, z, yaw], axis=1)
     stream = _in_order(_numbers(Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
-    stream = _kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
+    stream = kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
@@ -245,8 +246,8 @@ def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
     return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
 
 
-def _kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
-    """The samples to keep, and a note where some go."""
+def kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
+    """The samples to keep, shape (N,), and a note where some go: `COUNT of N WHATs WHY`."""
     lost = int(np.sum(~keep))
     if not lost:
         return stream
@@ -263,7 +264,7 @@ def _kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
 def _numbers(stream: Stream, log: Log) -> Stream:
     """Without samples that hold NaN or have no stamp: they count as absent."""
     stamped = stream.stamps != MISSING_STAMP
-    stream = _kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
+    stream = kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
     finite = np.isfinite(stream.values)
     if not np.any(np.all(finite, axis=1)):
         never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
@@ -272,11 +273,11 @@ def _numbers(stream: Stream, log: Log) -> Stream:
             f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
         )
     whole = np.all(finite, axis=1)
-    kept, absent = _kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
+    numbers, absent = kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
     if not absent:
         return stream
     text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
-    return replace(kept, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
+    return replace(numbers, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
 def _in_order(stream: Stream, log: Log) -> Stream:
@@ -295,8 +296,8 @@ def _in_order(stream: Stream, log: Log) -> Stream:
             f"{log.path}: the clock of the {stream.what}s stands still; is `time` of [{stream.what}] the right column "
             "(a header that nobody filled? try log_time)?"
         )
-    stream = _kept(stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped")
-    return _kept(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
+    stream = kept(stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped")
+    return kept(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
 
 
 def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
@@ -305,17 +306,21 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     for why, open_ in conditions(log, card, stamps):
         if not np.any(open_[np.isin(stamps, stream.stamps)]):
             raise FlightError(f"{log.path}: the window is never open: during all the commands that are left {why}")
-        stream = _closed(stream, stamps[~open_])
-        stream = _kept(stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped")
+        stream = closed(stream, stamps[~open_])
+        stream = kept(
+            stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped"
+        )
     steps = resets(log, card, stamps)
     if not steps.size:
         return stream
-    note = Note("pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size)
-    return replace(_closed(stream, steps), notes=(*stream.notes, note))
+    note = Note(
+        "pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size
+    )
+    return replace(closed(stream, steps), notes=(*stream.notes, note))
 
 
-def _closed(stream: Stream, stamps: Stamps) -> Stream:
-    """With commands that act no longer than to the next of these stamps."""
+def closed(stream: Stream, stamps: Stamps) -> Stream:
+    """A stream whose samples act no longer than to the next of these stamps, shape (M,) [ns]."""
     closing = np.append(np.sort(stamps), _NEVER)
     until = closing[np.searchsorted(closing, stream.stamps, side="right")]
     return replace(stream, until=np.minimum(stream.until, until))
@@ -368,7 +373,14 @@ def _without_garbage_start(stream: Stream) -> Stream:
     keep[0] = not np.any(garbage)
     culprits = ", ".join(f"{axis} = {value:.3g}" for axis, value, bad in zip(AXES, first, garbage, strict=True) if bad)
     why = f"(the first, {culprits}) lie far beyond all others and never recur: dropped"
-    return _kept(stream, keep, "garbage_first_command", why)
+    return kept(stream, keep, "garbage_first_command", why)
+
+
+def _without_idle_ends(stream: Stream) -> Stream:
+    """Without the first and the last commands while a controller that changes them all the time did not run."""
+    idle = idle_ends(stream.stamps, stream.values)
+    stream = closed(stream, stream.stamps[idle])
+    return kept(stream, ~idle, "idle_commands", "stand still at the ends though they change all the time else: dropped")
 
 
 def _held(stream: Stream, log: Log, card: Card) -> Stream:

@@ -6,9 +6,18 @@ import numpy as np
 
 from rotorfit.beside import told
 from rotorfit.card import Card, Condition
-from rotorfit.clock import Mask, Stamps, held
+from rotorfit.clock import Mask, Stamps, fresh, held
 from rotorfit.frames import Array
 from rotorfit.log import Log
+
+IDLE = 3.0
+"""Time for which commands stand still where nobody gives them [s]."""
+
+BUSY = 0.9
+"""Share of a controller's commands that differ from the one before."""
+
+LEAST_CHANGES = 50
+"""Changes below which nothing is said of a controller."""
 
 
 def conditions(log: Log, card: Card, stamps: Stamps) -> Iterator[tuple[str, Mask]]:
@@ -39,6 +48,31 @@ def resets(log: Log, card: Card, stamps: Stamps) -> Stamps:
         found.append(clock[1:][np.diff(values) != 0])
     times = np.unique(np.concatenate(found))
     return times[(times > stamps[0]) & (times <= stamps[-1])]
+
+
+def idle_ends(stamps: Stamps, values: Array) -> Mask:
+    """Which commands at the ends stand still though a controller changes them all the time in between, shape (N,).
+
+    Loggers write the last command, or 0, while nobody controls. That is told by all of: the same four numbers for
+    `IDLE` seconds at the least, and between the ends `BUSY` of the commands differ from the one before. Of commands
+    in steps, or given by hand, nothing is said.
+
+    Args:
+        stamps: Increasing, shape (N,) [ns].
+        values: Shape (N, 4).
+    """
+    idle = np.zeros(len(stamps), dtype=np.bool_)
+    changes = np.flatnonzero(fresh(values)[1:]) + 1
+    if changes.size < LEAST_CHANGES:
+        return idle
+    first, last = int(changes[0]), int(changes[-1])
+    if changes.size < BUSY * (last - first + 1):
+        return idle
+    if stamps[first] - stamps[0] >= IDLE * 1e9:
+        idle[:first] = True
+    if stamps[-1] - stamps[last] >= IDLE * 1e9:
+        idle[last + 1 :] = True
+    return idle
 
 
 def _holds(condition: Condition, values: Array) -> Mask:
