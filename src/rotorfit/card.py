@@ -88,7 +88,7 @@ class Card:
         pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`.
         velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
         reference: Optional: what a position controller was told.
-        window: Optional conditions that say when the vehicle is armed, in the air, under velocity control: all must hold.
+        window: Optional conditions (armed, in the air, under velocity control): commands count while all hold.
         resets: Optional counters that move where an estimator steps its own pose: the flight is split there.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
         prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.

@@ -47,7 +47,7 @@ def resets(log: Log, card: Card, stamps: Stamps) -> Stamps:
         clock, values = told(log, card, channel, "resets")
         found.append(clock[1:][np.diff(values) != 0])
     times = np.unique(np.concatenate(found))
-    return times[(times > stamps[0]) & (times <= stamps[-1])]
+    return np.asarray(times[(times > stamps[0]) & (times <= stamps[-1])])
 
 
 def idle_ends(stamps: Stamps, values: Array) -> Mask:
@@ -77,10 +77,10 @@ def idle_ends(stamps: Stamps, values: Array) -> Mask:
 
 def _holds(condition: Condition, values: Array) -> Mask:
     if condition.equals:
-        return np.isin(values, condition.equals)
+        return np.asarray(np.isin(values, condition.equals))
     if condition.above is not None:
         return np.asarray(values > condition.above)
-    return np.nan_to_num(values) != 0
+    return np.asarray(np.nan_to_num(values) != 0)
 
 
 def _between_events(condition: Condition, clock: Stamps, values: Array, stamps: Stamps) -> Mask:
@@ -91,7 +91,7 @@ def _between_events(condition: Condition, clock: Stamps, values: Array, stamps: 
     opens = np.isin(values[tells], condition.opens).astype(np.float64)
     before = 1 - opens[np.argmin(clock[tells])]
     state = held(clock[tells], opens, stamps)
-    return np.where(np.isnan(state), before, state) == 1
+    return np.asarray(np.where(np.isnan(state), before, state) == 1)
 
 
 def _text(condition: Condition) -> str:
