@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rotorfit.draft
+import rotorfit.proposal
 from rotorfit.card import load_card
 from rotorfit.draft import builtin_card_text, draft_card, write_draft
 from rotorfit.errors import CardError
@@ -166,7 +166,7 @@ def test_drafts_by_names_alone_give_the_flights_of_the_real_cards(
         log = read(real_flights / folder / file)
         expected = flight_from_log(log, load_card(folder))
         with monkeypatch.context() as patch:
-            patch.setattr(rotorfit.draft, "fitting_cards", lambda _: {})
+            patch.setattr(rotorfit.proposal, "fitting_cards", lambda _: {})
             found = flight_from_log(log, loaded(draft_card(log), tmp_path))
 
         np.testing.assert_array_equal(found.position, expected.position)
