@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rotorfit.proposal
-from rotorfit.card import load_card
-from rotorfit.draft import builtin_card_text, draft_card, write_draft
+from rotorfit.card import builtin_card_text, load_card
+from rotorfit.draft import draft_card, write_draft
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log
 from rotorfit.sources import read

@@ -171,6 +171,19 @@ def builtin_cards() -> dict[str, Card]:
     return {name: card_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
 
 
+def builtin_card_text(name: str) -> str:
+    """The TOML text of a built-in card.
+
+    Raises:
+        CardError: There is none of that name; the nearest is named.
+    """
+    known = builtin_cards()
+    if name not in known:
+        nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        raise CardError(f"no built-in card {name!r}; nearest: {nearest!r} (`rotorfit cards` lists them)")
+    return resources.files("rotorfit").joinpath("cards", f"{name}.toml").read_text(encoding="utf-8")
+
+
 def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
     """Checks a card as parsed from TOML or as stored in a model file.
 

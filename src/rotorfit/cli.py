@@ -459,8 +459,7 @@ def fly(
 @_json
 def cards(name: str | None, as_json: bool) -> None:
     """List the built-in cards, or print the one that is named."""
-    from rotorfit.card import builtin_cards
-    from rotorfit.draft import builtin_card_text
+    from rotorfit.card import builtin_card_text, builtin_cards
 
     if name and not as_json:
         return click.echo(builtin_card_text(name), nl=False)

@@ -4,12 +4,10 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
-from importlib import resources
 from pathlib import Path
 
 from rotorfit.answers import Answer, Answers, answers_of
-from rotorfit.card import Channel, builtin_cards, card_from_mapping
+from rotorfit.card import Channel, builtin_card_text, card_from_mapping
 from rotorfit.columns import shape_text, source_of
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import flight_from_log
@@ -25,19 +23,6 @@ _LEADS = {
     "heading": {"x": "forward", "y": "left", "z": "up", "yaw": "counter-clockwise"},
     "world": {"x": "along x (east)", "y": "along y (north)", "z": "up", "yaw": "counter-clockwise"},
 }
-
-
-def builtin_card_text(name: str) -> str:
-    """The TOML text of a built-in card.
-
-    Raises:
-        CardError: There is none of that name; the nearest is named.
-    """
-    known = builtin_cards()
-    if name not in known:
-        nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-        raise CardError(f"no built-in card {name!r}; nearest: {nearest!r} (`rotorfit cards` lists them)")
-    return resources.files("rotorfit").joinpath("cards", f"{name}.toml").read_text(encoding="utf-8")
 
 
 def draft_card(log: Log) -> str:

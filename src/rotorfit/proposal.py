@@ -8,6 +8,7 @@ from rotorfit.card import Card, card_from_mapping, fitting_cards
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.log import Log
+from rotorfit.recognition import lacking
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,10 @@ def proposal(log: Log) -> Proposal:
         return Proposal(None, card, "the log carries it")
     fitting = fitting_cards(log)
     if not fitting:
+        lacks = lacking(log)
         raise CardError(
-            f"{log.path}: no built-in card fits; draft one with `rotorfit info {log.path} --draft-card FILE`, "
-            "or name one with `--card`"
+            f"{log.path}: no built-in card fits{', and ' if lacks else ''}{lacks}; draft one with "
+            f"`rotorfit info {log.path} --draft-card FILE`, or name one with `--card`"
         )
     if len(fitting) == 1:
         return Proposal(*next(iter(fitting.items())), "the only one whose columns are all there")

@@ -114,6 +114,17 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
     return [(source, "") for source in found[:1]]
 
 
+def lacking(log: Log) -> str:
+    """What a log without a card lacks for a fit, by its names, as a clause; empty where nothing is missed."""
+    commands, pose = commands_in(log).channels, pose_in(log).channels
+    there = [axis for axis in "xyz" if axis in pose]
+    if not commands and there:
+        return "it holds poses but nothing that looks like commands: the log of the commands is needed, too"
+    if commands and not there:
+        return "it holds commands but nothing that looks like a position x, y, z"
+    return ""
+
+
 def _has(log: Log, source: str) -> bool:
     table, _, name = source.partition(":")
     return table in log.tables and name in log.tables[table].columns
@@ -147,6 +158,8 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
     families.append(_named(table, _TOLD))
+    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are angles of the loops below
+        families = families[-1:]
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
     if len(log.tables) > 1 and not _named(table, _POSE).keys() & {"x", "y", "z"}:

@@ -316,7 +316,8 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     note = Note(
         "pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size
     )
-    return replace(closed(stream, steps), notes=(*stream.notes, note))
+    margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
+    return replace(closed(stream, steps - margin), notes=(*stream.notes, note))
 
 
 def closed(stream: Stream, stamps: Stamps) -> Stream:
