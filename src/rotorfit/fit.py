@@ -45,7 +45,7 @@ PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
 
 
-HELD = 0.1
+HELD = 0.2
 """RMS of the commands of an axis, as a share of those of the flight that moves it most, below which it is held."""
 
 

@@ -93,16 +93,22 @@ def fit_logs(
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
     flights: list[Flight] = []
-    before: list[Finding] = []
+    noticed: list[tuple[Finding, ...]] = []
     for log in logs:
         raw, applied, flight = _flown(log, chosen)
         flights.append(flight)
-        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
+        noticed.append(findings_of_flight(raw, applied, flight))
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
+    before = [
+        told
+        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
+        for told in every
+        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+    ]  # nothing of an axis that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
