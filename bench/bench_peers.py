@@ -31,22 +31,34 @@ import numpy as np
 from peers.flights import Case, real_cases, simulated_cases
 from peers.loop import later_command
 from peers.packages import PEERS
-from peers.paired import RAN_AWAY, compared, errors_by_start
 from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of, pieces, start_samples, to_poses
-from peers.table import document, print_case
+from peers.table import RAN_AWAY, document, print_case
 from peers.tuning import Forecast, chosen
 from rotorfit.fit import fit
 from rotorfit.flight import Flight
-from rotorfit.forecast import AxisScore, Predictions, coast_prediction, hold_velocity, predict_flight, score_predictions
+from rotorfit.forecast import (
+    AxisScore,
+    Predictions,
+    StartErrors,
+    coast_prediction,
+    hold_velocity,
+    predict_flight,
+    score_predictions,
+    start_errors,
+)
 from rotorfit.frames import AXES, Array
 from rotorfit.model import Model
+from rotorfit.paired import Quantity, paired_test
 from rotorfit.validation import dynamics_from_model
 
-SCORES = {"velocity_1s": 1.0, "position_5s": 5.0}
+SCORES: dict[str, tuple[Quantity, float]] = {"velocity_1s": ("velocity", 1.0), "position_5s": ("position", 5.0)}
+"""What is compared, and how far ahead [s]."""
+
+HORIZONS = tuple(horizon for _, horizon in SCORES.values())
+
 OWN = ("ml", "auto")
 """rotorfit's rows: the default structure, and the one that the training flights earn."""
 
-RMSE = {"velocity_1s": "velocity_rmse", "position_5s": "position_rmse"}
 HERE = Path(__file__).resolve().parent
 
 Chosen = Mapping[str, tuple[Mapping[str, Any], Forecast]]
@@ -133,11 +145,11 @@ def run(case: Case) -> dict[str, Any]:
             axis: chosen(peer, {rate: lines[AXES.index(axis)] for rate, lines in series.items()}) for axis in axes
         }
         taken[peer.name] = time.perf_counter() - began
-    dynamics, horizon = dynamics_from_model(model), max(SCORES.values())
+    dynamics, horizon = dynamics_from_model(model), max(HORIZONS)
     methods = (*OWN, "hold", "paper", *models)
     if case.truth:
         methods = (*methods, "truth")
-    errors: dict[str, dict[str, list[Array]]] = {name: {score: [] for score in SCORES} for name in methods}
+    errors: dict[str, list[dict[str, StartErrors]]] = {name: [] for name in methods}
     scores: dict[str, list[Mapping[str, AxisScore]]] = {name: [] for name in methods}
     for flight in test:
         parts = predict_flight(flight, dynamics, horizon)
@@ -149,9 +161,8 @@ def run(case: Case) -> dict[str, Any]:
         if case.truth:
             predicted["truth"] = [part.predicted for part in predict_flight(flight, case.truth, horizon)]
         for name, values in predicted.items():
-            scores[name].append(score_predictions(own_parts[name], values, tuple(SCORES.values())))
-            for number, (score, length) in enumerate(SCORES.items()):
-                errors[name][score].append(errors_by_start(own_parts[name], values, length)[number])
+            scores[name].append(score_predictions(own_parts[name], values, HORIZONS))
+            errors[name].append({f"{h:g}": start_errors(own_parts[name], values, h) for h in HORIZONS})
     return {
         "set": case.name,
         "kind": case.kind,
@@ -164,28 +175,37 @@ def run(case: Case) -> dict[str, Any]:
 
 def _axis_result(
     axis: str,
-    errors: Mapping[str, Mapping[str, list[Array]]],
+    errors: Mapping[str, Sequence[Mapping[str, StartErrors]]],
     scores: Mapping[str, Sequence[Mapping[str, AxisScore]]],
     models: Mapping[str, Chosen],
 ) -> dict[str, Any]:
-    k, out = AXES.index(axis), {}
-    for name, by_score in errors.items():
+    out = {}
+    for name in errors:
         row: dict[str, Any] = {}
-        for score, length in SCORES.items():
-            flights = [flight[axis].horizons[f"{length:g}"] for flight in scores[name]]
-            row[score] = [getattr(flight, RMSE[score]) for flight in flights]
+        for score, (what, horizon) in SCORES.items():
+            flights = [flight[axis].horizons[f"{horizon:g}"] for flight in scores[name]]
+            row[score] = [getattr(flight, f"{what}_rmse") for flight in flights]
             row[f"n_{score}"] = [flight.n for flight in flights]
         if name in models:
             row["setting"] = dict(models[name][axis][0])
         for own in OWN:
             if name != own and (own == "ml" or name not in OWN):
-                row[f"{own}_against"] = {
-                    score: asdict(
-                        compared([v[:, k] for v in errors[own][score]], [v[:, k] for v in by_score[score]], length)
-                    )
-                    for score, length in SCORES.items()
-                }
+                row[f"{own}_against"] = _against(own, name, errors, axis)
         out[name] = row
+    return out
+
+
+def _against(
+    own: str, name: str, errors: Mapping[str, Sequence[Mapping[str, StartErrors]]], axis: str
+) -> dict[str, dict[str, Any] | None]:
+    """The paired test of one of rotorfit's rows against another; a model that ran away needs none."""
+    k = AXES.index(axis)
+    tests = paired_test((own, name), errors[own], errors[name], [(axis,)] * len(errors[own])).axes[axis]
+    out: dict[str, dict[str, Any] | None] = {}
+    for score, (what, horizon) in SCORES.items():
+        pooled = tests[f"{horizon:g}"][what].pooled
+        largest = max(float(np.max(e[f"{horizon:g}"].position[:, k], initial=0.0)) for e in errors[name])
+        out[score] = {"verdict": "better", "ran_away": True} if largest > RAN_AWAY**2 else pooled and asdict(pooled)
     return out
 
 

@@ -41,7 +41,7 @@ from rotorfit.optimal import AxisLimits, optimal_excitations
 from rotorfit.paper_vehicle import Truth, noise_free
 from rotorfit.plan import Excitation, Feedback, Plan, Space
 from rotorfit.precision import predicted_errors
-from rotorfit.rehearsal import flown, recorded
+from rotorfit.rehearsal import flown, path, recorded
 from rotorfit.tracking import tracker_of
 
 DURATION = 60.0
@@ -125,18 +125,23 @@ def plans_of(design: str, room: dict[str, float]) -> list[Plan]:
     return [plan_of(design, excitations_of(design, group, room), feedback_of(design)) for group in GROUPS]
 
 
-def fitted(job: tuple[Sequence[Plan], int]) -> dict[str, list[float | str | None]]:
-    """Flies and fits once: per coefficient the estimate, its standard error, its interval's ends and its status."""
+def fitted(job: tuple[Sequence[Plan], int]) -> tuple[dict[str, list[float | str | None]], bool]:
+    """Flies and fits once: per coefficient the estimate, its standard error, its interval's ends and its status.
+
+    Beside them, whether the flight of x, y, z stayed in the room.
+    """
     plans, number = job
-    flights = [recorded(flown(tracker_of(plan), TRUTH, number + 10_000 * k)) for k, plan in enumerate(plans)]
+    flights = [flown(tracker_of(plan), TRUTH, number + 10_000 * k) for k, plan in enumerate(plans)]
+    where = path(plans[0], flights[0])[:, :3]
+    inside = bool(np.all((where >= SPACE.lower) & (where <= SPACE.upper)))
     out: dict[str, list[float | str | None]] = {}
     for flight, group in zip(flights, GROUPS, strict=True):
-        model = fit([flight], axes=group).model
+        model = fit([recorded(flight)], axes=group).model
         for axis in group:
             one = model.axes[axis]
             for name in COEFFICIENTS:
                 out[f"{axis}.{name}"] = [getattr(one, name), one.stderr[name], *one.ci95[name], one.status[name]]
-    return out
+    return out, inside
 
 
 def truths() -> dict[str, float]:
@@ -190,6 +195,19 @@ def print_rows(title: str, rows: dict[str, dict[str, float | int | None]]) -> No
         print(f"{key:14}{cells}{ratios}{row['missing']:9d}{'  far' if far else ''}")
 
 
+def print_gains(designs: dict[str, object]) -> None:
+    """By how much intervals shrink against the two sines in the same room: predicted, and achieved where known."""
+    print("\nstandard errors of the two sines in the same room over those of each design: predicted (achieved)")
+    print(f"{'coefficient':14}" + "".join(f"{design:>18}" for design in designs))
+    for key in truths():
+        cells = []
+        for design in designs:
+            ours, theirs = (designs[each]["coefficients"][key] for each in (design, "two_sines"))  # type: ignore[index]
+            achieved = f"{theirs['rms'] / ours['rms']:.1f}" if ours["rms"] and theirs["rms"] else "-"
+            cells.append(f"{theirs['predicted'] / ours['predicted']:.1f} ({achieved})")
+        print(f"{key:14}" + "".join(f"{cell:>18}" for cell in cells))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("flights", nargs="?", type=int, default=100)
@@ -212,14 +230,21 @@ def main() -> None:
             start = time.perf_counter()
             plans = plans_of(design, room)
             planned = time.perf_counter() - start
-            found = list(pool.map(fitted, [(plans, number) for number in range(1, options.flights + 1)]))
-            rows = rows_of(plans, found)
-            designs[design] = rows
-            print_rows(f"{design}: planned in {planned:.0f} s, {time.perf_counter() - start:.0f} s in all", rows)
-    result["designs"] = designs
+            flights = list(pool.map(fitted, [(plans, number) for number in range(1, options.flights + 1)]))
+            rows = rows_of(plans, [found for found, _ in flights])
+            inside = float(np.mean([stayed for _, stayed in flights]))
+            designs[design] = {"inside": inside, "coefficients": rows}
+            print_rows(
+                f"{design}: planned in {planned:.0f} s, {time.perf_counter() - start:.0f} s in all, "
+                f"{100 * inside:.0f} % of the flights stay in the room",
+                rows,
+            )
+            result["designs"] = designs
+            options.output.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
     low, high = chance(options.flights)
     print(f"\nratios of {options.flights} flights scatter from {low:.2f} to {high:.2f} (95 %)")
-    options.output.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+    if "two_sines" in designs:
+        print_gains(designs)
 
 
 if __name__ == "__main__":

@@ -243,7 +243,7 @@ def test_scores_are_printed_for_every_horizon_however_many(folder: Path) -> None
     found = found.partition("Is the difference")[0]
     assert re.findall(r"v ([\d.]+) s", found) == ["0.2", "0.5", "1", "2", "3", "5"]
     assert found.count("hold") == 5  # x and y, each in two tables, and the legend
-    assert "No scores of z, yaw" in found
+    assert "Not shown: z, yaw" in found
 
 
 def test_models_are_told_from_logs_by_content(folder: Path, tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ from rotorfit.flight import flight_from_log
 from rotorfit.model_file import load, to_mapping
 from rotorfit.paper_vehicle import as_log, demo_flights
 from rotorfit.sources import read
-from rotorfit.terminal import demo_view, show
+from rotorfit.terminal import show
+from rotorfit.terminal.demo import demo_view
 
 BAGS = ["train_xy", "train_z", "train_yaw", "validate_xy", "validate_z", "validate_yaw"]
 

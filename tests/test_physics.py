@@ -18,7 +18,7 @@ from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, phys
 from rotorfit.report.page import page
 from rotorfit.report.physics import physics_text
 from rotorfit.settings import Figure, Quantity
-from rotorfit.terminal import model_view
+from rotorfit.terminal.model import model_view
 from rotorfit.validation import Validation
 
 

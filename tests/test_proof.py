@@ -6,7 +6,8 @@ from rich.console import Console, RenderableType
 
 from rotorfit.leave_one_out import LeaveOneOut, Spread
 from rotorfit.paired import Difference, Paired, PairedTest
-from rotorfit.proof import leave_one_out_view, paired_view, residual_line
+from rotorfit.terminal.proof import leave_one_out_view, paired_view, residual_line
+from rotorfit.validation import FlightScores
 from rotorfit.whiteness import ResidualTests
 
 BETTER = Difference(150, -0.0123, 0.002, 9.0, 1e-4, -1e-3, 2e-4, "better")
@@ -22,6 +23,10 @@ def told(view: Iterable[RenderableType], width: int = 80) -> str:
     return captured.get()
 
 
+def scores_of(*paths: str, moved: tuple[str, ...] = ("x", "yaw")) -> list[FlightScores]:
+    return [FlightScores(path, (0.0, 60.0), {}, "measured", moved=moved) for path in paths]
+
+
 def paired_of(
     *flights: Difference | None, pooled: Difference | None = None, agreement: float | None = None
 ) -> PairedTest:
@@ -35,7 +40,7 @@ def paired_of(
 
 
 def test_differences_are_told_with_error_and_verdict_in_units_for_people() -> None:
-    found = told(paired_view([paired_of(BETTER)], ["dir/flight.bag"]))
+    found = told(paired_view([paired_of(BETTER)], scores_of("dir/flight.bag")))
 
     assert "Is the difference real? flight.bag" in found
     assert "v 1 s" in found
@@ -47,17 +52,24 @@ def test_differences_are_told_with_error_and_verdict_in_units_for_people() -> No
     assert "fitted" not in found
 
 
+def test_an_axis_that_the_flight_does_not_move_is_not_shown() -> None:
+    found = told(paired_view([paired_of(BETTER)], scores_of("flight.bag", moved=("x",))))
+
+    assert "x     vs hold" in found
+    assert "yaw " not in found.partition("Difference of")[0]
+
+
 def test_several_flights_are_told_apart_and_together_and_a_contradiction_is_named() -> None:
-    found = told(paired_view([paired_of(BETTER, WORSE, pooled=WORSE, agreement=1e-4)], ["a.bag", "b.bag"]))
+    found = told(paired_view([paired_of(BETTER, WORSE, pooled=WORSE, agreement=1e-4)], scores_of("a.bag", "b.bag")))
 
     assert found.index("a.bag") < found.index("b.bag") < found.index("all flights")
     assert "better on some flights and worse on others" in found
-    quiet = told(paired_view([paired_of(BETTER, BETTER, pooled=BETTER, agreement=1e-4)], ["a.bag", "b.bag"]))
+    quiet = told(paired_view([paired_of(BETTER, BETTER, pooled=BETTER, agreement=1e-4)], scores_of("a.bag", "b.bag")))
     assert "worse on others" not in quiet
 
 
 def test_a_flight_too_short_for_an_error_shows_the_difference_and_why() -> None:
-    assert "-1.00  too short" in told(paired_view([paired_of(SHORT)], ["a.bag"]))
+    assert "-1.00  too short" in told(paired_view([paired_of(SHORT)], scores_of("a.bag")))
 
 
 def test_no_flight_and_no_test_show_nothing() -> None:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from rotorfit.model import Combination, Model
-from rotorfit.terminal import model_view, show
+from rotorfit.terminal import show
+from rotorfit.terminal.model import model_view
 from test_summary import axis, model
 
 

@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from peers.paired import RAN_AWAY
-
 NAMES = ("hold", "paper", "PySINDy", "SysIdentPy", "N4SID", "statsmodels", "ml", "auto", "truth")
-SIGNS = {"better": "+", "tie": "=", "worse": "-", "short": "?"}
+SIGNS = {"better": "+", "no_difference_shown": "=", "worse": "-", "too_short": "?"}
+
+RAN_AWAY = 1e3
+"""An error that no vehicle can have [m, m/s; rad]: an unstable model, which no average of squares describes."""
+
 EXPLAINED = """Everybody fits the same training flights and predicts the same test flights by
 [one protocol](method.md#prediction-and-scores): 2 s to find the state, starts every 0.5 s, from a start on only the
 commands are known.
@@ -47,8 +49,13 @@ def cell(row: Mapping[str, Any], score: str) -> str:
     if value is None:
         return "n/a"
     text = f"{100 * value:.2f}" if value < RAN_AWAY / 10 else "ran away"
-    signs = [SIGNS[row[key][score]["verdict"]] for key in ("ml_against", "auto_against") if key in row]
+    signs = [SIGNS[verdict(row[key][score])] for key in ("ml_against", "auto_against") if key in row]
     return f"{text} {''.join(signs)}" if signs else text
+
+
+def verdict(test: Mapping[str, Any] | None) -> str:
+    """Of a paired test; too short where there is none."""
+    return str(test["verdict"]) if test else "too_short"
 
 
 def print_case(result: Mapping[str, Any]) -> None:
@@ -65,8 +72,9 @@ def print_case(result: Mapping[str, Any]) -> None:
                 print(f"      {name}: {row['setting']}")
                 for own in ("ml", "auto"):
                     for score, test in row[f"{own}_against"].items():
-                        if test["p"] is not None and test["difference"] > 0:
-                            print(f"        {own} is behind at {score}: p {test['p']:.3f}, freedom {test['freedom']}")
+                        if test and test.get("p") is not None and test["rmse"] > 0:
+                            p, freedom = test["p"], test["freedom"]
+                            print(f"        {own} is behind at {score}: p {p:.3f}, freedom {freedom:.1f}")
 
 
 def document(result: Mapping[str, Any], path: Path) -> None:
@@ -118,7 +126,7 @@ def _counts(sets: Sequence[Mapping[str, Any]]) -> str:
     for own in ("ml", "auto"):
         for name in NAMES:
             verdicts = [
-                test["verdict"]
+                verdict(test)
                 for one in sets
                 if one["kind"] == "recorded"
                 for rows in one["axes"].values()

@@ -282,8 +282,9 @@ def drawn(belief: Belief, count: int, seed: int) -> list[Truth]:
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.nan_to_num(belief.covariance / np.outer(sd, sd))
         spread = np.where(mean != 0, np.sqrt(np.log1p((sd / mean) ** 2)), 0.0)
-    value, vector = np.linalg.eigh(correlation)
-    normal = rng.standard_normal((count, 12)) @ (vector * np.sqrt(np.maximum(value, 0.0))).T
+    np.fill_diagonal(correlation, 1 + 1e-9)  # where sd is 0 nothing comes of it; singular ones become just definite
+    # Cholesky's factor moves little when the covariance does, so that a plan read from its file has the same vehicles
+    normal = rng.standard_normal((count, 12)) @ np.linalg.cholesky(correlation).T
     values = mean * np.exp(spread * normal - spread**2 / 2)
     trims = np.array(belief.truth.trim) + np.array(belief.trim_sigma) * rng.standard_normal((count, 4))
     return [

@@ -126,7 +126,8 @@ def demo(directory: Path, as_json: bool) -> None:
         result = run(directory, progress)
     if as_json:
         return _print_json(demo_mapping(result))
-    from rotorfit.terminal import demo_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.demo import demo_view
 
     return show(demo_view(result))
 
@@ -156,7 +157,8 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
     surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return _print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
-    from rotorfit.terminal import show, survey_view
+    from rotorfit.terminal import show
+    from rotorfit.terminal.survey import survey_view
 
     for number, survey in enumerate(surveys):
         show([*([""] if number else []), *survey_view(survey)])
@@ -219,7 +221,9 @@ def fit(
         save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import left_out_view, model_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.model import model_view
+    from rotorfit.terminal.scores import left_out_view
 
     show(model_view(model, axes))
     if left_out:
@@ -243,8 +247,8 @@ def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json:
         result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)
     if as_json:
         return _print_json(to_mapping(result))
-    from rotorfit.side_by_side import ladder_view
     from rotorfit.terminal import show
+    from rotorfit.terminal.ladder import ladder_view
 
     return show(ladder_view(result))
 
@@ -267,7 +271,8 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
         validation, _ = validate_logs(model, [parse_log(log, span) for log in logs], card, horizons, progress)
     if as_json:
         return _print_json(to_mapping(validation))
-    from rotorfit.terminal import show, validation_view
+    from rotorfit.terminal import show
+    from rotorfit.terminal.scores import validation_view
 
     if model.conversion:
         click.echo(
@@ -287,7 +292,8 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
         comparison = compare_logs(paths, progress=progress)
     if as_json:
         return _print_json(comparison_mapping(comparison))
-    from rotorfit.terminal import comparison_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.scores import comparison_view
 
     return show(comparison_view(comparison))
 
@@ -344,7 +350,8 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     save(model, output)
     if as_json:
         return _print_json(to_mapping(model))
-    from rotorfit.terminal import model_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.model import model_view
 
     show(model_view(model, AXES))
     click.echo(f"\nModel written to {output}.")
@@ -392,8 +399,8 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
         write_picture(one, path)
     if as_json:
         return _print_json(plans_mapping(plans, files, pictures, proposal))
-    from rotorfit.outlook import next_view, plan_view
     from rotorfit.terminal import show
+    from rotorfit.terminal.plan import next_view, plan_view
 
     if proposal:
         show(next_view(proposal))
@@ -404,6 +411,47 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
     if not files:
         click.echo("\nNothing was written; -o plan.toml keeps the plan.")
     return None
+
+
+@main.command()
+@click.argument("plan_path", metavar="PLAN")
+@click.option(
+    "--link", "link", metavar="NAME[:ADDRESS]", required=True, help="sim, replay, ros1, ros2, mavlink, tello."
+)
+@click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
+@click.option("-o", "output", type=_file(), metavar="flight.mcap", required=True, help="The recording to write.")
+@_card("the plan's own")
+@click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
+@click.option("--take-off", is_flag=True, help="Begin on the floor.")
+@click.option("--seed", type=int, default=0, help="Of a simulated vehicle.")
+@click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
+@_json
+def fly(
+    plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
+    yes: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
+    from rotorfit.errors import LinkError
+    from rotorfit.mission import flown_mapping, flown_mission, mission
+    from rotorfit.preflight import refuse
+    from rotorfit.terminal import show
+    from rotorfit.terminal.flight import flown_view, next_command, preflight_view, status_line
+
+    with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
+        if not as_json:
+            show(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
+        refuse(wanted.ready)
+        if wanted.link.live and not yes:
+            click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
+        result = flown_mission(wanted, land, status_line)
+    if result.reason != "completed":
+        raise LinkError(
+            f"ended early, after {result.duration:.1f} s of the plan: {result.text}; the log so far: {result.path}"
+        )
+    if as_json:
+        return _print_json(flown_mapping(result, wanted.ready))
+    show(flown_view(result))
+    return click.echo(f"\nNext: {next_command([str(output)])}")
 
 
 @main.command()
@@ -422,7 +470,8 @@ def cards(name: str | None, as_json: bool) -> None:
         return _print_json(dict(known[name].raw))
     if as_json:
         return _print_json({"cards": {name: card.raw for name, card in known.items()}})
-    from rotorfit.terminal import cards_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import cards_view
 
     return show(cards_view(known))
 
@@ -432,8 +481,9 @@ def cards(name: str | None, as_json: bool) -> None:
 def formats(as_json: bool) -> None:
     """List the formats of logs that can be read."""
     from rotorfit.sources import FORMATS
-    from rotorfit.terminal import FORMATS as WORDS
-    from rotorfit.terminal import formats_view, show
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import FORMATS as WORDS
+    from rotorfit.terminal.lists import formats_view
 
     if as_json:
         return _print_json({"formats": {name: WORDS[name] for name in FORMATS}})

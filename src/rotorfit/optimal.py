@@ -262,18 +262,22 @@ class _Problem:
 
     @functools.cached_property
     def motion(self) -> tuple[Any, Array]:
-        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, the positions and the speeds after each of them."""
+        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, the positions and the speeds after each of them.
+
+        Each in units of its limit, which the solver takes better than SI.
+        """
         from scipy.sparse import csc_array, eye_array, hstack, vstack
 
         N, limits = self.n, self.limits
         gain, damping, _ = self.form.dynamics
         f, k, h = transitions(damping, np.array(self.form.step))
+        room = max(limits.upper, -limits.lower)
+        fastest = limits.speed if np.isfinite(limits.speed) else (limits.upper - limits.lower) / self.form.step
+        push = gain * limits.command
         one, before = eye_array(N), eye_array(N, k=-1)
-        position = hstack([-gain * h * one, one - before, -k * before])
-        speed = hstack([-gain * k * one, 0 * one, one - f * before])
-        bounds = np.repeat(
-            [[-limits.command, limits.command], [limits.lower, limits.upper], [-limits.speed, limits.speed]], N, axis=0
-        )
+        position = hstack([-h * push / room * one, one - before, -k * fastest / room * before])
+        speed = hstack([-k * push / fastest * one, 0 * one, one - f * before])
+        bounds = np.repeat([[-1.0, 1.0], [limits.lower / room, limits.upper / room], [-1.0, 1.0]], N, axis=0)
         bounds[[2 * N - 1, 3 * N - 1]] = 0.0  # at rest where it began
         return csc_array(vstack([position, speed])), bounds
 
@@ -283,10 +287,14 @@ class _Problem:
 
         equations, bounds = self.motion
         cost = np.concatenate([-direction / np.abs(direction).max(), np.zeros(2 * self.n)])
-        found = linprog(cost, A_eq=equations, b_eq=np.zeros(2 * self.n), bounds=bounds, method="highs")
-        if found.x is None:
-            raise PlanError(f"the linear programme of the optimal design failed ({found.message}): change the limits")
-        return np.asarray(found.x[: self.n])
+        for presolve in (False, True):  # either may end "Unknown" at a degenerate corner: HiGHS issues 1528, 2108
+            found = linprog(
+                cost, A_eq=equations, b_eq=np.zeros(2 * self.n), bounds=bounds, method="highs-ds",
+                options={"presolve": presolve},
+            )  # fmt: skip
+            if found.x is not None:
+                return np.asarray(self.limits.command * found.x[: self.n])
+        raise PlanError(f"the linear programme of the optimal design failed ({found.message}): change the limits")
 
     def climb(self, command: Array) -> _Climb:
         """From a flight inside the limits to a local optimum; the score never falls."""

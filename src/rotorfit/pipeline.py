@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_that_fits, load_card
+from rotorfit.card import Card, card_from_mapping, card_of, load_card
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -68,7 +68,7 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 
 
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
-    """Reads a log and applies a card: by name or file, as it is, or the one built-in card that fits."""
+    """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
     return _flown(log, chosen)[2]
 
@@ -76,7 +76,7 @@ def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
 def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
     raw = read(log.path)
-    card = card or card_that_fits(raw)
+    card = card or card_of(raw)
     return raw, card, flight_from_log(raw, card, log.span)
 
 

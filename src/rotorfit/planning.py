@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.belief import Belief, belief_mapping
+from rotorfit.belief import Belief, belief_from_mapping, belief_mapping
 from rotorfit.card import Card
 from rotorfit.envelope import ALLOWED, Envelope, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
 from rotorfit.errors import PlanError
@@ -101,6 +101,7 @@ def plan_flight(
     _check_request(card, space, design, axes, duration, amplitude)
     if open_loop and design == "ident":
         raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
+    belief = belief_from_mapping(belief_mapping(belief), f"plan on {', '.join(axes)}")  # as its file will hold it
     wanted = _Wanted(
         card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed
     )

@@ -12,9 +12,9 @@ from rotorfit.belief import belief_from_mapping
 from rotorfit.envelope import Envelope, predicted_path
 from rotorfit.frames import AXES, Array
 from rotorfit.model import COEFFICIENTS
-from rotorfit.outlook import UNITS, Z95, believed, plus_minus
 from rotorfit.plan import Plan
 from rotorfit.rehearsal import excited_axes
+from rotorfit.terminal.plan import UNITS, Z95, believed, plus_minus
 from rotorfit.tracking import command_at, reference_at
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _speeds(panel: Axes, plan: Plan) -> None:
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
     panel.set_title("greatest speeds")
-    panel.legend(loc="lower right", ncols=1)
+    panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=3, borderaxespad=0)
 
 
 def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) -> None:

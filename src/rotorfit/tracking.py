@@ -7,6 +7,7 @@ the vehicle, all in the heading frame. Full scale bounds the sum. `fly` runs the
 planning predicts run the same law (`paper_vehicle.Controller`).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -165,6 +166,26 @@ def observed(tracker: Tracker, state: Tracking, t: float, pose: Array) -> Tracki
     return replace(state, time=t, pose=state.pose + change, velocity=velocity)
 
 
+@dataclass(frozen=True)
+class Instant:
+    """What a plan wants at one instant, each of shape (4,).
+
+    Attributes:
+        command: Of the signals, heading frame [unit of the card's command].
+        reference: Position, velocity and acceleration of the reference, as `reference_at`.
+    """
+
+    command: Array
+    reference: Three
+
+
+def instants(plan: Plan, t: Array) -> list[Instant]:
+    """What a plan wants at times from its start, shape (N,) [s], all worked out at once: a loop has no time to."""
+    position, velocity, acceleration = reference_at(plan, t)
+    told = zip(position, velocity, acceleration, strict=True)
+    return [Instant(row, three) for row, three in zip(command_at(plan, t), told, strict=True)]
+
+
 def steered(tracker: Tracker, state: Tracking, t: float) -> tuple[Tracking, Array]:
     """The command of an instant.
 
@@ -176,26 +197,32 @@ def steered(tracker: Tracker, state: Tracking, t: float) -> tuple[Tracking, Arra
     Returns:
         The state, in which a command that full scale bounds is counted; and the command, shape (4,).
     """
-    plan, at = tracker.plan, np.array([t])
-    wanted = command_at(plan, at)[0]
-    if plan.feedback:
-        wanted += demanded(tracker, state, at) / tracker.gamma[::2]
-    command = np.clip(wanted, -tracker.full_scale, tracker.full_scale)
-    saturated = state.saturated + int(np.any(command != wanted))
-    return replace(state, saturated=saturated), command
+    return obeyed(tracker, state, instants(tracker.plan, np.array([t]))[0])
 
 
-def demanded(tracker: Tracker, state: Tracking, t: Array) -> Array:
+def obeyed(tracker: Tracker, state: Tracking, instant: Instant) -> tuple[Tracking, Array]:
+    """As `steered`, of an instant that was worked out before."""
+    wanted = instant.command
+    if tracker.plan.feedback:
+        wanted = wanted + demanded(tracker, state, instant) / tracker.gamma[::2]
+    command = np.minimum(np.maximum(wanted, -tracker.full_scale), tracker.full_scale)
+    bounded = bool((command != wanted).any())
+    return replace(state, saturated=state.saturated + 1) if bounded else state, command
+
+
+def demanded(tracker: Tracker, state: Tracking, instant: Instant) -> Array:
     """Acceleration that the feedback asks for, heading frame, 0 where it does not act, shape (4,)."""
     feedback = tracker.plan.feedback
     if feedback is None:
         return np.zeros(4)
-    position, velocity, acceleration = (_turned(each[0], state.origin[3]) for each in reference_at(tracker.plan, t))
-    error = np.stack([state.origin + position - state.pose, velocity - state.velocity, acceleration, velocity])
-    error = np.stack([_turned(each, -state.pose[3]) for each in error])
-    on = np.isin(AXES, feedback.axes)
-    gains = np.stack([feedback.stiffness, feedback.damping, np.ones(4), tracker.gamma[1::2]])
-    return np.asarray(on * (gains * error).sum(axis=0))
+    here, start = state.pose[3], state.origin[3]
+    position, velocity, acceleration = instant.reference
+    error = _turned(state.origin - state.pose, -here) + _turned(position, start - here)
+    wanted = _turned(velocity, start - here)
+    missing = wanted - _turned(state.velocity, -here)
+    asked = np.multiply(feedback.stiffness, error) + np.multiply(feedback.damping, missing)
+    asked += _turned(acceleration, start - here) + tracker.gamma[1::2] * wanted
+    return np.array([value if axis in feedback.axes else 0.0 for axis, value in zip(AXES, asked, strict=True)])
 
 
 def step(tracker: Tracker, state: Tracking, t: float, pose: Array) -> tuple[Tracking, Array]:
@@ -205,5 +232,5 @@ def step(tracker: Tracker, state: Tracking, t: float, pose: Array) -> tuple[Trac
 
 def _turned(four: Array, angle: float) -> Array:
     """x and y turned counter-clockwise by an angle; z and yaw as they are."""
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = math.cos(angle), math.sin(angle)
     return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])

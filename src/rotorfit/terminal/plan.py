@@ -12,7 +12,7 @@ from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS
 from rotorfit.next_flight import NextFlight
 from rotorfit.plan import Excitation, Plan
-from rotorfit.tables import View, bullets, indented, table, three_digits, title
+from rotorfit.terminal.tables import View, bullets, indented, table, three_digits, title
 
 Z95 = 1.96
 """Half width of a 95 % interval in standard errors."""

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from rotorfit.ladder import Ladder, Row
 from rotorfit.model import COEFFICIENTS
-from rotorfit.tables import View, bullets, table, three_digits, title
+from rotorfit.terminal.tables import View, bullets, table, three_digits, title
 
 
 def ladder_view(ladder: Ladder) -> View:

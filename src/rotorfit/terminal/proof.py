@@ -9,12 +9,12 @@ from rich.padding import Padding
 from rich.text import Text
 
 from rotorfit.frames import AXES
-from rotorfit.tables import View, bullets, finding_view, indented, table, three_digits, title
+from rotorfit.terminal.tables import NOTHING, View, bullets, finding_view, indented, table, three_digits, title
 
 if TYPE_CHECKING:  # they bring numba, which the lists of cards and formats need not wait for
     from rotorfit.leave_one_out import LeaveOneOut
     from rotorfit.paired import Difference, PairedTest, Quantity
-    from rotorfit.validation import Validation
+    from rotorfit.validation import FlightScores, Validation
     from rotorfit.whiteness import ResidualTests
 
 SHORT_HORIZON = "1"
@@ -29,12 +29,12 @@ VERDICTS = {
 """Of a paired test, in words that fit a column."""
 
 
-def paired_view(tests: Sequence["PairedTest"], paths: Sequence[str]) -> View:
-    """Is the difference real? Flight by flight, and all together where there are several.
+def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]) -> View:
+    """Is the difference real? Flight by flight on the axes that it moves, and all together where there are several.
 
     Args:
         tests: Of the same flights.
-        paths: Of their logs.
+        flights: Their scores.
     """
     if not tests or not any(tests[0].axes.values()):
         return
@@ -43,12 +43,12 @@ def paired_view(tests: Sequence["PairedTest"], paths: Sequence[str]) -> View:
         ("velocity", SHORT_HORIZON if SHORT_HORIZON in keys else keys[0]),
         ("position", keys[-1]),
     ]
-    for number in range(len(paths) + (len(paths) > 1)):
-        pooled = number == len(paths)
+    for number in range(len(flights) + (len(flights) > 1)):
+        pooled = number == len(flights)
         out = table(
             "axis", "", *(h for what, key in columns for h in (f"{what[0]} {key} s", "")), left=(0, 1, 3, 5), gap=2
         )
-        for axis in AXES:
+        for axis in AXES if pooled else flights[number].moved:
             rows = [(t, [_found(t, axis, column, None if pooled else number) for column in columns]) for t in tests]
             some = [(test, found) for test, found in rows if any(each is not None for each in found)]
             for place, (test, found) in enumerate(some):
@@ -56,7 +56,9 @@ def paired_view(tests: Sequence["PairedTest"], paths: Sequence[str]) -> View:
                 cells = [cell for each in found for cell in _difference(each, axis)]
                 out.add_row("" if place else axis, name.replace("model ", ""), *cells)
         if out.row_count:
-            name = "all flights that command the axis and were not fitted" if pooled else Path(paths[number]).name
+            name = (
+                "all flights that command the axis and were not fitted" if pooled else Path(flights[number].path).name
+            )
             yield title(f"Is the difference real? {name}")
             yield out
     yield from _disagreements(tests, columns)
@@ -84,7 +86,7 @@ def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
 
 
 def _two_digits(value: float) -> str:
-    return f"{value:.{max(0, 1 - math.floor(math.log10(value)))}f}" if value > 0 else "0"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(value)))}f}" if value > NOTHING else "0"
 
 
 def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
@@ -133,7 +135,7 @@ def leave_one_out_view(result: "LeaveOneOut", stated: Mapping[str, Mapping[str, 
         result: Of leaving out.
         stated: Axis name to coefficient to the standard error of the fit to all flights.
     """
-    yield from paired_view(result.paired, [flight.path for flight in result.flights])
+    yield from paired_view(result.paired, result.flights)
     yield ""
     yield title("Coefficients of the fits that leave out one flight")
     out = table("axis", "coefficient", "lowest", "highest", "jackknife s.e.", "stated s.e.", left=(0, 1))

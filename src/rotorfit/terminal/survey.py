@@ -1,0 +1,104 @@
+"""What the terminal shows of a log: tables, cards that fit, the flight."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from rich.console import RenderableType
+from rich.padding import Padding
+
+from rotorfit.clock import Rate
+from rotorfit.terminal.tables import View, bullets, finding_view, indented, table, title
+
+if TYPE_CHECKING:  # it brings numba, which what needs no flight can do without
+    from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
+
+LEAST_JITTER = 0.01
+"""Jitter below which its figures say nothing [ms]."""
+
+
+def survey_view(survey: "Survey") -> View:
+    """What is in a log, which cards fit, and what the flight is like."""
+    tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
+    yield title(f"{survey.path}: {survey.format}, {tables}")
+    for one in survey.tables:
+        yield indented(_table_line(one))
+        yield indented(", ".join(one.columns), 4, "dim")
+    yield from bullets([f"{name}: not read: {reason}" for name, reason in survey.skipped.items()])
+    yield from bullets(survey.notes)
+    if survey.recording:
+        yield indented(", ".join(f"{key} {text}" for key, text in survey.recording.items()))
+    yield from bullets([f"{since:.2f} s: {text}" for since, text in survey.events])
+    yield indented(f"Built-in cards that fit: {', '.join(survey.fitting) or 'none'}")
+    if survey.flight:
+        yield ""
+        yield title(f"Flight by the card {survey.card}")
+        yield from _flight_view(survey.flight)
+        for finding in survey.flight.findings:
+            yield ""
+            yield from finding_view(finding)
+    if survey.problem:
+        yield indented(f"No flight: {survey.problem}", 2, "yellow")
+
+
+def _table_line(table: "TableSurvey") -> str:
+    if table.rate is None:
+        return f"{table.name}: {table.count} samples, no clock recognised"
+    return f"{table.name}: {_rate(table.rate)}, by {table.time}"
+
+
+def _rate(rate: Rate) -> str:
+    """How regularly a stream was stamped, what is in order left out."""
+    if rate.period is None or rate.jitter is None:
+        return f"{rate.count} samples"
+    troubles = {"repeat a stamp": rate.repeated, "go back in time": rate.reversed, "have no stamp": rate.missing}
+    gaps = [f"{rate.gaps} gap{'s' * (rate.gaps > 1)} up to {rate.longest_gap:.3g} s"] if rate.gaps else []
+    low, high = (1e3 * side for side in rate.jitter)
+    jitter = f"{low:+.2g} to {high:+.2g} ms" if max(-low, high) >= LEAST_JITTER else f"below {LEAST_JITTER:g} ms"
+    return ", ".join(
+        [
+            f"{rate.count} samples in {rate.duration:.2f} s at {1 / rate.period:.4g} Hz",
+            f"jitter {jitter}",
+            *(gaps or ["no gaps"]),
+            *(f"{count} {trouble}" for trouble, count in troubles.items() if count),
+        ]
+    )
+
+
+def _flight_view(flight: "FlightSurvey") -> View:
+    parts = [f"{start:.2f} to {end:.2f}" for start, end in flight.segments]
+    shown = ", ".join([*parts[:6], *(["..."] if len(parts) > 6 else [])])
+    clocks = flight.clocks
+    yield indented(f"{flight.duration:.2f} s of flight in {len(parts)} segment{'s' * (len(parts) > 1)}: {shown} s")
+    yield indented(f"commands: {_rate(flight.command)}")
+    yield indented(f"poses: {_rate(flight.pose)}")
+    fresh = f"{1 / flight.fresh.period:.4g} Hz" if flight.fresh.period else "no rate"
+    yield indented(f"stale poses: {100 * flight.stale_share:.1f} %; the fresh ones come at {fresh}")
+    yield indented(
+        f"clocks: the poses start {_later(clocks.start_offset)} the commands and end {_later(clocks.end_offset)} them; "
+        f"{clocks.overlap:.2f} s in common"
+    )
+    for name, drift in flight.recorder.items():
+        yield indented(
+            f"recorder: {name} stamps are logged {1e3 * drift.offset:.3g} ms after the header's "
+            f"({1e3 * drift.spread[0]:+.2g} to {1e3 * drift.spread[1]:+.2g} ms), drift {1e6 * drift.drift:.2g} us/s"
+        )
+    yield _excitation_table(flight.axes)
+    yield from bullets([note.text for note in flight.notes])
+
+
+def _later(offset: float) -> str:
+    return f"{abs(offset):.3f} s {'after' if offset >= 0 else 'before'}"
+
+
+def _excitation_table(axes: "Iterable[Excitation]") -> RenderableType:
+    out = table("command", "not 0", "RMS", "lowest", "highest", "levels", "at ends", "95 % below")
+    for axis in axes:
+        out.add_row(
+            axis.axis,
+            f"{100 * axis.nonzero_share:.0f} %",
+            *(f"{value:.3g}" for value in (axis.rms, axis.low, axis.high)),
+            str(axis.levels),
+            f"{100 * axis.extreme_share:.0f} %",
+            "-" if axis.bandwidth is None else f"{axis.bandwidth:.2g} Hz",
+        )
+    return Padding(out, (0, 0, 0, 2), expand=False)
