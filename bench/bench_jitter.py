@@ -33,7 +33,7 @@ from rotorfit.simulator import Conditions, FlightRoom
 from rotorfit.vehicle import load_vehicle
 
 RATE, BEBOP = 100.0, load_vehicle("bebop2")
-POSE, COMMAND = struct.Struct("<Bqq7d"), struct.Struct("<4d")
+POSE, COMMAND = struct.Struct("<q7d"), struct.Struct("<4d")
 
 
 def vehicle(ready: "multiprocessing.synchronize.Event", port: int, own: int) -> None:
@@ -49,7 +49,7 @@ def vehicle(ready: "multiprocessing.synchronize.Event", port: int, own: int) -> 
             room.send(COMMAND.unpack(sock.recv(100)))
         for one in room.advance(max(room.now, wall_clock() - began)):
             if one.stream == "pose":
-                sock.sendto(POSE.pack(0, began + one.stamp, 0, *one.values), ("127.0.0.1", port))
+                sock.sendto(POSE.pack(began + one.stamp, *one.values), ("127.0.0.1", port))
 
 
 class UdpLink:
@@ -74,7 +74,7 @@ class UdpLink:
         samples = []
         while (left := seconds_until(until) - self._spin) > 0:
             if select.select([self._sock], [], [], left)[0]:
-                _, stamp, _, *values = POSE.unpack(self._sock.recv(100))
+                stamp, *values = POSE.unpack(self._sock.recv(100))
                 samples.append(Sample("pose", stamp, wall_clock(), tuple(values)))
         while wall_clock() < until:
             pass
@@ -101,7 +101,8 @@ def flight(duration: float, port: int, spin: float) -> str:
     try:
         with tempfile.TemporaryDirectory() as folder:
             link = UdpLink(port, port + 1, spin)
-            link.receive(link.now + 200_000_000)
+            while len(link.receive(link.now + 500_000_000)) < 20:  # until the room keeps up
+                pass
             plan = plan_of(duration)
             result = fly(plan, link, record(Path(folder) / "log.mcap", {}), land=False)
     finally:

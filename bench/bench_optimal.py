@@ -1,6 +1,6 @@
 """How good is an optimal design: against a bound on every design, random search, coarser steps, and wrong beliefs?
 
-    python bench/bench_optimal.py
+    python bench/bench_optimal.py [AXIS]
 
 The demo's vehicle (set B, delay 0.15 s, light wind, 0.5 mm mocap), axes x and z, 60 s. x: 1.86 m to either side, 1.5
 m/s; z: 0.96 m, 1 m/s; commands up to half of full scale. Scores are compared by the factor on the mean standard error
@@ -20,6 +20,7 @@ Source: the relaxation of I. R. Manchester, Input design for system identificati
 """
 
 import json
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +44,7 @@ TRUTH = Truth()
 POSE_RATE = TRUTH.pose_rate * (1 - TRUTH.stale_share)
 LIMITS = {"x": AxisLimits(0.5, -1.86, 1.86, 1.5), "z": AxisLimits(0.5, -0.96, 0.96, 1.0)}
 SCALE = np.outer(TARGETS, TARGETS)
-RANDOM = 2000
+RANDOM = 500
 """Random designs that are tried."""
 
 
@@ -168,8 +169,9 @@ def timed(work: Callable[[], OptimalSignal]) -> tuple[OptimalSignal, float]:
 
 
 def main() -> None:
-    result: dict[str, object] = {}
-    for axis in LIMITS:
+    path = Path(__file__).with_name("optimal.json")
+    result: dict[str, object] = json.loads(path.read_text()) if path.exists() else {}
+    for axis in sys.argv[1:] or LIMITS:
         dynamics = dynamics_of(axis)
         form = axis_information(dynamics, levels(dynamics, axis), DURATION, STEP, POSE_RATE)
         best, seconds = timed(lambda axis=axis: design(axis))
@@ -199,7 +201,7 @@ def main() -> None:
             f"{criterion} " + " ".join(f"{each:.2g}" for each in told) for criterion, told in errors.items()
         ))  # fmt: skip
         result[axis] = {"gap": best.gap, "factors": factors, "wrong": wrong, "errors": errors}
-    Path(__file__).with_name("optimal.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
 
 
 if __name__ == "__main__":

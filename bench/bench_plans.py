@@ -11,8 +11,8 @@ In open loop the wind alone would carry this vehicle out of such a room within 6
 flown with the planner's soft centring feedback, but for `two_sines_paper`, which is flown as the paper flies, in open
 loop and at the paper's amplitude, whatever room it takes. What wind takes of the room in 19 of 20 hovers is put aside.
 Each other signal is made as large, axis by axis, as the rest of the room, the speed and the command allow for the
-likeliest vehicle in still air. A design that wanders to one side may choose where it starts; the optimal ones start in
-the middle. `ident` is a position reference under its own feedback.
+likeliest vehicle in still air. A flight starts where its path lies in the middle of the room. `ident` is a position
+reference under its own feedback.
 
 Per coefficient: the standard error that the plan predicted (`precision`, one flight of the likeliest vehicle), the root
 mean square error over the flights, the mean standard error that the fits state, and the ratios of these two to the
@@ -121,8 +121,14 @@ def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) ->
 
 
 def plans_of(design: str, room: dict[str, float]) -> list[Plan]:
-    """The two flights of a design."""
-    return [plan_of(design, excitations_of(design, group, room), feedback_of(design)) for group in GROUPS]
+    """The two flights of a design, each started where its path lies in the middle of the room."""
+    return [centred(plan_of(design, excitations_of(design, group, room), feedback_of(design))) for group in GROUPS]
+
+
+def centred(plan: Plan) -> Plan:
+    nominal = path(plan, flown(tracker_of(plan), noise_free(TRUTH), 0))[:, :3]
+    x, y, z = (np.array(SPACE.lower) + SPACE.upper - nominal.min(axis=0) - nominal.max(axis=0)) / 2 + SPACE.start[:3]
+    return replace(plan, space=replace(SPACE, start=(float(x), float(y), float(z), 0.0)))
 
 
 def fitted(job: tuple[Sequence[Plan], int]) -> tuple[dict[str, list[float | str | None]], bool]:

@@ -2,8 +2,9 @@
 
     python bench/bench_rotorpy.py [SECONDS]
 
-Prints the coefficients of both logs with their 95 % half-widths, their difference in standard errors of the
-difference, and how far the two paths part. Skips where rotorpy is not installed (`pip install rotorpy`).
+Prints the coefficients of both logs with their 95 % half-widths and their difference in standard errors of the
+difference, how far the two paths part, and how far after a small step, for shorter and shorter steps of rotorpy.
+Skips where rotorpy is not installed (`pip install rotorpy`).
 """
 
 import os
@@ -21,7 +22,7 @@ def main() -> None:
     if find_spec("rotorpy") is None:
         print("skipped: rotorpy is not installed; pip install rotorpy")
         return
-    from rotorpy_flights import AXES, CASES, fly_both
+    from rotorpy_flights import AXES, CASES, fly_both, step_gap
 
     duration = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     for name, gain in CASES.items():
@@ -33,8 +34,9 @@ def main() -> None:
             "  paths part by at most "
             + ", ".join(f"{a:.1f} of {r:.0f} mm on {axis}" for a, r, axis in zip(apart, reach, AXES, strict=True))
         )
+        gaps = ", ".join(f"{step_gap(name, h):.2%} ({h * 1e3:g} ms)" for h in (0.002, 0.001, 0.0005))
+        print(f"  after a small step they part by {gaps}, by how often rotorpy's loops look")
         print(f"  {'':12}{'room':>20}{'rotorpy':>20}{'difference':>12}  in s.e.")
-        ours, theirs = pair.found
         for axis in AXES:
             print_axis(axis, *(found[axis] for found in pair.found))
 

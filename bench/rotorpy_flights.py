@@ -24,7 +24,7 @@ AXES = ("x", "y", "z")
 SECOND = 1_000_000_000
 START = (0.0, 0.0, 2.0, 0.0)
 COMMAND_RATE, POSE_RATE = 50, 100
-INNER_STEP = 0.002  # s between two looks of rotorpy's inner loops at the state; ours look all the time
+INNER_STEP = 0.001  # s between two looks of rotorpy's inner loops at the state; ours look all the time
 NOISE = 0.0005  # m
 PERFECT = Mocap(rate=POSE_RATE, noise=0.0, turn_noise=0.0, latency=0.0, jitter=0.0)
 
@@ -65,7 +65,9 @@ def vehicle_from_rotorpy(name: str) -> Vehicle:
     drag = [4 * p[key] * hover_speed(p) / p["mass"] for key in ("k_d", "k_d", "k_z")]
     thrust = [p["k_eta"] * p[key] ** 2 for key in ("rotor_speed_min", "rotor_speed_max")]
     arm = float(np.linalg.norm(p["rotor_pos"]["r1"]))
-    attitude = {"frequency": np.sqrt(p["kp_att"]), "damping": p["kd_att"] / (2 * np.sqrt(p["kp_att"]))}
+    # rotorpy's inflow drag also damps roll and pitch, since a rotor that rises loses thrust: sum of k_z speed r^2
+    inflow = 2 * p["k_z"] * hover_speed(p) * arm**2 / p["Ixx"]
+    attitude = {"frequency": np.sqrt(p["kp_att"]), "damping": (p["kd_att"] + inflow) / (2 * np.sqrt(p["kp_att"]))}
     raw = {
         "name": f"rotorpy {name}", "mass": p["mass"], "inertia": [p["Ixx"], p["Iyy"], p["Izz"]], "drag": drag,
         "rotors": {"arm": arm, "thrust": thrust, "time_constant": p["tau_m"], "torque_ratio": p["k_m"] / p["k_eta"]},
@@ -98,7 +100,7 @@ def manoeuvre(duration: float) -> tuple[np.ndarray, np.ndarray]:
     return stamps, np.stack([*waves, np.zeros(t.size)], axis=1) * np.minimum(1, t / 5)[:, None]
 
 
-def fly_rotorpy(name: str, commands: np.ndarray, instants: np.ndarray) -> np.ndarray:
+def fly_rotorpy(name: str, commands: np.ndarray, instants: np.ndarray, step: float = INNER_STEP) -> np.ndarray:
     """Positions of rotorpy's vehicle at instants [ns], shape (N, 3) [m]; hovers at the start."""
     from rotorpy.vehicles.multirotor import Multirotor
 
@@ -108,12 +110,12 @@ def fly_rotorpy(name: str, commands: np.ndarray, instants: np.ndarray) -> np.nda
         "wind": np.zeros(3), "rotor_speeds": np.full(4, hover_speed(parameters)),
     }  # fmt: skip
     vehicle = Multirotor(parameters, still, control_abstraction="cmd_vel")
-    state, every = still, round(1 / (COMMAND_RATE * INNER_STEP))
+    state, every = still, round(1 / (COMMAND_RATE * step))
     path = [state["x"]]
-    for k in range(round(len(commands) / COMMAND_RATE / INNER_STEP)):
-        state = vehicle.step(state, {"cmd_v": commands[k // every, :3]}, INNER_STEP)
+    for k in range(round(len(commands) / COMMAND_RATE / step)):
+        state = vehicle.step(state, {"cmd_v": commands[k // every, :3]}, step)
         path.append(state["x"])
-    return np.array(path)[np.round(instants * 1e-9 / INNER_STEP).astype(np.int64)]
+    return np.array(path)[np.round(instants * 1e-9 / step).astype(np.int64)]
 
 
 def noisy(flight: RoomFlight, position: np.ndarray, seed: int) -> RoomFlight:
@@ -133,3 +135,13 @@ def fly_both(name: str, duration: float) -> Pair:
     logs = (as_log(noisy(ours, path, seed)) for seed, path in ((1, ours.true_position), (2, theirs)))
     first, second = (fit([flight_from_log(log, card)], axes=AXES).model.axes for log in logs)
     return Pair(ours, theirs, (first, second))
+
+
+def step_gap(name: str, step: float) -> float:
+    """Largest gap between the two paths over 2 s after a step of 0.05 m/s forward, over the distance flown."""
+    stamps = np.arange(0, 2 * SECOND, SECOND // COMMAND_RATE)
+    commands = np.tile([0.05, 0.0, 0.0, 0.0], (stamps.size, 1))
+    room = Conditions(mocap=PERFECT, radio=Radio(0.0))
+    ours = fly_commands(vehicle_from_rotorpy(name), room, stamps, commands, 2.0, 1, START)
+    theirs = fly_rotorpy(name, commands, ours.true_instant, step)
+    return float(np.abs(theirs - ours.true_position)[:, 0].max() / np.ptp(theirs[:, 0]))

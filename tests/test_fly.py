@@ -95,6 +95,17 @@ def test_the_same_seed_gives_the_same_flight(tmp_path: Path) -> None:
     assert links[0].sent == links[1].sent
 
 
+@pytest.mark.parametrize(("rate", "poses"), [(200.0, 30.0), (10.0, 240.0), (100.0, 20.0)])
+def test_commands_and_poses_may_come_at_any_rates(tmp_path: Path, rate: float, poses: float) -> None:
+    link = Watched(room_link(Conditions(mocap=Mocap(rate=poses))))
+    result = flown(link, tmp_path / "log.mcap", plan_of(5.0, rate=rate))
+
+    assert result.reason == "completed"
+    assert load_flight(LogSpan(str(tmp_path / "log.mcap"), (None, None))).command_time.size == pytest.approx(
+        5 * rate, abs=1
+    )
+
+
 def test_without_feedback_the_signals_are_sent_as_planned(tmp_path: Path) -> None:
     from rotorfit.tracking import command_at
 
@@ -440,3 +451,23 @@ def test_signals_are_taken_only_while_a_flight_lasts() -> None:
         assert abort() == "SIGTERM"
     assert signal.getsignal(signal.SIGINT) is before
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_priority_and_garbage_are_as_before_after_a_flight_and_a_refusal_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import gc
+
+    from rotorfit import realtime
+
+    before = os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()
+    with realtime.hurried(True) as note:
+        assert not gc.isenabled()
+        assert (note == "") == (os.sched_getscheduler(0) == os.SCHED_FIFO)
+    assert (os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()) == before
+    monkeypatch.setattr(realtime, "_schedule", lambda *_: False)
+    with realtime.hurried(True) as note:
+        assert note.startswith("no real-time priority: on a busy computer commands may come late")
+    with realtime.hurried(False) as note:
+        assert note == ""
+        assert gc.isenabled() == before[2]

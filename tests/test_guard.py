@@ -149,6 +149,7 @@ def test_a_pose_that_stays_away_is_lost_after_half_a_second() -> None:
     assert verdict(watch, 0.99 + 0.49) is None
     assert verdict(watch, 0.99 + 0.51) == "pose_lost"
     assert verdict(Watch(), 1.0) == "pose_lost"
+    assert verdict(Watch(), 0.4) is None
 
 
 def test_when_everything_stays_away_it_is_the_link() -> None:

@@ -157,6 +157,20 @@ def test_silence_is_a_lost_link(bench: Bench) -> None:
         bench.fly(5.0)
 
 
+def test_a_cable_that_is_pulled_is_a_lost_link_not_a_trace(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    bench.link.greet()
+    monkeypatch.setattr(bench.wire, "write", gone)
+    with pytest.raises(LinkError, match=r"cannot send .*; the link is lost"):
+        bench.link.send((0.0, 0.0, 0.0, 0.0))
+    bench.wire.incoming.append(None)
+    monkeypatch.setattr(bench.wire, "recv_msg", gone)
+    with pytest.raises(LinkError, match=r"cannot receive .*; the link is lost"):
+        bench.link.receive(bench.instant)
+
+
 def test_nobody_there_is_one_line(bench: Bench) -> None:
     bench.autopilot.deaf = True
 

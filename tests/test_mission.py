@@ -171,7 +171,7 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
 
     with pytest.raises(LinkError, match=r"needs the Python package rotorfit.links.mavlink: pip install 'rotorfit\[mav"):
         open_link("mavlink", CARD)
-    with pytest.raises(LinkError, match="--link odd needs the Python package not_there_at_all: pip install not_there"):
+    with pytest.raises(LinkError, match="link odd needs the Python package not_there_at_all: pip install not_there"):
         open_link("odd", CARD)
 
 

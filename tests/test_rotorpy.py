@@ -21,6 +21,17 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crazyflie", "hummingbird"])
+def test_a_small_step_of_rotorpy_becomes_that_of_the_room_the_oftener_its_loops_look(
+    flights: ModuleType, name: str
+) -> None:
+    coarse, fine = (flights.step_gap(name, step) for step in (0.002, 0.0005))
+
+    assert fine < 0.002
+    assert fine < coarse / 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["crazyflie", "hummingbird"])
 def test_both_simulators_give_the_same_coefficients_within_their_intervals(flights: ModuleType, name: str) -> None:
     pair = flights.fly_both(name, 30.0)
 

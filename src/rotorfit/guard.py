@@ -264,7 +264,7 @@ def judged(watch: Watch, limits: Limits, now: int, flown: float, moving: float) 
 def _of_pose(watch: Watch, limits: Limits, now: int, moving: float) -> Verdict | None:
     """What is wrong with the poses."""
     age, silent = (now - watch.received) / 1e9, (now - watch.heard) / 1e9
-    if watch.pose is None or silent > limits.pose_age:
+    if silent > limits.pose_age:
         others = watch.heard_other
         if others is not None and (now - others) / 1e9 > 2 * limits.pose_age:
             return Verdict("link_lost", f"the link: nothing has come for {silent:.2f} s")

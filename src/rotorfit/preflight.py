@@ -21,8 +21,8 @@ from rotorfit.tracking import tracker_of
 LISTENING = 1.0
 """How long poses are looked at [s]."""
 
-SLOWEST = 10.0
-"""Fresh poses a second that are needed."""
+SLOWEST = 8.0
+"""Fresh poses a second that are needed; a Tello gives ten, of which one may come late."""
 
 NEAR, TURNED = 0.3, math.radians(20)
 """A start so far from the plan's is near enough [m, rad]."""

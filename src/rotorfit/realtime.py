@@ -3,6 +3,7 @@
 import gc
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,22 +20,22 @@ def hurried(wall_clock: bool) -> Iterator[str]:
     """No collection of garbage, and real-time priority for all threads, for as long as it lasts.
 
     Args:
-        wall_clock: Whether anything is to be paced; else only garbage waits, and the note is empty.
+        wall_clock: Whether anything is to be paced; else nothing is changed.
 
     Yields:
         What the system did not allow, one sentence; empty where it allowed all.
     """
+    if not wall_clock:
+        yield ""
+        return
     collecting, interval = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
     gc.disable()
+    sys.setswitchinterval(SWITCH)
     before: dict[int, tuple[int, os.sched_param]] = {}
     try:
-        note = ""
-        if wall_clock:
-            sys.setswitchinterval(SWITCH)
-            note = _raised(before)
-        yield note
+        yield _raised(before)
     finally:
         for thread, (policy, parameter) in before.items():
             _schedule(thread, policy, parameter)
@@ -46,17 +47,20 @@ def hurried(wall_clock: bool) -> Iterator[str]:
 
 def _raised(before: dict[int, tuple[int, os.sched_param]]) -> str:
     """Puts every thread of the process into the real-time class; remembers what they were in."""
-    own = os.getpid()
-    threads = [int(entry.name) for entry in Path("/proc/self/task").iterdir()] if hasattr(os, "SCHED_FIFO") else []
-    for thread in threads:
-        was = os.sched_getscheduler(thread), os.sched_getparam(thread)
-        wanted = os.sched_param(PRIORITY if thread == own else OTHERS)
-        if not _schedule(thread, os.SCHED_FIFO, wanted):
-            break
-        before[thread] = was
-    else:
-        if threads:
-            return ""
+    allowed = hasattr(os, "SCHED_FIFO") and Path("/proc/self/task").is_dir()
+    if allowed:
+        own = threading.get_native_id()
+        for thread in [int(entry.name) for entry in Path("/proc/self/task").iterdir()]:
+            try:
+                was = os.sched_getscheduler(thread), os.sched_getparam(thread)
+            except ProcessLookupError:  # it has ended meanwhile
+                continue
+            if _schedule(thread, os.SCHED_FIFO, os.sched_param(PRIORITY if thread == own else OTHERS)):
+                before[thread] = was
+            else:
+                allowed = allowed and thread != own
+    if allowed:
+        return ""
     return (
         "no real-time priority: on a busy computer commands may come late "
         "(allow it: `ulimit -r 20`, or rtprio in /etc/security/limits.conf)"
@@ -64,11 +68,9 @@ def _raised(before: dict[int, tuple[int, os.sched_param]]) -> str:
 
 
 def _schedule(thread: int, policy: int, parameter: os.sched_param) -> bool:
-    """Whether the system let the thread be scheduled so; one that has ended meanwhile counts as done."""
+    """Whether the system lets the thread be scheduled so."""
     try:
         os.sched_setscheduler(thread, policy, parameter)
-    except ProcessLookupError:
-        return True
-    except PermissionError:
+    except OSError:  # not permitted, or the thread has ended
         return False
     return True

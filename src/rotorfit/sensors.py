@@ -226,7 +226,7 @@ class Stream:
         new = self._draw(first, int(np.ceil(end * self._rate - 1e-6)) - first, before)
         parts = (np.concatenate([getattr(old, name), getattr(new, name)]) for name in vars(new)) if first else ()
         self.frames = Frames(*parts) if first else new
-        self._arrivals = self.frames.arrival.tolist()
+        self._arrivals += new.arrival.tolist()
         return new.instant
 
     def place(self, row: Integers) -> None:

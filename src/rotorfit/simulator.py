@@ -174,6 +174,9 @@ class FlightRoom:
         self._event, self._events = _no_events(64), 0
         self._shot, self._seen = np.empty(0, np.int64), np.empty((0, rigid_body.STATES))
         self._wind, self._blocks = np.empty((0, 3)), 0
+        self._fly(0)  # with this every kernel is loaded: no later call waits for that
+        for stream in self._streams:
+            stream.values(self._seen, np.empty(0, np.int64))
 
     def send(self, command: Sequence[float]) -> None:
         """Sends forward, left, up, counter-clockwise, in the unit of the vehicle's commands, now.
@@ -277,7 +280,10 @@ class FlightRoom:
         for stream, rows in zip(self._streams, np.split(row, np.cumsum([new.size for new in drawn])[:-1]), strict=True):
             stream.place(rows)
         self._shot = np.concatenate([self._shot, instant[order]])
-        self._seen = np.concatenate([self._seen, np.zeros((instant.size, rigid_body.STATES))])
+        if self._shot.size > len(self._seen):  # twice the room, so that long flights do not copy it in every block
+            grown = np.empty((2 * self._shot.size, rigid_body.STATES))
+            grown[: len(self._seen)] = self._seen
+            self._seen = grown
 
 
 def _streams(

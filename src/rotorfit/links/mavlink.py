@@ -146,16 +146,14 @@ class MavlinkLink:
         self._last_setpoint = wall_clock()
         self._first_setpoint = self._first_setpoint or self._last_setpoint
         boot = (self._last_setpoint - self._start) // 1_000_000
-        self._connection.mav.set_position_target_local_ned_send(*setpoint(commands, command, boot, self._target))
+        self._say("set_position_target_local_ned", *setpoint(commands, command, boot, self._target))
 
     def receive(self, until: int) -> list[Sample]:
         """What has come since the last call; see `links.Link`."""
         while self._open:
             self._keep_alive()
             ready, _, _ = select.select((self._connection.fd,), (), (), min(seconds_until(until), 0.2))
-            while ready and (message := self._connection.recv_msg()) is not None:
-                self._take(message, wall_clock())
-            if not ready and seconds_until(until) <= 0:
+            if not (ready and self._heard_all()) and seconds_until(until) <= 0:
                 break
         arrived, self._inbox = self._inbox, []
         return arrived
@@ -252,7 +250,24 @@ class MavlinkLink:
         self._command(*command_parameters(self._steps[0], self._known))
 
     def _command(self, command: int, parameters: Sequence[float]) -> None:
-        self._connection.mav.command_long_send(*self._target, command, max(self._tries - 1, 0), *parameters)
+        self._say("command_long", *self._target, command, max(self._tries - 1, 0), *parameters)
+
+    def _say(self, message: str, *values: Any) -> None:
+        try:
+            getattr(self._connection.mav, f"{message}_send")(*values)
+        except OSError as error:
+            raise LinkError(f"mavlink: cannot send ({error}); the link is lost") from error
+
+    def _heard_all(self) -> bool:
+        """Takes every message that is there; whether there was one."""
+        took = False
+        try:
+            while (message := self._connection.recv_msg()) is not None:
+                self._take(message, wall_clock())
+                took = True
+        except OSError as error:
+            raise LinkError(f"mavlink: cannot receive ({error}); the link is lost") from error
+        return took
 
     def _answered(self, command: int, result: int) -> None:
         if not self._steps or command_parameters(self._steps[0], self._known)[0] != command:
@@ -275,8 +290,8 @@ class MavlinkLink:
         now = wall_clock()
         if now - self._beaten >= SECOND and self._autopilot is not None:
             self._beaten = self._synced = now
-            self._connection.mav.heartbeat_send(18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
-            self._connection.mav.timesync_send(0, now)
+            self._say("heartbeat", 18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
+            self._say("timesync", 0, now)
         # PX4 enters its mode only when setpoints have come for a second; in any other mode it does not obey them
         idle = self._heard and self._known.streams and not self._sending and not self._in_our_mode
         if idle and self._commands is not None and now - self._last_setpoint >= STREAM_PERIOD:

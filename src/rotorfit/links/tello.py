@@ -26,8 +26,8 @@ SILENCE = 1.0
 
 PATIENCE, TRIES = 1.0, 5
 FAIL_SAFE = (
-    "A Tello that hears nothing keeps the last sticks, and lands after 15 s without a command (Tello SDK 2.0). "
-    "Keep its space clear beyond the fence, and a hand near the power button."
+    "A Tello lands 15 s after the last command (Tello SDK 2.0). Nothing says that its sticks return to zero before: "
+    "assume that it flies on, and keep its space clear beyond the fence."
 )
 
 
