@@ -107,6 +107,7 @@ RIVER = (
     "planning",
     "next_flight",
     "request",
+    "outlook",
     "links",
     "recorder",
     "guard",
