@@ -1,13 +1,15 @@
 """What all bags share: messages, one after the other, become tables with `log_time`."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
+from rotorfit.sources.block import Messages, gathered, integers, joined, messages_of
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
 from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
@@ -26,6 +28,11 @@ class _Stream:
         types: Its definitions; None where it is not decoded.
         reason: Why it is not decoded.
         count: Messages seen.
+        times: Of the messages that came one by one [ns].
+        messages: Those.
+        blocks: Times and messages, before those, that came many at once.
+        rows: Messages that wait to be decoded.
+        waiting: Bytes of them.
     """
 
     topic: Topic
@@ -37,6 +44,8 @@ class _Stream:
     foreign: int = 0
     times: list[int] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
+    blocks: list[tuple[npt.NDArray[np.int64], Messages]] = field(default_factory=list)
+    rows: int = 0
     waiting: int = 0
     batches: list[dict[str, Column]] = field(default_factory=list)
     uneven: set[str] = field(default_factory=set)
@@ -66,7 +75,15 @@ class Collector:
             self._streams[topic.name] = self._stream(topic)
         self._of_topic[topic] = self._streams[topic.name]
 
-    def add(self, topic: Topic, time: int, data: bytes | memoryview) -> None:
+    def wants(self, topic: Topic) -> bool:
+        """Whether the messages of a topic are decoded."""
+        return self._of_topic[topic].types is not None
+
+    def pass_over(self, topic: Topic, count: int) -> None:
+        """Counts messages of a topic that is not wanted."""
+        self._of_topic[topic].count += count
+
+    def add(self, topic: Topic, time: int, data: bytes) -> None:
         """Takes one message, recorded at `time` [ns].
 
         Raises:
@@ -74,19 +91,91 @@ class Collector:
         """
         stream = self._of_topic[topic]
         stream.count += 1
-        if stream.types is None:
-            return
-        if (topic.msgtype, topic.encoding) != (stream.topic.msgtype, stream.topic.encoding):
-            stream.foreign += 1
+        if stream.types is None or self._is_foreign(stream, topic, 1):
             return
         if not 0 <= time <= _LATEST:
             stream.lost, stream.fault = stream.lost + 1, stream.fault or "a time of recording that is none"
             return
+        if topic.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
+            try:
+                data = unpacked(data, "zstd")
+            except DamageError as error:
+                stream.lost, stream.fault = stream.lost + 1, stream.fault or str(error)
+                return
         stream.times.append(time)
-        stream.messages.append(bytes(data))
-        stream.waiting += len(data)
-        if len(stream.messages) >= _BATCH or stream.waiting >= _BATCH_BYTES:
-            self._decode(stream)
+        stream.messages.append(data)
+        self._count(stream, 1, len(data))
+
+    def add_block(self, topic: Topic, times: npt.NDArray[np.int64], messages: Messages) -> None:
+        """Takes many messages of one topic; their block may go afterwards.
+
+        Args:
+            topic: Of all of them.
+            times: Of recording [ns], shape (N,).
+            messages: N of them, in their order.
+
+        Raises:
+            LogError: As `add`.
+        """
+        stream = self._of_topic[topic]
+        if stream.types is None or self._is_foreign(stream, topic, len(messages)):
+            stream.count += len(messages)
+            return
+        if times.min(initial=0) < 0 or _any_packed(topic, messages):
+            for row, time in enumerate(times.tolist()):
+                self.add(topic, time, messages.one(row))
+            return
+        stream.count += len(messages)
+        ends, start = np.cumsum(messages.lengths), 0
+        while start < len(messages):
+            fitting = int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _BATCH_BYTES)) + 1
+            stop = min(start + _BATCH - stream.rows, fitting)
+            part = slice(start, stop)
+            _close(stream)
+            stream.blocks.append((times[part], gathered(messages[part])))
+            start = min(stop, len(messages))
+            self._count(stream, len(stream.blocks[-1][0]), len(stream.blocks[-1][1].data))
+
+    def add_mixed(
+        self,
+        topics: Mapping[int, Topic],
+        numbers: npt.NDArray[np.int64],
+        times: npt.NDArray[np.int64],
+        messages: Messages,
+    ) -> bool:
+        """Takes many messages of several topics.
+
+        Args:
+            topics: Number to topic, as the file numbers them.
+            numbers: Of the topic of each message, shape (N,); what has a number below 0 is none.
+            times: Of recording [ns], shape (N,).
+            messages: N of them, in their order.
+
+        Returns:
+            Whether all numbers are known; where they are not, nothing is taken.
+
+        Raises:
+            LogError: As `add`.
+        """
+        present, group, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+        if any(number >= 0 and number not in topics for number in present.tolist()):
+            return False
+        same: dict[tuple[str, str, str], list[int]] = {}  # several may publish on a topic: their order is kept
+        for index, number in enumerate(present.tolist()):
+            if number >= 0:
+                topic = topics[number]
+                same.setdefault((topic.name, topic.msgtype, topic.encoding), []).append(index)
+        order = np.argsort(group, kind="stable")
+        starts = np.cumsum(counts) - counts
+        for members in same.values():
+            topic = topics[int(present[members[0]])]
+            if not self.wants(topic):
+                self.pass_over(topic, int(counts[members].sum()))
+                continue
+            rows = np.concatenate([order[starts[index] : starts[index] + counts[index]] for index in members])
+            rows = np.sort(rows) if len(members) > 1 else rows
+            self.add_block(topic, times[rows], messages[rows])
+        return True
 
     def content(self) -> Content:
         """The tables of all messages.
@@ -126,51 +215,69 @@ class Collector:
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
 
+    def _is_foreign(self, stream: _Stream, topic: Topic, count: int) -> bool:
+        """Whether messages are of another type than the first on their topic; they are counted then."""
+        if (topic.msgtype, topic.encoding) == (stream.topic.msgtype, stream.topic.encoding):
+            return False
+        stream.foreign += count
+        return True
+
+    def _count(self, stream: _Stream, rows: int, size: int) -> None:
+        """Counts messages that wait, and decodes them where they are enough."""
+        stream.rows += rows
+        stream.waiting += size
+        if stream.rows >= _BATCH or stream.waiting >= _BATCH_BYTES:
+            self._decode(stream)
+
     def _decode(self, stream: _Stream) -> None:
         """Decodes the messages that wait."""
-        if stream.types is None or not stream.messages:
+        _close(stream)
+        if stream.types is None or not stream.blocks:
             return
-        messages, fault = _plain(stream)
+        messages = joined([part for _, part in stream.blocks])
+        times = np.concatenate([part for part, _ in stream.blocks])
+        stream.blocks, stream.rows, stream.waiting = [], 0, 0
         batch = decoded(stream.topic, stream.types, messages)
         stream.lost += len(messages) - len(batch.rows)
-        stream.fault = stream.fault or batch.fault or fault
+        stream.fault = stream.fault or batch.fault
         stream.uneven |= batch.uneven
-        times = np.array(stream.times, dtype=np.int64)[batch.rows]
-        if len(times):
-            stream.batches.append(batch.columns | {"log_time": times})
+        if len(batch.rows):
+            stream.batches.append(batch.columns | {"log_time": times[batch.rows]})
             self._bytes += sum(values.nbytes for values in stream.batches[-1].values())
-        stream.times, stream.messages, stream.waiting = [], [], 0
         if self._bytes > LIMIT:
             raise LogError(f"{self._path}: more than {LIMIT >> 20} MiB of numbers; read only the topics that you need")
 
 
-def _plain(stream: _Stream) -> tuple[list[bytes], str]:
-    """Messages that were packed one by one (`--compression-mode message`) unpacked; CDR never begins as zstd does."""
-    if stream.topic.encoding != "cdr" or not any(message.startswith(ZSTD_MAGIC) for message in stream.messages):
-        return stream.messages, ""
-    plain, fault = [], ""
-    for message in stream.messages:
-        try:
-            plain.append(unpacked(message, "zstd") if message.startswith(ZSTD_MAGIC) else message)
-        except DamageError as error:
-            plain.append(b"")
-            fault = fault or str(error)
-    return plain, fault
+def _close(stream: _Stream) -> None:
+    """Makes a block of the messages that came one by one."""
+    if stream.messages:
+        stream.blocks.append((np.array(stream.times, dtype=np.int64), messages_of(stream.messages)))
+        stream.times, stream.messages = [], []
+
+
+def _any_packed(topic: Topic, messages: Messages) -> bool:
+    """Whether messages are packed one by one (`--compression-mode message`); CDR never begins as zstd does."""
+    if topic.encoding != "cdr":
+        return False
+    heads = integers(messages.data, messages.starts[messages.lengths >= len(ZSTD_MAGIC)], "<u4")
+    return bool((heads == int.from_bytes(ZSTD_MAGIC, "little")).any())
 
 
 def _columns(stream: _Stream) -> dict[str, Column]:
-    """Batches end to end, `log_time` first; columns that are not alike in all batches are left out."""
+    """Batches end to end, `log_time` first; columns that are not alike in all batches are left out.
+
+    Each column leaves the batches as it is joined: never is more than one there twice.
+    """
     if not stream.batches:
         return {}
-    first, *others = stream.batches
+    first = tuple(stream.batches[0])
     columns: dict[str, Column] = {}
     for name in ("log_time", *(name for name in first if name != "log_time")):
-        if name in stream.uneven or any(
-            name not in batch or batch[name].shape[1:] != first[name].shape[1:] for batch in others
-        ):
+        parts = [batch.pop(name) for batch in stream.batches if name in batch]
+        if name in stream.uneven or len(parts) < len(stream.batches) or len({part.shape[1:] for part in parts}) > 1:
             stream.uneven.add(name)
         else:
-            columns[name] = np.concatenate([batch[name] for batch in stream.batches])
+            columns[name] = np.concatenate(parts)
     return columns
 
 
