@@ -112,7 +112,9 @@ def messages(ros1: bool, images: bool) -> Iterator[tuple[int, str, str, bytes]]:
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     types, dump = store.types, store.serialize_ros1 if ros1 else store.serialize_cdr
     header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](0x01020304, 0x05060708), frame_id="world", **{"seq": 1} if ros1 else {}
+        stamp=types["builtin_interfaces/msg/Time"](0x01020304, 0x05060708),
+        frame_id="world",
+        **{"seq": 1} if ros1 else {},
     )
     vector, mark = types["geometry_msgs/msg/Vector3"], 1.234567890123e-77
     turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -131,7 +133,12 @@ def messages(ros1: bool, images: bool) -> Iterator[tuple[int, str, str, bytes]]:
     plain = {kind: bytearray(dump(message, kind)) for kind, message in made.items()}
     stamp, value = bytes.fromhex("0403020108070605"), np.float64(mark).tobytes()
     places = {kind: (data.index(stamp), data.find(value)) for kind, data in plain.items()}
-    topics = {POSE: (WANTED[0], 1), ODOMETRY: ("/odom", 1), TWIST: (WANTED[1], 3), IMAGE: ("/camera", 3 if images else 0)}
+    topics = {
+        POSE: (WANTED[0], 1),
+        ODOMETRY: ("/odom", 1),
+        TWIST: (WANTED[1], 3),
+        IMAGE: ("/camera", 3 if images else 0),
+    }
     size, step = 0, 0
     while size < MEGABYTES * 1e6:
         time = START + step * 10_000_000

@@ -8,14 +8,18 @@ from functools import partial
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from rotorfit.errors import LogError
 from rotorfit.sources import mcap
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import ZSTD_MAGIC, unpack_file
-from rotorfit.sources.content import LIMIT, Content, DamageError, one_line
+from rotorfit.sources.content import BLOCK_LIMIT, LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
+from rotorfit.sources.sqlite_leaves import rows_of_messages
 
 _MAGIC = b"SQLite format 3\0"
+_FIRST_ROW, _LAST_ROW = -(1 << 63), (1 << 63) - 1
 _UNPACKED_LIMIT = 16 * LIMIT  # on disk
 
 
@@ -92,14 +96,14 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
             _whole_pages(named, file, collector) as whole,
             closing(sqlite3.connect(f"{whole.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
         ):
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LIMIT)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, BLOCK_LIMIT)
             database.text_factory = partial(str, encoding="utf-8", errors="replace")
             database.execute("PRAGMA trusted_schema = OFF")
             _check_schema(named, database)
             topics = _topics(database)
             for topic in topics.values():
                 collector.declare(topic)
-            _messages(database, topics, collector)
+            _messages(whole, database, topics, collector)
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where SQLite quotes damaged bytes
         collector.note(f"{named.name} is damaged ({one_line(error)}); read up to there")
 
@@ -146,6 +150,8 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
             definitions[str(name)] = (str(language), str(text))
     topics: dict[int, Topic] = {}
     for number, name, msgtype, encoding in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+        if not isinstance(number, int):
+            continue
         language, text = definitions.get(str(msgtype), ("ros2msg", ""))
         topics[number] = Topic(
             str(name), normal_type(str(msgtype)), str(encoding), text, "idl" if language == "ros2idl" else "msg"
@@ -153,8 +159,39 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
     return topics
 
 
-def _messages(database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
-    """Gives the messages in the order of recording."""
-    for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
+def _messages(file: Path, database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
+    """Gives the messages in the order of recording: from the pages where they are as rosbag2 writes them."""
+    last: int | None = None
+    try:
+        wanted = [number for number, topic in topics.items() if collector.wants(topic)]
+        for rows in rows_of_messages(file, _root(database)):
+            unknown = len(rows.numbers) == 0 or not rows.whole[np.isin(rows.numbers, wanted)].all()
+            if unknown or not collector.add_mixed(topics, rows.numbers, rows.times, rows.messages):
+                _rows(database, topics, collector, rows.first, rows.last)
+            last = rows.last
+    except DamageError:
+        if last != _LAST_ROW:
+            _rows(database, topics, collector, _FIRST_ROW if last is None else last + 1, _LAST_ROW)
+
+
+def _root(database: sqlite3.Connection) -> int:
+    """Root page of the table of messages."""
+    columns = [
+        (name, kind.upper(), key) for _, name, kind, _, _, key in database.execute("PRAGMA table_info(messages)")
+    ]
+    if [name for name, _, _ in columns] != ["id", "topic_id", "timestamp", "data"] or columns[0][1:] != ("INTEGER", 1):
+        raise DamageError("a table with other columns")
+    ((root,),) = database.execute("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'")
+    return int(root)
+
+
+def _rows(database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector, first: int, last: int) -> None:
+    """Gives the messages of a range of rows, one by one; of topics that are not wanted SQLite fetches no bytes."""
+    wanted = ",".join(str(number) for number, topic in topics.items() if collector.wants(topic))
+    for number, time, data in database.execute(
+        f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({wanted}) THEN data ELSE x'' END "
+        "FROM messages WHERE rowid BETWEEN ? AND ? ORDER BY rowid",
+        (first, last),
+    ):
         if number in topics and isinstance(time, int) and isinstance(data, bytes):
             collector.add(topics[number], time, data)
