@@ -16,11 +16,13 @@ from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import ZSTD_MAGIC, unpack_file
 from rotorfit.sources.content import BLOCK_LIMIT, LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
-from rotorfit.sources.sqlite_leaves import rows_of_messages
+from rotorfit.sources.sqlite_leaves import rows_left, rows_of_table
 
 _MAGIC = b"SQLite format 3\0"
-_FIRST_ROW, _LAST_ROW = -(1 << 63), (1 << 63) - 1
+_FIRST_ROW = -(1 << 63)
 _UNPACKED_LIMIT = 16 * LIMIT  # on disk
+
+_Row = tuple[int, object, object, object]  # rowid, topic, time, message, of whatever types a stranger chose
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -104,7 +106,7 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
             for topic in topics.values():
                 collector.declare(topic)
             _messages(whole, database, topics, collector)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where SQLite quotes damaged bytes
+    except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:  # the second where SQLite quotes damaged bytes
         collector.note(f"{named.name} is damaged ({one_line(error)}); read up to there")
 
 
@@ -160,18 +162,48 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
 
 
 def _messages(file: Path, database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
-    """Gives the messages in the order of recording: from the pages where they are as rosbag2 writes them."""
-    last: int | None = None
+    """Gives the messages in the order of recording.
+
+    From the pages where they are as rosbag2 writes them, else by SQLite, and behind damage from the pages again.
+    """
+    last = _FIRST_ROW
+    wanted = [number for number, topic in topics.items() if collector.wants(topic)]
     try:
-        wanted = [number for number, topic in topics.items() if collector.wants(topic)]
-        for rows in rows_of_messages(file, _root(database)):
-            unknown = len(rows.numbers) == 0 or not rows.whole[np.isin(rows.numbers, wanted)].all()
-            if unknown or not collector.add_mixed(topics, rows.numbers, rows.times, rows.messages):
-                _rows(database, topics, collector, rows.first, rows.last)
-            last = rows.last
+        for rows in rows_of_table(file, _root(database), wanted):
+            if not collector.add_mixed(topics, rows.numbers, rows.times, rows.messages):
+                raise DamageError("a message without its topic")
+            last = int(rows.rowids.max(initial=last))
+        return
     except DamageError:
-        if last != _LAST_ROW:
-            _rows(database, topics, collector, _FIRST_ROW if last is None else last + 1, _LAST_ROW)
+        pass
+    try:
+        for row, number, time, data in _slow_rows(file, database, wanted, last):
+            if number in topics and isinstance(time, int) and isinstance(data, bytes):
+                collector.add(topics[number], time, data)
+            last = row
+    except (sqlite3.DatabaseError, DamageError):
+        for rows in rows_left(file, last, wanted):
+            known = rows[np.isin(rows.numbers, [*topics])]
+            collector.add_mixed(topics, known.numbers, known.times, known.messages)
+        raise
+
+
+def _slow_rows(file: Path, database: sqlite3.Connection, wanted: list[int], after: int) -> Iterator[_Row]:
+    """Rows behind one, one by one; of topics that are not wanted SQLite fetches no bytes.
+
+    Raises:
+        DamageError: Together they are larger than their file, whose pages then belong to several of them.
+    """
+    numbers, left = ",".join(map(str, wanted)), file.stat().st_size
+    for row in database.execute(
+        f"SELECT rowid, topic_id, timestamp, CASE WHEN topic_id IN ({numbers}) THEN data ELSE x'' END "
+        "FROM messages WHERE rowid > ? ORDER BY rowid",
+        (after,),
+    ):
+        left -= len(row[3]) if isinstance(row[3], bytes) else 0
+        if left < 0:
+            raise DamageError("messages larger than the file")
+        yield row
 
 
 def _root(database: sqlite3.Connection) -> int:
@@ -183,15 +215,3 @@ def _root(database: sqlite3.Connection) -> int:
         raise DamageError("a table with other columns")
     ((root,),) = database.execute("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'")
     return int(root)
-
-
-def _rows(database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector, first: int, last: int) -> None:
-    """Gives the messages of a range of rows, one by one; of topics that are not wanted SQLite fetches no bytes."""
-    wanted = ",".join(str(number) for number, topic in topics.items() if collector.wants(topic))
-    for number, time, data in database.execute(
-        f"SELECT topic_id, timestamp, CASE WHEN topic_id IN ({wanted}) THEN data ELSE x'' END "
-        "FROM messages WHERE rowid BETWEEN ? AND ? ORDER BY rowid",
-        (first, last),
-    ):
-        if number in topics and isinstance(time, int) and isinstance(data, bytes):
-            collector.add(topics[number], time, data)
