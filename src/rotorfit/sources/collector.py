@@ -15,7 +15,7 @@ from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_li
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
 
 _BATCH = 4096  # messages decoded at once, or
-_BATCH_BYTES = 1 << 23
+_BATCH_BYTES = 1 << 22
 _LATEST = (1 << 63) - 1
 
 
@@ -33,6 +33,9 @@ class _Stream:
         blocks: Times and messages, before those, that came many at once.
         rows: Messages that wait to be decoded.
         waiting: Bytes of them.
+        columns: Name to what is decoded, with room for more at the end: memory that is not written to is not taken.
+        filled: Rows decoded.
+        uneven: Names of columns that differ in shape from message to message.
     """
 
     topic: Topic
@@ -47,7 +50,8 @@ class _Stream:
     blocks: list[tuple[npt.NDArray[np.int64], Messages]] = field(default_factory=list)
     rows: int = 0
     waiting: int = 0
-    batches: list[dict[str, Column]] = field(default_factory=list)
+    columns: dict[str, Column] = field(default_factory=dict)
+    filled: int = 0
     uneven: set[str] = field(default_factory=set)
 
 
@@ -190,7 +194,8 @@ class Collector:
         tables: dict[str, Table] = {}
         skipped: dict[str, str] = {}
         for name, stream in self._streams.items():
-            columns = _columns(stream)
+            columns = {name: values[: stream.filled] for name, values in stream.columns.items()}
+            columns = {name: values for name, values in columns.items() if name not in stream.uneven}
             if len(columns) > 1:
                 tables[name] = Table(name, columns)
                 for text in _notes(stream):
@@ -241,8 +246,8 @@ class Collector:
         stream.fault = stream.fault or batch.fault
         stream.uneven |= batch.uneven
         if len(batch.rows):
-            stream.batches.append(batch.columns | {"log_time": times[batch.rows]})
-            self._bytes += sum(values.nbytes for values in stream.batches[-1].values())
+            _append(stream, {"log_time": times[batch.rows]} | batch.columns)
+            self._bytes += sum(values.nbytes for values in batch.columns.values()) + 8 * len(batch.rows)
         if self._bytes > LIMIT:
             raise LogError(f"{self._path}: more than {LIMIT >> 20} MiB of numbers; read only the topics that you need")
 
@@ -268,22 +273,25 @@ def _any_packed(topic: Topic, messages: Messages) -> bool:
     return bool((heads == int.from_bytes(ZSTD_MAGIC, "little")).any())
 
 
-def _columns(stream: _Stream) -> dict[str, Column]:
-    """Batches end to end, `log_time` first; columns that are not alike in all batches are left out.
+def _append(stream: _Stream, batch: dict[str, Column]) -> None:
+    """Puts a batch behind what is decoded; columns that are not alike in all batches are left out."""
+    start, stop = stream.filled, stream.filled + len(batch["log_time"])
+    if start == 0:
+        stream.columns = batch
+    else:
+        alike = {name for name, values in stream.columns.items() if name in batch and _are_alike(values, batch[name])}
+        stream.uneven |= (stream.columns.keys() | batch.keys()) - alike
+        stream.columns = {name: values for name, values in stream.columns.items() if name in alike}
+        for name, values in stream.columns.items():
+            if len(values) < stop:  # twice the room: all copies together are as much as the column
+                stream.columns[name] = np.empty((2 * stop, *values.shape[1:]), values.dtype)
+                stream.columns[name][:start] = values[:start]
+            stream.columns[name][start:stop] = batch[name]
+    stream.filled = stop
 
-    Each column leaves the batches as it is joined: never is more than one there twice.
-    """
-    if not stream.batches:
-        return {}
-    first = tuple(stream.batches[0])
-    columns: dict[str, Column] = {}
-    for name in ("log_time", *(name for name in first if name != "log_time")):
-        parts = [batch.pop(name) for batch in stream.batches if name in batch]
-        if name in stream.uneven or len(parts) < len(stream.batches) or len({part.shape[1:] for part in parts}) > 1:
-            stream.uneven.add(name)
-        else:
-            columns[name] = np.concatenate(parts)
-    return columns
+
+def _are_alike(one: Column, other: Column) -> bool:
+    return one.shape[1:] == other.shape[1:] and one.dtype == other.dtype
 
 
 def _notes(stream: _Stream) -> list[str]:

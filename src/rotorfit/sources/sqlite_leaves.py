@@ -22,7 +22,7 @@ from rotorfit.sources.content import BLOCK_LIMIT, DamageError
 
 _INTERIOR, _LEAF = 5, 13
 _LEAF_HEAD, _INTERIOR_HEAD = 8, 12
-_BLOCK = 1 << 23  # bytes of leaves, or of messages beyond them, taken at once
+_BLOCK = 1 << 22  # bytes of leaves, or of messages beyond them, taken at once
 _PREFIX = 48  # bytes of a row that its lengths, its rowid, its topic and its time never exceed
 _DEEPEST, _MOST_LAYOUTS = 20, 64
 _INTEGER_SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
@@ -130,7 +130,7 @@ def rows_left(path: Path, after: int, wanted: list[int]) -> Iterator[Rows]:
         step = max(1, _BLOCK // pages.size)
         for start in range(0, len(leaves), step):
             for found in _rows_that_are_right(pages, leaves[start : start + step]):
-                ascending = found[np.argsort(found.rowids, kind="stable")]
+                ascending = found[np.unique(found.rowids, return_index=True)[1]]
                 for rows in _filled(pages, ascending[ascending.rowids > after], wanted):
                     yield rows[rows.whole | ~np.isin(rows.numbers, wanted)]
                 after = int(found.rowids.max(initial=after))
