@@ -76,7 +76,7 @@ def integers(data: Bytes, places: Places, form: str) -> npt.NDArray[np.int64]:
         return np.zeros(0, np.int64)
     number = np.dtype(form)
     windows = np.ndarray((len(data) - number.itemsize + 1,), number, data, strides=(1,))
-    return windows[places].astype(np.int64)
+    return windows[places].astype(np.int64, copy=False)
 
 
 Ends = Callable[[bytes, Places], Places | None]

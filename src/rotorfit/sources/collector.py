@@ -17,6 +17,9 @@ from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_num
 _BATCH = 4096  # messages decoded at once, or
 _BATCH_BYTES = 1 << 22
 _LATEST = (1 << 63) - 1
+_MOST_TOPICS, _MOST_TEXT = 1 << 14, 1 << 25  # connections, and characters of their definitions together
+_MOST_PARSED = 1 << 21  # characters of definitions that are parsed: a few seconds
+_MOST_NOTES = 100
 
 
 @dataclass
@@ -67,14 +70,27 @@ class Collector:
         self._streams: dict[str, _Stream] = {}
         self._of_topic: dict[Topic, _Stream] = {}
         self._notes: list[str] = []
+        self._more_notes = 0
         self._bytes = 0
+        self._text = self._parsed = 0
+        self._types: dict[tuple[str, str, str, str], Types] = {}
 
     def note(self, text: str) -> None:
         """Says what was lost or recovered."""
-        self._notes.append(one_line(text))
+        if len(self._notes) < _MOST_NOTES:
+            self._notes.append(one_line(text))
+        else:
+            self._more_notes += 1
 
     def declare(self, topic: Topic) -> None:
-        """Makes a topic known, also one that may turn out to have no message."""
+        """Makes a topic known, also one that may turn out to have no message.
+
+        Raises:
+            DamageError: There are more of them, or more text of definitions, than any recorder writes.
+        """
+        self._text += len(topic.definition)
+        if len(self._of_topic) == _MOST_TOPICS or self._text > _MOST_TEXT:
+            raise DamageError(f"more than {_MOST_TOPICS} topics, or {_MOST_TEXT >> 20} MiB of definitions")
         if topic.name not in self._streams:
             self._streams[topic.name] = self._stream(topic)
         self._of_topic[topic] = self._streams[topic.name]
@@ -203,6 +219,8 @@ class Collector:
             else:
                 reason = stream.reason or stream.fault or "no numbers of the same length in all messages"
                 skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
+        if self._more_notes:
+            self._notes.append(f"and {self._more_notes} more such notes")
         return Content(tables, skipped, tuple(self._notes))
 
     def _stream(self, topic: Topic) -> _Stream:
@@ -212,12 +230,22 @@ class Collector:
         if self._wanted is None and topic.msgtype in BULK_TYPES:
             return _Stream(topic, None, "not a table of numbers")
         try:
-            types = types_of(topic)
+            types = self._types_of(topic)
         except DamageError as error:
             return _Stream(topic, None, str(error))
         if not has_numbers(types, topic.msgtype):
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
+
+    def _types_of(self, topic: Topic) -> Types:
+        """The definitions of a topic's type, parsed once for all topics of the type."""
+        key = (topic.msgtype, topic.encoding, topic.definition, topic.language)
+        if key not in self._types:
+            self._parsed += len(topic.definition)
+            if self._parsed > _MOST_PARSED:
+                raise DamageError(f"the definitions of the topics before it fill {_MOST_PARSED >> 20} MiB")
+            self._types[key] = types_of(topic)
+        return self._types[key]
 
     def _is_foreign(self, stream: _Stream, topic: Topic, count: int) -> bool:
         """Whether messages are of another type than the first on their topic; they are counted then."""

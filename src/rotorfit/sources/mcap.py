@@ -27,6 +27,7 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 0x02, 0x03, 0x
 _PREFIX, _MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the place in the unpacked chunk
 _MOST_INDEXED, _MOST_CHANNELS = BLOCK_LIMIT // _PREFIX.size, 1 << 12  # messages, channels in the index of a chunk
+_MOST_TEXT = 1 << 25  # characters of definitions
 _LANGUAGES: dict[str, Literal["msg", "idl"]] = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
@@ -46,12 +47,19 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     return collector.content()
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Known:
-    """What earlier records of the file have said: schemas (name, language, text) and topics by their numbers."""
+    """What earlier records of the file have said.
 
-    schemas: dict[int, tuple[str, str, bytes]]
-    topics: dict[int, Topic]
+    Attributes:
+        schemas: Number to name, language and text.
+        topics: Number of the channel to topic.
+        text: Bytes of all those texts.
+    """
+
+    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
+    topics: dict[int, Topic] = field(default_factory=dict)
+    text: int = 0
 
 
 @dataclass
@@ -72,7 +80,7 @@ class _Chunk:
 def collect(path: Path, collector: Collector) -> None:
     """Gives all messages of a file to a collector."""
     size = path.stat().st_size
-    known = _Known({}, {})
+    known = _Known()
     chunk: _Chunk | None = None
     with path.open("rb") as file:
         file.seek(len(MAGIC))
@@ -223,7 +231,10 @@ def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None
         name, start = _text(data, start)
         language, start = _text(data, start)
         definition, start = _bytes(data, start)
+        known.text += len(definition) - len(schemas.get(number, ("", "", b""))[2])
         schemas[number] = (name, language, definition)
+        if known.text > _MOST_TEXT:
+            raise DamageError(f"more than {_MOST_TEXT >> 20} MiB of definitions")
     elif kind == _CHANNEL:
         number, start = _small(data, 0)
         schema, start = _small(data, start)

@@ -41,7 +41,7 @@ _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields as rosbags numbers them (inter
 _TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
 _FILLER = "structure_needs_at_least_one_member"  # what an empty message is in ROS 2
 _COMPUTED = re.compile(r"<<|\bconst\b[^;]*=[^;]*\*")  # a stranger's may grow without bound
-_DEEPEST, _MOST_STEPS, _LONGEST, _MOST_SHAPES = 24, 100_000, 1 << 20, 32
+_DEEPEST, _MOST_STEPS, _LONGEST, _MOST_SHAPES = 24, 100_000, 1 << 18, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def types_of(topic: Topic) -> Types:
     types: dict[str, Fields] = {name: fields for name, (_, fields) in store.fielddefs.items()}
     text = topic.definition.replace("\r\n", "\n")
     if len(text) > _LONGEST:
-        raise DamageError(f"its definition is longer than {_LONGEST >> 20} MiB")
+        raise DamageError(f"its definition is longer than {_LONGEST >> 10} KiB")
     try:
         if topic.language == "idl":
             if _COMPUTED.search(text):

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.errors import LogError
-from rotorfit.sources.block import Messages, Places, byte_rows, integers, record_starts
+from rotorfit.sources.block import Messages, Places, integers, record_starts
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import unpacked
 from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError
@@ -209,17 +209,16 @@ def _alike(headers: Messages, left: Places) -> _Alike:
     spans = _spans(header)
     number, time = _place(spans, b"conn", _U32), _place(spans, b"time", _TIME)
     left = left[headers.lengths[left] == len(header)]
-    block = byte_rows(headers.data, headers.starts[left], len(header))
-    fixed = np.ones(len(header), bool)
-    fixed[number : number + 4] = fixed[time : time + 8] = False
-    same = (block[:, fixed] == np.frombuffer(header, np.uint8)[fixed]).all(axis=1)
-    left, block = left[same], block[same]
-    stamp = block[:, time : time + 8].copy().view("<u4").astype(np.int64)
-    return _Alike(
-        left,
-        block[:, number : number + 4].copy().view("<u4").astype(np.int64)[:, 0],
-        stamp[:, 0] * 1_000_000_000 + stamp[:, 1],
-    )
+    varying = bytearray(len(header))
+    varying[number : number + 4], varying[time : time + 8] = b"\xff" * 4, b"\xff" * 8
+    starts = headers.starts[left]
+    same = np.ones(len(left), bool)
+    for at in (*range(0, len(header) - 8, 8), len(header) - 8):  # eight bytes at once, the last ones overlap
+        word, mask = (int.from_bytes(part[at : at + 8], "little", signed=True) for part in (header, varying))
+        same &= (integers(headers.data, starts + at, "<i8") ^ word) & ~mask == 0
+    left, starts = left[same], starts[same]
+    seconds, nanoseconds = (integers(headers.data, starts + time + part, "<u4") for part in (0, 4))
+    return _Alike(left, integers(headers.data, starts + number, "<u4"), seconds * 1_000_000_000 + nanoseconds)
 
 
 def _place(spans: dict[bytes, tuple[int, int]], name: bytes, form: struct.Struct) -> int:
