@@ -237,6 +237,7 @@ def test_rows_that_were_deleted_and_numbers_of_all_sizes_are_read_as_sqlite_read
         database.execute("DELETE FROM messages WHERE id % 7 = 0")
         database.execute("UPDATE messages SET id = id * 1000003 * 1000003 WHERE id % 5 = 0")
         database.execute("UPDATE messages SET timestamp = id WHERE id % 3 = 0")
+        database.execute("UPDATE messages SET timestamp = id * 70000 WHERE id % 4 = 0 AND id < 1000")
         expected = [
             [time for (time,) in database.execute(f"SELECT timestamp FROM messages WHERE topic_id = {n} ORDER BY id")]
             for n in (1, 2)

@@ -238,12 +238,14 @@ def _read(pages: _Pages, leaves: Places) -> npt.NDArray[np.uint8]:
 def _taken(data: npt.NDArray[np.uint8], starts: Places, limits: Places, used: int) -> Rows:
     """The columns of the rows that begin at `starts` and must end before `limits`."""
     prefix = byte_rows(data, starts, _PREFIX)
+    words = prefix.view(np.uint64)
     rowids, numbers, times, places, lengths, here = (np.zeros(len(starts), np.int64) for _ in range(6))
     left, layouts = np.arange(len(starts)), 0
     while len(left):
-        pattern = prefix[left[0]]
-        layout = _layout(pattern.tobytes(), used)
-        same = ((prefix[left] & layout.mask) == (pattern & layout.mask)).all(axis=1)
+        layout = _layout(prefix[left[0]].tobytes(), used)
+        same = np.ones(len(left), bool)
+        for word in np.flatnonzero(mask := layout.mask.view(np.uint64)).tolist():  # eight bytes at once
+            same &= (words[left, word] ^ words[left[0], word]) & mask[word] == 0
         layouts += 1
         if layouts > _MOST_LAYOUTS:  # each row is its own: to look for others like it would take too long
             same = np.arange(len(left)) == 0
@@ -252,8 +254,8 @@ def _taken(data: npt.NDArray[np.uint8], starts: Places, limits: Places, used: in
             raise DamageError("a row outside of its page")
         for place in range(*layout.rowid):
             rowids[rows] = rowids[rows] << 7 | prefix[rows, place] & 0x7F
-        numbers[rows] = _integer(prefix, rows, *layout.topic)
-        times[rows] = _integer(prefix, rows, *layout.time)
+        numbers[rows] = _integers(data, starts[rows] + layout.topic[0], layout.topic[1])
+        times[rows] = _integers(data, starts[rows] + layout.time[0], layout.time[1])
         places[rows], lengths[rows], here[rows] = starts[rows] + layout.data, layout.length, layout.here
     return Rows(rowids, numbers, times, Messages(data, places, lengths), here)
 
@@ -308,13 +310,15 @@ def _varint(data: bytes, start: int) -> tuple[int, int]:
     return value << 8 | data[start + 8], start + 9
 
 
-def _integer(prefix: npt.NDArray[np.uint8], rows: Places, place: int, kind: int) -> Places:
-    """A signed number, most significant byte first, of each row."""
-    values = np.full(len(rows), kind - 8 if kind in (8, 9) else 0, dtype=np.int64)
-    for byte in range(_INTEGER_SIZES[kind]):
-        column = prefix[rows, place + byte]
-        values = values * 256 + column if byte else column.astype(np.int8).astype(np.int64)
-    return values
+def _integers(data: npt.NDArray[np.uint8], places: Places, kind: int) -> Places:
+    """Signed numbers of a serial type, most significant byte first."""
+    if kind in (8, 9):
+        return np.full(len(places), kind - 8)
+    size = _INTEGER_SIZES[kind]
+    if size in (3, 6):  # a signed number above an unsigned one of twice its size
+        high, low = integers(data, places, f">i{size // 3}"), integers(data, places + size // 3, f">u{size // 3 * 2}")
+        return high << 8 * (size // 3 * 2) | low
+    return integers(data, places, f">i{size}")
 
 
 def _filled(pages: _Pages, rows: Rows, wanted: list[int]) -> Iterator[Rows]:
