@@ -5,12 +5,16 @@ import sqlite3
 import struct
 import tracemalloc
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import lz4.frame
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Writer1
 
 from rotorfit.card import builtin_cards, card_from_mapping, tables_of
@@ -19,7 +23,7 @@ from rotorfit.pipeline import WHOLE, LogSpan, load_flight
 from rotorfit.sources import mcap, read, rosbag1
 from rotorfit.sources.block import messages_of
 from rotorfit.sources.messages import Topic, decoded, types_of
-from test_log import log_or_line
+from test_log import log_or_line, survives
 from test_sources import (
     IMAGE,
     JAZZY,
@@ -445,3 +449,30 @@ def test_a_flight_with_a_card_decodes_the_tables_of_the_card_only(
 
     assert asked == [{"/cmd_vel", "/drone/pose"}]
     assert flight.duration > 0
+
+
+# Fuzz
+
+
+@cache
+def sample(name: str) -> bytes:
+    """A small bag."""
+    with TemporaryDirectory() as folder:
+        return WRITERS[name](Path(folder) / "bag", recording(60, 17)).read_bytes()
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.sampled_from(sorted(WRITERS)),
+    st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.binary(min_size=1, max_size=4)), min_size=1, max_size=6),
+    st.floats(0.05, 1),
+)
+def test_a_bag_changed_at_random_gives_a_log_or_one_line(
+    name: str, edits: list[tuple[float, bytes]], kept: float
+) -> None:
+    content = bytearray(sample(name))
+    for place, noise in edits:
+        start = int(place * len(content))
+        content[start : start + len(noise)] = noise
+
+    survives(bytes(content[: int(kept * len(content)) + 1]))
