@@ -1,7 +1,7 @@
 """Log: what a file holds, as recorded: named tables of columns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,6 +27,19 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Event:
+    """Something that happened in flight.
+
+    Attributes:
+        time: By the recorder's clock [ns].
+        text: What.
+    """
+
+    time: int
+    text: str
+
+
+@dataclass(frozen=True)
 class Log:
     """A file as recorded.
 
@@ -37,6 +50,8 @@ class Log:
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
         notes: What was lost or recovered on reading, and which columns were left out, one line each.
+        attached: What `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit` (version).
+        events: What it noted in flight, in order.
     """
 
     path: Path
@@ -45,6 +60,8 @@ class Log:
     tables: Mapping[str, Table]
     skipped: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    attached: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.errors import LogError
-from rotorfit.log import Column, Table
+from rotorfit.log import Column, Event, Table
 from rotorfit.sources.block import Messages, gathered, integers, joined, messages_of
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
 from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
@@ -19,7 +19,7 @@ _BATCH_BYTES = 1 << 22
 _LATEST = (1 << 63) - 1
 _MOST_TOPICS, _MOST_TEXT = 1 << 14, 1 << 25  # connections, and characters of their definitions together
 _MOST_PARSED = 1 << 21  # characters of definitions that are parsed: a few seconds
-_MOST_NOTES = 100
+_MOST_NOTES, _MOST_EVENTS = 100, 10_000
 
 
 @dataclass
@@ -74,6 +74,8 @@ class Collector:
         self._bytes = 0
         self._text = self._parsed = 0
         self._types: dict[tuple[str, str, str, str], Types] = {}
+        self._attached: dict[str, str] = {}
+        self._events: list[Event] = []
 
     def note(self, text: str) -> None:
         """Says what was lost or recovered."""
@@ -81,6 +83,27 @@ class Collector:
             self._notes.append(one_line(text))
         else:
             self._more_notes += 1
+
+    def attach(self, texts: Mapping[str, str]) -> None:
+        """Takes what was written beside the messages.
+
+        Raises:
+            DamageError: It is more text than any recorder writes.
+        """
+        self._text += sum(map(len, texts.values()))
+        if self._text > _MOST_TEXT:
+            raise DamageError(f"more than {_MOST_TEXT >> 20} MiB of text")
+        self._attached |= texts
+
+    def happened(self, event: Event) -> None:
+        """Takes an event.
+
+        Raises:
+            DamageError: There are more than anything notes in flight.
+        """
+        if len(self._events) == _MOST_EVENTS:
+            raise DamageError(f"more than {_MOST_EVENTS} events")
+        self._events.append(event)
 
     def declare(self, topic: Topic) -> None:
         """Makes a topic known, also one that may turn out to have no message.
@@ -221,7 +244,7 @@ class Collector:
                 skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
         if self._more_notes:
             self._notes.append(f"and {self._more_notes} more such notes")
-        return Content(tables, skipped, tuple(self._notes))
+        return Content(tables, skipped, tuple(self._notes), self._attached, tuple(self._events))
 
     def _stream(self, topic: Topic) -> _Stream:
         """Decides whether a topic is decoded."""

@@ -16,14 +16,19 @@ from typing import BinaryIO, Literal
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.log import Event
 from rotorfit.sources.block import Messages, Places, integers, record_starts
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import unpacked
-from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError
+from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
 
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x0F
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
+_METADATA, _DATA_END = 0x0C, 0x0F
+ATTACHED, EVENTS = "rotorfit", "/rotorfit/event"
+"""Name of the Metadata record, and the topic of std_msgs/msg/String, in which `rotorfit fly` writes what it did."""
+
 _PREFIX, _MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the place in the unpacked chunk
 _MOST_INDEXED, _MOST_CHANNELS = BLOCK_LIMIT // _PREFIX.size, 1 << 12  # messages, channels in the index of a chunk
@@ -96,7 +101,7 @@ def collect(path: Path, collector: Collector) -> None:
                     return
                 if kind == _CHUNK:
                     chunk = _Chunk(start, length)
-                elif kind in (_MESSAGE, _SCHEMA, _CHANNEL):
+                elif kind in (_MESSAGE, _SCHEMA, _CHANNEL, _METADATA):
                     _record(kind, _data(file, start, length), known, collector)
             _take(file, chunk, known, collector)
             collector.note("the file was never closed; read from front to back")
@@ -139,7 +144,7 @@ def _passed_over(chunk: _Chunk, topics: dict[int, Topic], collector: Collector) 
     """Only counts the messages of a chunk whose index names known topics and none that is wanted."""
     if not chunk.index or not all(number in topics for number in chunk.index):
         return False
-    if any(collector.wants(topics[number]) for number in chunk.index):
+    if any(_tells_events(topics[number]) or collector.wants(topics[number]) for number in chunk.index):
         return False
     for number, places in chunk.index.items():
         collector.pass_over(topics[number], len(places))
@@ -186,7 +191,12 @@ def _at_once(
         return False
     numbers, times = (integers(messages.data, messages.starts + at, form) for at, form in ((0, "<u2"), (6, "<u8")))
     inner = Messages(messages.data, messages.starts + _MESSAGE_HEAD.size, messages.lengths - _MESSAGE_HEAD.size)
-    return collector.add_mixed(known.topics, numbers, times, inner)
+    telling = np.isin(numbers, [number for number, topic in known.topics.items() if _tells_events(topic)])
+    if not collector.add_mixed(known.topics, np.where(telling, -1, numbers), times, inner):
+        return False
+    for row in np.flatnonzero(telling).tolist():
+        _event(int(times[row]), inner.one(row), collector)
+    return True
 
 
 def _ends(data: bytes, starts: Places) -> Places | None:
@@ -217,7 +227,7 @@ def _starts(data: bytes, start: int, end: int) -> tuple[list[int], str]:
 
 
 def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None:
-    """Takes a message, a channel or a schema; other records hold nothing for us."""
+    """Takes a message, a channel, a schema or what is attached; other records hold nothing for us."""
     schemas, topics = known.schemas, known.topics
     if kind == _MESSAGE:
         if len(data) < _MESSAGE_HEAD.size:
@@ -225,7 +235,12 @@ def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None
         number, _, time, _ = _MESSAGE_HEAD.unpack_from(data)
         if number not in topics:
             raise DamageError("a message without its channel")
-        collector.add(topics[number], time, data[_MESSAGE_HEAD.size :])
+        if _tells_events(topics[number]):
+            _event(time, data[_MESSAGE_HEAD.size :], collector)
+        else:
+            collector.add(topics[number], time, data[_MESSAGE_HEAD.size :])
+    elif kind == _METADATA:
+        _attached(data, collector)
     elif kind == _SCHEMA:
         number, start = _small(data, 0)
         name, start = _text(data, start)
@@ -244,7 +259,36 @@ def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None
         if number not in topics:
             text = definition.decode(errors="replace") if language in _LANGUAGES else ""
             topics[number] = Topic(name, normal_type(msgtype), encoding, text, _LANGUAGES.get(language, "msg"))
-            collector.declare(topics[number])
+            if not _tells_events(topics[number]):
+                collector.declare(topics[number])
+
+
+def _tells_events(topic: Topic) -> bool:
+    return topic.name == EVENTS and topic.msgtype == "std_msgs/msg/String" and topic.encoding == "cdr"
+
+
+def _event(time: int, data: bytes, to: Collector) -> None:
+    """Takes an event; a damaged one costs itself only."""
+    try:
+        value, _ = _text(data, 4)  # behind the head of CDR
+        to.happened(Event(time, one_line(value.rstrip("\0"))))
+    except DamageError as error:
+        to.note(f"an event is damaged ({error}); left out")
+
+
+def _attached(data: bytes, to: Collector) -> None:
+    """Takes the Metadata record of `rotorfit fly`: a name, then a map of texts. A damaged one costs itself only."""
+    try:
+        name, start = _text(data, 0)
+        if name != ATTACHED:
+            return
+        pairs, texts, start = _bytes(data, start)[0], {}, 0
+        while start < len(pairs):
+            key, start = _text(pairs, start)
+            texts[key], start = _text(pairs, start)
+        to.attach(texts)
+    except DamageError as error:
+        to.note(f"what is attached is damaged ({error}); left out")
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
