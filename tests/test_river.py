@@ -23,6 +23,7 @@ RIVER = (
     "columns",
     "stream",
     "flight",
+    "held",
     "draft",
     "derivative",
     "regression",

@@ -16,6 +16,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.held import without_held
 from rotorfit.influence import with_influence
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
@@ -139,7 +140,8 @@ def validate_logs(
     progress: Progress | None = None,
 ) -> tuple[Validation, tuple[Flight, ...]]:
     """Reads logs with the model's own card unless another is given, and scores the model on them."""
-    flights = tuple(load_flight(log, card or card_from_mapping(model.card.raw, "the model's card")) for log in logs)
+    own = card_from_mapping(model.card.raw, "the model's card")
+    flights = tuple(without_held([load_flight(log, card or own) for log in logs]))
     return validate(model, flights, horizons, progress), flights
 
 
