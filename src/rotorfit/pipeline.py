@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_of, load_card
+from rotorfit.card import Card, card_from_mapping, card_of, load_card, tables_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -76,7 +76,7 @@ def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
 
 def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
-    raw = read(log.path)
+    raw = read(log.path, tables_of(card) if card else None)
     card = card or card_of(raw)
     return raw, card, flight_from_log(raw, card, log.span)
 
