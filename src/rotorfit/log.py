@@ -1,10 +1,11 @@
 """Log: what a file holds, as recorded: named tables of columns."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import numpy.typing as npt
 
 Column = npt.NDArray[Any]
@@ -37,6 +38,9 @@ class Log:
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
         notes: What was lost or recovered on reading, and which columns were left out, one line each.
+        file_of: Table to the file that it is from, where several files were joined; else empty.
+        retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
+            clock, or straightened. Empty as read.
     """
 
     path: Path
@@ -45,6 +49,8 @@ class Log:
     tables: Mapping[str, Table]
     skipped: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    file_of: Mapping[str, str] = field(default_factory=dict)
+    retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from rotorfit.errors import CardError, FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
+from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
 from rotorfit.sources import read
 from rotorfit.stream import recorder_clock, sample_rows
@@ -138,6 +139,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     except CardError as err:
         problem = str(err)
     if card is not None:
+        card = bound(card, log)
         try:
             flight = _flight_survey(log, card, flight_from_log(log, card))
         except FlightError as err:
@@ -156,7 +158,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
 
 
 def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:
-    """Reads logs and looks through them.
+    """Reads logs and looks through them; logs that only together hold what the card names are one flight.
 
     Args:
         paths: Of the logs.
@@ -167,7 +169,7 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
         CardError: The card that was given is none, or does not fit.
     """
     chosen = None if card is None else load_card(card)
-    return tuple(survey(read(path), chosen) for path in paths)
+    return tuple(survey(log, chosen) for _, log in flights_of([read(path) for path in paths], chosen))
 
 
 def survey_draft(path: str, draft: Path) -> Survey:
