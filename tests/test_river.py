@@ -24,6 +24,8 @@ RIVER = (
     "columns",
     "derivative",
     "stream",
+    "straight",
+    "stamping",
     "lag_search",
     "clock_offset",
     "witnesses",

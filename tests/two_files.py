@@ -74,7 +74,9 @@ def in_two_files(flight: SimulatedFlight, skew: Skew, sensor: Sensor | None = No
     time = np.arange(0.5, truth[-1] - 0.1, 1 / sensor.rate)
     time += rng.uniform(0, 0.1 / sensor.rate, time.size)
     noise = _coloured(rng, time.size, sensor.memory) * np.array([1, 1, 1, 0.5, 0]) * sensor.noise
-    noise[:, 4] = sensor.heading / max(sensor.noise, 1e-12) * _coloured(rng, time.size, sensor.memory)[:, 4] * sensor.noise
+    noise[:, 4] = (
+        sensor.heading / max(sensor.noise, 1e-12) * _coloured(rng, time.size, sensor.memory)[:, 4] * sensor.noise
+    )
     pose, rate = (
         np.column_stack([np.interp(time, truth, column) for column in values.T])
         for values in (flight.true_pose, flight.velocity)
@@ -97,7 +99,9 @@ def as_one(flight: SimulatedFlight, skew: Skew, sensor: Sensor | None = None, se
 
 def log_of(path: str, tables: Mapping[str, Mapping[str, Array]]) -> Log:
     """A log from columns."""
-    named = {name: Table(name, {key: np.asarray(one) for key, one in columns.items()}) for name, columns in tables.items()}
+    named = {
+        name: Table(name, {key: np.asarray(one) for key, one in columns.items()}) for name, columns in tables.items()
+    }
     return Log(Path(path), "simulated", path, named, {})
 
 

@@ -69,8 +69,11 @@ def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
     if one_row:
         yield from _repeated(flight)
     else:
-        yield from _jitter("command", commands, "what acts when is known no better: the delay comes out wide or biased")
-    yield from _jitter("pose", poses, "if they are stamps of arrival, speed times jitter is added to every pose")
+        effect = "what acts when is known no better: the delay comes out wide or biased"
+        yield from _jitter("command", commands, flight, effect)
+    yield from _jitter(
+        "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
+    )
     yield from _two_clocks(log, card) if flight.clocks is None else _two_files(flight.clocks)
     yield from _stale(flight)
 
@@ -123,7 +126,9 @@ def _holes(flight: Flight, start: float, end: float) -> Array:
     return steps[steps > limit]
 
 
-def _jitter(what: str, stamps: Stamps, effect: str) -> Iterator[Finding]:
+def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[Finding]:
+    if any(note.code == f"{what}_stamps_straightened" for note in flight.notes):
+        return
     found = rate(stamps)
     if found.period is None or found.jitter is None:
         return
@@ -189,8 +194,8 @@ def _two_files(clocks: Clocks) -> Iterator[Finding]:
             "clock_includes_delay",
             "warning",
             "commands and poses are from two files, and only the answer to the commands tells how their clocks stand to "
-            f"each other: with the delay in it {told}",
-            "the delay of every axis is not identifiable; input gain and damping keep their values, but for a drift",
+            f"each other: about {clocks.offset:+.2f} s, with the delay in it, by {_explained(clocks)}",
+            "the delay of every axis is not identifiable; input gain and damping keep their values, but for a drift of the clocks",
             'record the vehicle\'s own velocity or heading beside the commands, or write clock = "one" in the card if the '
             "clocks are one",
         )

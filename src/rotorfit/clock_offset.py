@@ -37,6 +37,9 @@ OUTLIER = 6.0
 LEAST_ROWS = 4 * ORDER
 """Values of a witness below which it is not heard."""
 
+CHANGE = 0.3
+"""Time over which the changes of a series that wanders are explained [s]."""
+
 PASSES = 30
 
 STARTS = 3
@@ -53,7 +56,7 @@ class Offset:
         drift: Growth of the offset a second.
         covariance: Of offset and drift, shape (2, 2).
         overlap: Time that both have seen [s].
-        explained: Witness to the share of its variance that the motion explains; of a heading, of its rate.
+        explained: Witness to the share of its variance that the motion explains; of its changes, where it wanders.
         outliers: Values of the witnesses that were left out.
     """
 
@@ -76,6 +79,7 @@ class _Equations:
     """Normal equations of one witness for offset and drift, gains and bias eliminated.
 
     Attributes:
+        log_likelihood: But for a constant.
         information: Shape (2, 2).
         gradient: Shape (2,).
         explained: Share of its variance.
@@ -84,6 +88,7 @@ class _Equations:
         far: Which of its rows are outliers.
     """
 
+    log_likelihood: float
     information: Array
     gradient: Array
     explained: float
@@ -157,14 +162,22 @@ def _refined(witnesses: Sequence[Witness], seen: Seen, lag: float) -> tuple[Offs
         return None
     middle, offset, drift = float(np.mean(heard)), lag, 0.0
     kept = {witness.name: np.ones(witness.time.size, dtype=np.bool_) for witness in witnesses}
+    serving = {witness.name: (witness.columns, *witness.instead) for witness in witnesses}
     for number in range(PASSES):
         total = _Sum()
         for witness in witnesses:
             at = witness.time + offset + drift * (witness.time - middle)
             rows = np.flatnonzero(seen.knows(at) & kept[witness.name])
             if rows.size >= LEAST_ROWS:
-                columns = list(witness.columns)
-                one = _equations(witness, rows, value(at[rows])[:, columns], slope(at[rows])[:, columns], middle)
+                motion, ramp = value(at[rows]), slope(at[rows])
+                told = {
+                    columns: _equations(witness, rows, motion[:, columns], ramp[:, columns], middle)
+                    for columns in serving[witness.name]
+                }
+                best = max(told, key=lambda columns: told[columns].log_likelihood)
+                one = told[best]
+                if number == 3:
+                    serving[witness.name] = (best,)
                 far = np.zeros(witness.time.size, dtype=np.bool_)
                 far[rows[one.far]] = True
                 total.add(witness.name, one, far)
@@ -202,8 +215,9 @@ def _equations(witness: Witness, rows: Indices, motion: Array, slope: Array, mid
     e, T = left[:, 0], left[:, 1:]
     variance = max(float(np.mean(e**2)), 1e-12 * float(np.var(y)), 1e-300)
     sigma = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    explained = _explained(y, residual, max(1, round(0.2 / period)) if witness.angle else 0)
+    explained = _explained(y, residual, max(1, round(CHANGE / period)) if witness.by_rate else 0)
     return _Equations(
+        log_likelihood=-0.5 * e.size * float(np.log(variance)),
         information=T.T @ T / variance,
         gradient=T.T @ e / variance,
         explained=explained,

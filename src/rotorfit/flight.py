@@ -12,6 +12,7 @@ from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.joined import bound
 from rotorfit.log import Log
 from rotorfit.one_clock import Clocks, on_one_clock
+from rotorfit.stamping import with_sound_stamps
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
 
 __all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
@@ -101,6 +102,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
             less than two seconds, or yaw in degrees taken for radians.
     """
     card = bound(card, log)
+    log, stamped = with_sound_stamps(log, card)
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses = poses_of(log, card)
@@ -116,7 +118,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
-    notes = (*_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
+    notes = (*stamped, *_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
     if card.command_frame == "world":
         command_time, command, note = _in_heading_frame(command_time, command, command_end, pose_time, yaw)
         notes = (*notes, note)
@@ -148,9 +150,13 @@ def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
         f"{clocks.offset:+.4f} s (95 %: +-{1e3 * clocks.half_width:.2f} ms), drift {1e6 * clocks.drift:+.0f} "
         f"(+-{1e6 * clocks.drift_half_width:.0f}) us/s"
     )
-    by = "the vehicle's own motion" if clocks.source == "onboard" else "its answer to them, so the delay is in it"
-    if clocks.moved:
-        text = f"{count} commands were moved onto the clock of the poses by {figures}, told by {by}"
+    if clocks.includes_delay:
+        text = (
+            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the answer "
+            "to them: the delay is in it"
+        )
+    elif clocks.moved:
+        text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"
     else:
         seen = "" if clocks.source == "none" else f"; the vehicle's own motion says {figures}"
         text = (

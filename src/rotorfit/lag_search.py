@@ -35,16 +35,16 @@ class Witness:
         time: Increasing, shape (N,) [s].
         value: Shape (N,).
         columns: Which columns of the motion it is a combination of.
-        angle: It is a heading. Its rate is what the search compares, because a rate forgets; `rate` is its column.
-        rate: Column of the motion's rate, for a heading.
+        by_rate: The search compares its rate with that of the motion: for a series that wanders and does not forget.
+        instead: Other columns, any of which may serve in place of `columns`.
     """
 
     name: str
     time: Array
     value: Array
     columns: tuple[int, ...]
-    angle: bool = False
-    rate: int = 0
+    by_rate: bool = False
+    instead: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,16 @@ def best_lags(witnesses: Sequence[Witness], seen: Seen) -> list[Place]:
         return []
     index = np.round(np.arange(0, seen.valid.size - 0.5, GRID / seen.step)).astype(np.int64)
     index = np.minimum(index, seen.valid.size - 1)
-    motion, known = seen.value[index], seen.valid[index].astype(np.float64)
+    known = seen.valid[index].astype(np.float64)
     origin = min(float(w.time[0]) for w in witnesses)
     length = int((max(float(w.time[-1]) for w in witnesses) - origin) / GRID) + 2
     evidence, overlap = np.zeros(length + known.size - 1), np.zeros(length + known.size - 1)
     for witness in witnesses:
         y, there = _on_grid(witness, origin, length)
-        columns = [witness.rate] if witness.angle else list(witness.columns)
-        gain, count = _evidence(y, there, motion[:, columns], known)
-        evidence += gain
-        overlap = np.maximum(overlap, count)
+        motion = (seen.slope if witness.by_rate else seen.value)[index]
+        told = [_evidence(y, there, motion[:, columns], known) for columns in (witness.columns, *witness.instead)]
+        evidence += np.max([gain for gain, _ in told], axis=0)
+        overlap = np.maximum(overlap, told[0][1])
     shorter = min(float(np.sum(known)), float(np.max(overlap)))
     evidence[overlap < max(LEAST_OVERLAP / GRID, LEAST_SHARE * shorter)] = 0.0
     lags = seen.start - origin + GRID * (np.arange(evidence.size) - (length - 1))
@@ -123,7 +123,7 @@ def _on_grid(witness: Witness, origin: float, length: int) -> tuple[Array, Array
     there = (grid >= witness.time[0]) & (grid <= witness.time[-1])
     there &= steps[before] <= max(4 * float(np.median(steps)), 2 * GRID)
     values = np.interp(grid, witness.time, witness.value)
-    if witness.angle:
+    if witness.by_rate:
         values = np.gradient(values, GRID)
     return values, there.astype(np.float64)
 

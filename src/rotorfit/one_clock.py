@@ -10,10 +10,11 @@ from rotorfit.card import Card, Channel, table_of
 from rotorfit.clock import MISSING_STAMP, Stamps, stamps_of
 from rotorfit.clock_offset import Offset, clock_offset
 from rotorfit.errors import FlightError
+from rotorfit.frames import AXES
 from rotorfit.lag_search import Seen
 from rotorfit.log import Log, Table
 from rotorfit.stream import Stream, commands_of, poses_of
-from rotorfit.witnesses import attitude_clock, commanded, onboard, seen_by, velocity_clock
+from rotorfit.witnesses import answers, attitude_clock, moved, onboard, seen_by, velocity_clock
 
 NORMAL = 1.959964
 """97.5 % point of the normal distribution."""
@@ -37,8 +38,8 @@ class Clocks:
         source: What told it: `onboard` (velocity or heading by the vehicle's own sensors), `command` (the answer to the
             commands) or `none`.
         offset: Added to a command's stamp at `middle`, it gives the stamp by the clock of the poses [s].
-        half_width: Of its 95 % interval [s].
-        drift: Growth of the offset a second.
+        half_width: Of its 95 % interval [s]; 0 where only the answer to the commands told it, roughly.
+        drift: Growth of the offset a second; 0 likewise.
         drift_half_width: Of its 95 % interval.
         middle: Middle of the commands, counted from the first [s].
         moved: Whether the stamps of the commands were moved.
@@ -105,7 +106,7 @@ def on_one_clock(log: Log, card: Card) -> tuple[Log, Clocks | None]:
         found = clock_offset(witnesses, seen)
         if isinstance(found, Offset):
             base = (int(poses.stamps[0]) - origin) / 1e9
-            clocks = _clocks("onboard", found, base, middle, stated)
+            clocks = _by_sensors(found, base, middle, stated)
             return (log if stated else _moved(log, card, sender, origin, clocks)), clocks
         refused = found
     if stated:
@@ -114,11 +115,11 @@ def on_one_clock(log: Log, card: Card) -> tuple[Log, Clocks | None]:
     return _moved(log, card, sender, int(commands.stamps[0]), clocks), clocks
 
 
-def _clocks(source: str, found: Offset, base: float, middle: float, stated: str = "", refused: str = "") -> Clocks:
-    """What was found, at the middle of the commands and between stamps as recorded."""
+def _by_sensors(found: Offset, base: float, middle: float, stated: str) -> Clocks:
+    """What the vehicle's sensors told, at the middle of the commands and between stamps as recorded."""
     offset, error = found.at(middle)
     return Clocks(
-        source=source,
+        source="onboard",
         offset=base + offset,
         half_width=NORMAL * error,
         drift=found.drift,
@@ -127,7 +128,6 @@ def _clocks(source: str, found: Offset, base: float, middle: float, stated: str 
         moved=not stated,
         stated=stated,
         explained=found.explained,
-        refused=refused,
     )
 
 
@@ -135,8 +135,9 @@ def _by_answer(
     log: Log, card: Card, commands: Stream, axes: tuple[str, ...], poses: Stream, seen: Seen, refused: str
 ) -> Clocks:
     """The clocks by the answer to the commands, which is put where the likelihood searches for it."""
-    witnesses = commanded(commands, axes, card.command_frame == "world")
-    found = clock_offset(witnesses, seen) if witnesses else "no command moves"
+    moving = tuple(axis for axis in axes if np.ptp(commands.values[:, AXES.index(axis)]) > 0)
+    witnesses = moved(seen, moving, card.command_frame == "world")
+    found = clock_offset(witnesses, answers(commands)) if witnesses else "no command moves"
     if not isinstance(found, Offset):
         onboard_too = f"; onboard motion, poses: {refused}" if refused else ""
         raise FlightError(
@@ -144,9 +145,11 @@ def _by_answer(
             f'{onboard_too}; name the vehicle\'s own velocity in [velocity] of the card, or write clock = "one" in it '
             "if they are one clock"
         )
+    # Here the poses' clock is the first: a pose at s shows the answer to a command at s + offset + drift (s - middle).
     base = (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9 - ANSWER
     middle = (int(commands.stamps[-1]) - int(commands.stamps[0])) / 2e9
-    return _clocks("command", found, base, middle, refused=refused)
+    offset = base - found.offset - found.drift * (middle - found.offset - found.middle)
+    return Clocks("command", offset, middle=middle, moved=True, explained=found.explained, refused=refused)
 
 
 def _in_file(log: Log, card: Card, file: str) -> Card:

@@ -21,25 +21,26 @@ WIDE = 0.3
 STEP = 0.025
 """Step of the motion's grid [s]."""
 
-COMMAND_STEP = 0.02
-"""Step at which held commands are sampled [s]."""
+ANSWER_STEP = 0.01
+"""Step of the grid of answers to commands [s]."""
+
+DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+"""Dampings of the answers to commands that are compared with the motion [1/s]; vehicles have 0.05 to 5."""
 
 _VX, _VY, _VZ, _RATE, _YAW, _FORWARD, _LEFT = range(7)
-_A_FORWARD, _A_LEFT, _A_UP, _A_YAW, _AX, _AY = range(7, 13)
 
 FEWEST = 50
 """Values below which a series is no witness."""
 
 
 def seen_by(poses: Stream) -> Seen:
-    """The motion of the poses: velocity, heading and acceleration by local cubics, on the clock of the poses.
+    """The motion of the poses: velocity and heading by local cubics, on the clock of the poses.
 
     Args:
         poses: Fresh, in order; its stamps are counted from the first.
 
     Returns:
-        Columns: world velocity, yaw rate, yaw; velocity forward and left; acceleration forward, left, up, of yaw, and
-        along the world's x and y.
+        Columns: world velocity x, y, z, yaw rate, yaw; velocity forward and left.
     """
     from rotorfit.derivative import local_polynomial
 
@@ -50,15 +51,13 @@ def seen_by(poses: Stream) -> Seen:
     near = local_polynomial(time, value, grid, max(HALF_WIDTH, 4 * period), 3)
     wide = local_polynomial(time, value, grid, max(WIDE, 6 * period), 3)
     yaw, rate = near.value[:, 3], wide.velocity[:, 3]
-    forward, speed, pull, push = (
-        heading_from_world(part[:, :2], yaw)
-        for part in (near.velocity, wide.velocity, wide.acceleration, near.acceleration)
+    level, speed, pull = (
+        heading_from_world(part[:, :2], yaw) for part in (near.velocity, wide.velocity, wide.acceleration)
     )
     # d/dt (R^T v) = R^T a - rate (e_z x R^T v)
     turned = pull + rate[:, None] * np.column_stack([speed[:, 1], -speed[:, 0]])
-    jerk = np.gradient(np.column_stack([pull, wide.acceleration[:, [2, 3, 0, 1]]]), STEP, axis=0)
-    columns = np.column_stack([near.velocity, yaw, forward, push, near.acceleration[:, [2, 3, 0, 1]]])
-    slopes = np.column_stack([wide.acceleration, rate, turned, jerk])
+    columns = np.column_stack([near.velocity, yaw, level])
+    slopes = np.column_stack([wide.acceleration, rate, turned])
     valid = near.centred & wide.centred & np.all(np.isfinite(columns), axis=1) & np.all(np.isfinite(slopes), axis=1)
     known = valid[:, None]
     return Seen(0.0, STEP, np.where(known, columns, 0.0), np.where(known, slopes, 0.0), valid)
@@ -88,28 +87,53 @@ def onboard(log: Log, card: Card, origin: int) -> list[Witness]:
         yaw = values["yaw"] if "yaw" in values else yaw_from_quaternion(*(values[f"q{part}"] for part in "wxyz"))
         there = np.isfinite(yaw)
         one = _witness("heading", stamps[there], np.unwrap(yaw[there]), (_YAW,), origin)
-        found.append(replace(one, angle=True, rate=_RATE))
+        found.append(replace(one, by_rate=True))
     return [one for one in found if one.time.size >= FEWEST and np.ptp(one.value) > 0]
 
 
-def commanded(commands: Stream, axes: tuple[str, ...], world: bool) -> list[Witness]:
-    """The commands as witnesses of the acceleration that they cause.
+def moved(seen: Seen, axes: tuple[str, ...], world: bool) -> list[Witness]:
+    """The motion of the poses as a witness of the answer to the commands, to be found in `answers`.
 
     Args:
-        commands: In order; the times of the witnesses are counted from the first.
+        seen: As `seen_by` gives it.
         axes: The commanded ones.
-        world: Whether they are along the axes of the world.
+        world: Whether commands are along the axes of the world.
     """
-    time = (commands.stamps - commands.stamps[0]) / 1e9
-    grid = np.arange(0.0, (int(commands.until[-1]) - int(commands.stamps[0])) / 1e9, COMMAND_STEP)
-    row = np.maximum(np.searchsorted(time, grid, side="right") - 1, 0)
-    acting = grid <= (commands.until[row] - commands.stamps[0]) / 1e9
-    along = {"x": (_A_FORWARD, _FORWARD), "y": (_A_LEFT, _LEFT), "z": (_A_UP, _VZ), "yaw": (_A_YAW, _RATE)}
-    if world:
-        along |= {"x": (_AX, _VX), "y": (_AY, _VY)}
-    values = commands.values[row][acting]
-    found = [Witness(f"command {axis}", grid[acting], values[:, AXES.index(axis)], along[axis]) for axis in axes]
+    column = {"x": _VX, "y": _VY} if world else {"x": _FORWARD, "y": _LEFT}
+    column |= {"z": _VZ, "yaw": _RATE}
+    time = seen.start + seen.step * np.arange(seen.valid.size)
+    found = []
+    for axis in axes:
+        k = AXES.index(axis) * len(DAMPINGS)
+        each = tuple((k + j,) for j in range(len(DAMPINGS)))
+        values = seen.value[seen.valid, column[axis]]
+        found.append(Witness(f"answer of {axis}", time[seen.valid], values, each[0], by_rate=True, instead=each[1:]))
     return [one for one in found if one.time.size >= FEWEST and np.ptp(one.value) > 0]
+
+
+def answers(commands: Stream) -> Seen:
+    """The velocity that the commands would give without delay: v' = u - b v, for each of `DAMPINGS`.
+
+    Returns:
+        On the clock of the commands, counted from the first: a column for each axis and damping, the dampings of x
+        first. It is known where commands act; at the first command the vehicle is taken to hover.
+    """
+    from scipy.signal import lfilter
+
+    time = (commands.stamps - commands.stamps[0]) / 1e9
+    until = (commands.until - commands.stamps[0]) / 1e9
+    grid = np.arange(0.0, float(until[-1]), ANSWER_STEP)
+    row = np.maximum(np.searchsorted(time, grid, side="right") - 1, 0)
+    acting = grid < until[row]
+    command = np.where(acting[:, None], commands.values[row], 0.0)
+    value = np.empty((grid.size, len(AXES) * len(DAMPINGS)))
+    slope = np.empty_like(value)
+    for a in range(len(AXES)):
+        for j, b in enumerate(DAMPINGS):
+            kept, at = np.exp(-b * ANSWER_STEP), a * len(DAMPINGS) + j
+            value[:, at] = lfilter([0.0, (1 - kept) / b], [1.0, -kept], command[:, a])  # exact for a held command
+            slope[:, at] = command[:, a] - b * value[:, at]
+    return Seen(0.0, ANSWER_STEP, value, slope, acting)
 
 
 def velocity_clock(card: Card) -> Channel:
