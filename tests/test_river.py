@@ -33,6 +33,7 @@ RIVER = (
     "flight",
     "draft",
     "regression",
+    "two_files",
     "clock_checks",
     "command_checks",
     "pose_checks",

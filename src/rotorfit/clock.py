@@ -93,8 +93,8 @@ class ClockDrift:
 def stamps_of(log: Log, time: Channel) -> Stamps:
     """Stamps of a stream.
 
-    Stamps in `log.retimed` are taken as they are. Else, without a unit, whole numbers are nanoseconds where the column is a `header.stamp` or `log_time`, or passes 1e15;
-    everything else is seconds.
+    Stamps in `log.retimed` are taken as they are. Else, without a unit, whole numbers are nanoseconds where the column
+    is a `header.stamp` or `log_time`, or passes 1e15; everything else is seconds.
 
     Args:
         log: Where the column is.

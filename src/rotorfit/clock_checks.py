@@ -11,8 +11,8 @@ from rotorfit.finding import Finding
 from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.log import Log
-from rotorfit.one_clock import Clocks
 from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.two_files import two_files
 
 SETTLING_LOSS = 0.6
 """What each segment of commands loses at its start [s]: the longest delay that is searched."""
@@ -74,7 +74,7 @@ def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
     yield from _jitter(
         "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
     )
-    yield from _two_clocks(log, card) if flight.clocks is None else _two_files(flight.clocks)
+    yield from _two_clocks(log, card) if flight.clocks is None else two_files(flight.clocks)
     yield from _stale(flight)
 
 
@@ -173,64 +173,6 @@ def _two_clocks(log: Log, card: Card) -> Iterator[Finding]:
             "unless transport takes that long; beyond the searched range gain and damping are lost, too",
             "synchronise the computers (chrony), or take log_time for both streams in the card",
         )
-
-
-def _two_files(clocks: Clocks) -> Iterator[Finding]:
-    """The clocks of commands and poses that are from different files."""
-    told = (
-        f"{clocks.offset:+.4f} s (95 %: +-{1e3 * clocks.half_width:.1f} ms), drift {1e6 * clocks.drift:+.0f} us/s "
-        f"(+-{1e6 * clocks.drift_half_width:.0f})"
-    )
-    if clocks.refused:
-        yield Finding(
-            "clock_source_refused",
-            "warning",
-            f"the vehicle's own motion cannot tell how its clock stands to that of the poses: {clocks.refused}",
-            "it is not used",
-            "check that both files are of one flight and of one vehicle, and [velocity] and [attitude] of the card",
-        )
-    if clocks.includes_delay:
-        yield Finding(
-            "clock_includes_delay",
-            "warning",
-            "commands and poses are from two files, and only the answer to the commands tells how their clocks stand to "
-            f"each other: about {clocks.offset:+.2f} s, with the delay in it, by {_explained(clocks)}",
-            "the delay of every axis is not identifiable; input gain and damping keep their values, but for a drift of the clocks",
-            'record the vehicle\'s own velocity or heading beside the commands, or write clock = "one" in the card if the '
-            "clocks are one",
-        )
-    elif clocks.moved:
-        yield Finding(
-            "clocks_joined",
-            "info",
-            f"the clock of the poses stands to that of the commands at {told}, by {_explained(clocks)}",
-            f"the stamps were moved, and {1e3 * clocks.half_width:.1f} ms went into the delay's interval; by as much as "
-            "the vehicle's own motion is stamped late, the delay comes out too long",
-            "where the latency of that stamp is known, give it as a negative offset of its time in the card",
-        )
-    elif clocks.differs:
-        yield Finding(
-            "clock_offset",
-            "warning",
-            f"the clocks of the two files are taken as one, since {clocks.stated}, but by {_explained(clocks)} that of "
-            f"the poses stands to that of the commands at {told}",
-            f"unless the vehicle's own motion is stamped that late, the delay of every axis comes out "
-            f"{1e3 * abs(clocks.offset):.0f} ms too {'long' if clocks.offset > 0 else 'short'}",
-            'leave clock = "one" out of the card if they are two clocks',
-        )
-    elif clocks.source == "none":
-        yield Finding(
-            "clock_unchecked",
-            "info",
-            f"commands and poses are from two files whose clocks are taken as one, since {clocks.stated}",
-            "whatever the clocks differ by is in the delay of every axis",
-            "record the vehicle's own velocity or heading beside the commands: it checks the clocks",
-        )
-
-
-def _explained(clocks: Clocks) -> str:
-    """What told the offset, with the share that the poses explain of it."""
-    return ", ".join(f"{name} ({100 * share:.0f} % explained)" for name, share in clocks.explained.items())
 
 
 def _against_recorder(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:

@@ -24,7 +24,7 @@ def check_clocks(flights: Sequence[Flight]) -> None:
     without = [flight.path for flight in flights if flight.clocks and flight.clocks.includes_delay]
     if without and len(without) < len(flights):
         raise FlightError(
-            f"{without[0]}: its clocks are known by its answer to the commands only, so it cannot share a delay with the "
+            f"{without[0]}: only its answer to the commands tells its clocks, so it cannot share a delay with the "
             "others: fit it apart, or give it the vehicle's own velocity"
         )
 

@@ -152,8 +152,8 @@ def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
     )
     if clocks.includes_delay:
         text = (
-            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the answer "
-            "to them: the delay is in it"
+            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the "
+            "answer to them: the delay is in it"
         )
     elif clocks.moved:
         text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"

@@ -1,4 +1,4 @@
-"""Log + Card -> the same log by its better stamps: the recorder's where no sender stamped, straightened where regular."""
+"""Log + Card -> the same log by better stamps: the recorder's where no sender stamped, straight where he was regular."""
 
 from dataclasses import replace
 

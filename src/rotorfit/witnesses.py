@@ -101,7 +101,7 @@ def moved(seen: Seen, axes: tuple[str, ...], world: bool) -> list[Witness]:
     """
     column = {"x": _VX, "y": _VY} if world else {"x": _FORWARD, "y": _LEFT}
     column |= {"z": _VZ, "yaw": _RATE}
-    time = seen.start + seen.step * np.arange(seen.valid.size)
+    time: Array = seen.start + seen.step * np.arange(seen.valid.size, dtype=np.float64)
     found = []
     for axis in axes:
         k = AXES.index(axis) * len(DAMPINGS)
