@@ -11,7 +11,7 @@ which the two overlap; the likelihood is maximised from the best ones.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,6 +40,12 @@ LEAST_ROWS = 4 * ORDER
 CHANGE = 0.3
 """Time over which the changes of a series that wanders are explained [s]."""
 
+DISAGREE = 0.01
+"""Probability below which sensors that agree would look as they do."""
+
+LEAST_ERROR = 0.001
+"""Standard error that a sensor's offset has at least in that comparison [s]: filters are late by a little, too."""
+
 PASSES = 30
 
 STARTS = 3
@@ -58,6 +64,7 @@ class Offset:
         overlap: Time that both have seen [s].
         explained: Witness to the share of its variance that the motion explains; of its changes, where it wanders.
         outliers: Values of the witnesses that were left out.
+        later: Sensor that was left out, because it is late against the others, to by how much [s].
     """
 
     middle: float
@@ -67,6 +74,7 @@ class Offset:
     overlap: float
     explained: Mapping[str, float]
     outliers: int = 0
+    later: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, time: float) -> tuple[float, float]:
         """Offset at a time by the first clock, and its standard error [s]."""
@@ -119,6 +127,9 @@ class _Sum:
 def clock_offset(witnesses: Sequence[Witness], seen: Seen) -> Offset | str:
     """Offset and drift of the second clock against the first.
 
+    Sensors may be stamped late, each by its own latency, and none can be early: where they disagree, those that are
+    late against the others are left out.
+
     Args:
         witnesses: On the first clock.
         seen: The motion by the second.
@@ -139,7 +150,36 @@ def clock_offset(witnesses: Sequence[Witness], seen: Seen) -> Offset | str:
     share = max(best.explained.values())
     if share < LEAST_EXPLAINED:
         return f"they do not move alike at any offset: at most {100 * share:.0f} % of one is explained by the other"
-    return _rival(places, best.offset) or best
+    return _rival(places, best.offset) or _of_the_promptest(witnesses, seen, best)
+
+
+def _of_the_promptest(witnesses: Sequence[Witness], seen: Seen, whole: Offset) -> Offset:
+    """The offset by the sensors that agree, once those that are late against them are left out."""
+    alone: dict[str, tuple[float, float]] = {}
+    for sensor in dict.fromkeys(witness.sensor for witness in witnesses):
+        one = _refined([witness for witness in witnesses if witness.sensor == sensor], seen, whole.offset)
+        if one and max(one[0].explained.values()) >= LEAST_EXPLAINED:
+            alone[sensor] = one[0].at(whole.middle)
+    agreeing = sorted(alone, key=lambda sensor: alone[sensor][0])  # the latest first: latency makes the offset smaller
+    while len(agreeing) > 1 and not _agree([alone[sensor] for sensor in agreeing]):
+        agreeing.pop(0)
+    if len(agreeing) in (0, len(alone)):
+        return whole
+    refined = _refined([witness for witness in witnesses if witness.sensor in agreeing], seen, alone[agreeing[-1]][0])
+    if refined is None:
+        return whole
+    offset = refined[0].at(whole.middle)[0]
+    return replace(refined[0], later={s: offset - alone[s][0] for s in alone if s not in agreeing})
+
+
+def _agree(offsets: Sequence[tuple[float, float]]) -> bool:
+    """Whether offsets with their standard errors may be one, by the chi-square test of their weighted mean."""
+    from scipy.special import chdtrc
+
+    value, error = np.array(offsets).T
+    weight = 1 / np.maximum(error, LEAST_ERROR) ** 2
+    mean = np.sum(weight * value) / np.sum(weight)
+    return bool(chdtrc(value.size - 1, np.sum(weight * (value - mean) ** 2)) > DISAGREE)
 
 
 def _rival(places: Sequence[Place], lag: float) -> str:

@@ -37,6 +37,7 @@ class Witness:
         columns: Which columns of the motion it is a combination of.
         by_rate: The search compares its rate with that of the motion: for a series that wanders and does not forget.
         instead: Other columns, any of which may serve in place of `columns`.
+        sensor: Witnesses of one sensor are late together; those of another may be late by more.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Witness:
     columns: tuple[int, ...]
     by_rate: bool = False
     instead: tuple[tuple[int, ...], ...] = ()
+    sensor: str = ""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ class Clocks:
         moved: Whether the stamps of the commands were moved.
         stated: Why the clocks are taken to be one, as a clause; empty where each file has its own.
         explained: Witness to the share of its variance that the motion of the poses explains.
+        later: Onboard sensor that was left out, because it is late against the others, to by how much [s].
         refused: Why the vehicle's own sensors did not tell the offset, as a clause; empty where they did, or there are
             none.
     """
@@ -58,6 +59,7 @@ class Clocks:
     moved: bool = False
     stated: str = ""
     explained: Mapping[str, float] = field(default_factory=dict)
+    later: Mapping[str, float] = field(default_factory=dict)
     refused: str = ""
 
     @property
@@ -128,6 +130,7 @@ def _by_sensors(found: Offset, base: float, middle: float, stated: str) -> Clock
         moved=not stated,
         stated=stated,
         explained=found.explained,
+        later=found.later,
     )
 
 

@@ -1,4 +1,4 @@
-"""Log + Card -> the same log by better stamps: the recorder's where no sender stamped, straight where he was regular."""
+"""Log + Card -> the same log by better stamps: the recorder's for empty headers, a regular sender's for arrivals."""
 
 from dataclasses import replace
 

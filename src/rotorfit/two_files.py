@@ -16,6 +16,15 @@ def two_files(clocks: Clocks) -> Iterator[Finding]:
             "it is not used",
             "check that both files are of one flight and of one vehicle, and [velocity] and [attitude] of the card",
         )
+    if clocks.later:
+        late = ", ".join(f"{sensor} by {1e3 * lag:.0f} ms" for sensor, lag in clocks.later.items())
+        yield Finding(
+            "clock_sensors_disagree",
+            "warning",
+            f"the vehicle's own sensors do not agree on its clock: late against {', '.join(clocks.explained)}: {late}",
+            "the late ones were left out; by as much as the others are late, too, the delay comes out too long",
+            "where the latency of a stamp is known, give it as a negative offset of its time in the card",
+        )
     if clocks.includes_delay:
         yield _includes_delay(clocks)
     elif clocks.moved:

@@ -81,13 +81,17 @@ def onboard(log: Log, card: Card, origin: int) -> list[Witness]:
     if channels:
         stamps, values = _series(log, velocity_clock(card), channels)
         names = {axis: f"velocity {axis}" if axis != "yaw" else "yaw rate" for axis in AXES}
-        found += [_witness(names[axis], stamps, values[axis], along[axis], origin) for axis in channels]
+        sensors = {"x": "level velocity", "y": "level velocity", "z": "vertical velocity", "yaw": "yaw rate"}
+        found += [
+            replace(_witness(names[axis], stamps, values[axis], along[axis], origin), sensor=sensors[axis])
+            for axis in channels
+        ]
     if card.attitude:
         stamps, values = _series(log, attitude_clock(card), card.attitude)
         yaw = values["yaw"] if "yaw" in values else yaw_from_quaternion(*(values[f"q{part}"] for part in "wxyz"))
         there = np.isfinite(yaw)
         one = _witness("heading", stamps[there], np.unwrap(yaw[there]), (_YAW,), origin)
-        found.append(replace(one, by_rate=True))
+        found.append(replace(one, by_rate=True, sensor="heading"))
     return [one for one in found if one.time.size >= FEWEST and np.ptp(one.value) > 0]
 
 
