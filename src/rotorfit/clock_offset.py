@@ -18,9 +18,12 @@ import numpy as np
 from rotorfit.frames import Array, Indices, Mask
 from rotorfit.lag_search import APART, MEMORY, Place, Seen, Witness, best_lags
 
-LEAST_EXPLAINED = 0.5
-"""Share of the variance that the motion must explain of the best witness. Onboard velocities reach 0.9 to 1 and
-unrelated flights 0.3 over the best of all lags."""
+LEAST_EXPLAINED = 0.6
+"""Share of the variance that the motion must explain of the best witness. Onboard sensors reach 0.9 to 1, the best
+chance likeness of two flights 0.3 to 0.6."""
+
+WIDEST = 0.05
+"""Standard error of the offset beyond which it is refused [s]: chance likenesses of unrelated motions are vague."""
 
 LEAST_LEAD = 10.0
 """Lead in log-likelihood that the best lag must have over any other that is at least `APART` away."""
@@ -150,6 +153,9 @@ def clock_offset(witnesses: Sequence[Witness], seen: Seen) -> Offset | str:
     share = max(best.explained.values())
     if share < LEAST_EXPLAINED:
         return f"they do not move alike at any offset: at most {100 * share:.0f} % of one is explained by the other"
+    error = float(np.sqrt(best.covariance[0, 0]))
+    if error > WIDEST:
+        return f"their likeness is too vague: the offset would be known to {1e3 * error:.0f} ms only"
     return _rival(places, best.offset) or _of_the_promptest(witnesses, seen, best)
 
 
