@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +19,18 @@ from rotorfit.joined import bound, joined
 from rotorfit.log import Log, Table
 from rotorfit.one_clock import NORMAL, Clocks
 from rotorfit.paper_vehicle import SimulatedFlight, Truth, simulate_flight
+from rotorfit.sources import read as read_log
 from twin_logs import Sensor, Skew, as_one, card_of, in_two_files
 
 LENGTH = 60.0
+CUT = card_from_mapping(
+    {
+        "command": {"time": "v:t", "x": "v:vf_ref", "y": "v:vl_ref", "z": "v:ve_ref", "yaw": "v:w_ref"},
+        "pose": {"time": "r:t", "x": "r:xu", "y": "r:yu", "z": "r:zu", "yaw": "r:psi"},
+        "velocity": {"frame": "heading", "time": "v:t", "x": "v:vf", "y": "v:vl", "z": "v:ve", "yaw": "v:w"},
+    },
+    "a recorded flight, cut in two",
+)
 
 
 @functools.cache
@@ -118,6 +128,44 @@ def test_a_latency_that_the_card_states_is_taken_out() -> None:
     clocks = flight_from_log(log, card_from_mapping({**raw, **stated}, "stated")).clocks
     assert clocks is not None
     within(clocks, Skew(0.1))
+
+
+def test_a_sensor_that_is_late_against_another_is_left_out_with_a_finding() -> None:
+    vehicle, room = in_two_files(flown(), Skew(0.2, 3e-5))
+    late, _ = in_two_files(flown(), Skew(0.2, 3e-5), Sensor(latency=0.15))
+    seen, after = vehicle.tables["odometry"].columns, late.tables["odometry"].columns
+    prompt = {"t": seen["t"], "psi": seen["psi"], "r": seen["r"]}
+    tables = {**vehicle.tables, "odometry": Table("odometry", prompt), "speed": Table("speed", after)}
+    log = joined([replace(vehicle, tables=tables), room])
+    velocity = {"frame": "heading", "time": "speed:t", "x": "speed:v_x", "y": "speed:v_y"}
+    card = bound(card_from_mapping({**card_of(attitude=True).raw, "velocity": velocity}, "late"), log)
+    flight = flight_from_log(log, card)
+
+    assert flight.clocks is not None
+    within(flight.clocks, Skew(0.2, 3e-5), most=0.006)
+    assert list(flight.clocks.explained) == ["heading"]
+    assert flight.clocks.later["level velocity"] == pytest.approx(0.15, abs=0.01)
+    assert "clock_sensors_disagree" in {finding.code for finding in findings_of_flight(log, card, flight)}
+
+
+def test_recorded_flights_that_are_cut_in_two_give_one_latency(real_flights: Path) -> None:
+    """Their own velocity and pose are in one file; what is found beyond the offset put in is the sensors' latency."""
+    found = []
+    for number, (offset, drift) in enumerate([(0.3, 5e-5), (-0.12, -1e-4)], start=3):
+        log = read_log(real_flights / "dji-hexarotor" / f"Datos_Prueba{number}.mat")
+        (table,) = log.tables.values()
+        time = table.columns["t"].astype(float).ravel()
+        middle = time[[0, -1]].mean()
+        own = {**table.columns, "t": middle - offset + (time - middle) / (1 + drift)}
+        vehicle = replace(log, path=Path("v.mat"), tables={"v": Table("v", own)})
+        room = replace(log, path=Path("r.mat"), tables={"r": Table("r", table.columns)})
+        clocks = flight_from_log(joined([vehicle, room]), CUT).clocks
+        assert clocks is not None
+        assert clocks.source == "onboard"
+        found.append((clocks.offset - offset, clocks.half_width))
+
+    for offset, half in found:
+        assert abs(offset - 0.02) < half < 0.03
 
 
 def test_bad_values_of_a_sensor_do_not_matter() -> None:
