@@ -57,8 +57,8 @@ def joined(logs: Sequence[Log]) -> Log:
 def bound(card: Card, log: Log) -> Card:
     """The card with the table of every column that it names without one, for a flight in several files.
 
-    The columns that a section names without a table are in one table, which is the only one that holds them all. So
-    a card may say `time` in `[command]` and `time` in `[pose]` and mean two files.
+    The columns that a section names without a table are in one table: the only one that holds them all, or of several
+    the one that the section names elsewhere. So a card may say `time` in `[command]` and in `[pose]` and mean two files.
 
     Args:
         card: As written.
@@ -89,8 +89,11 @@ def bound(card: Card, log: Log) -> Card:
 
 def _section(log: Log, channels: Mapping[str, Channel]) -> dict[str, Channel]:
     """The channels of a section, each with its table."""
-    plain = [c.source for c in channels.values() if isinstance(c.source, str) and not _placed(log, c.source)]
+    sources = [channel.source for channel in channels.values() if isinstance(channel.source, str)]
+    plain = [source for source in sources if not _placed(log, source)]
     holders = [table.name for table in log.tables.values() if all(_holds(table, name) for name in plain)]
+    beside = {source.partition(":")[0] for source in sources} & set(holders)  # a table that the section names anyway
+    holders = list(beside) if len(beside) == 1 else holders
     if not plain or len(holders) != 1:
         return dict(channels)
     return {
