@@ -58,7 +58,7 @@ def bound(card: Card, log: Log) -> Card:
     """The card with the table of every column that it names without one, for a flight in several files.
 
     The columns that a section names without a table are in one table: the only one that holds them all, or of several
-    the one that the section names elsewhere. So a card may say `time` in `[command]` and in `[pose]` and mean two files.
+    the one that the section names elsewhere. So `time` in `[command]` and in `[pose]` may mean two files.
 
     Args:
         card: As written.
