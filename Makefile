@@ -1,7 +1,7 @@
 # `make demo` and `make test` each work alone on a machine that has make and Python 3.11 or newer.
 # PYTHON names another one: make test PYTHON=python3.12
 
-.PHONY: help demo test test-slow bench clean
+.PHONY: help demo test test-slow test-live bench clean
 .DELETE_ON_ERROR:
 
 # The first of these that is new enough; python3 where none is, so that the complaint names it.
@@ -26,6 +26,7 @@ help:
 	@echo "make demo       simulate, fit, validate; results in ./demo"
 	@echo "make test       lint, types, tests"
 	@echo "make test-slow  the tests that simulate hundreds of flights"
+	@echo "make test-live  flights over ROS 1, MAVLink and UDP against fake vehicles; as root installs Debian's rospy"
 	@echo "make bench      timings"
 	@echo "make clean      remove what make has made"
 
@@ -40,6 +41,9 @@ test: .venv/installed-dev
 
 test-slow: .venv/installed-dev
 	$(BIN)/pytest -m slow
+
+test-live: .venv/installed-dev
+	$(BIN)/pytest -m slow -s -rs tests/test_links_live.py
 
 bench: .venv/installed-bench
 	set -e; for script in bench/bench_*.py; do $(BIN)/python "$$script"; done

@@ -394,3 +394,19 @@ def test_a_pose_that_only_drifts_tells_nothing_of_an_axis_that_is_commanded_a_co
     model = fit([by_hand(t, pose, t[::2], command)]).model
     for name in AXES:
         assert model.axes[name].status["input"] != "ok"
+
+
+def test_a_flight_that_only_holds_an_axis_does_not_serve_it_and_says_so() -> None:
+    moving = by_hand_held(1.0)
+    holding = by_hand_held(0.05)
+    fitted = fit([moving, holding])
+
+    assert [source.axes for source in fitted.model.flights] == [("x",), ()]
+    assert [note.code for note in fitted.model.flights[1].notes][-1] == "held_axis"
+    assert fitted.model.axes["x"].input == pytest.approx(fit([moving]).model.axes["x"].input, rel=1e-12)
+
+
+def by_hand_held(share: float) -> Flight:
+    """A flight on x whose steps are a share of those of another."""
+    flight = flown(Truth(), steps(("x",), 0.2 * share, seed=3), 20.0, seed=3)
+    return replace(flight, axes=("x",))

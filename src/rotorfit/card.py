@@ -71,6 +71,7 @@ class Card:
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
         prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.
         raw: The whole card as parsed from TOML: what the model file stores.
+        fail_safe: What the vehicle does by itself when commands stop, for people; empty where the card does not say.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Card:
     attitude: Mapping[str, Channel] = field(default_factory=dict)
     attitude_time: Channel | None = None
     clock: Literal["own", "one"] = "own"
+    fail_safe: str = ""
 
 
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
@@ -164,7 +166,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
             `[command]`, `[pose]` and their essential keys is missing.
     """
     place = f"card {where}"
-    _check_keys(raw, ("name", "frame", "clock", *_SECTIONS), place)
+    _check_keys(raw, ("name", "frame", "clock", "fail_safe", *_SECTIONS), place)
     sections = {key: _section(raw, key, place) for key in _SECTIONS}
     missing = [key for key in ("command", "pose") if key not in raw]
     if missing:
@@ -194,6 +196,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         attitude=_heading(attitude, f"{place}, [attitude]") if attitude else {},
         attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
         clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
+        fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
     )
 
 
@@ -212,6 +215,20 @@ def card_that_fits(log: Log) -> Card:
         f"{log.path}: no built-in card fits; draft one with `rotorfit info {log.path} --draft-card FILE`, "
         "or name one with `--card`"
     )
+
+
+def card_of(log: Log) -> Card:
+    """The card that the log carries, as recordings of `rotorfit fly` do; else the one built-in card that fits.
+
+    Raises:
+        CardError: The log's card is damaged; or it carries none, and none or several fit.
+    """
+    if "card" not in log.attached:
+        return card_that_fits(log)
+    try:
+        return card_from_mapping(tomllib.loads(log.attached["card"]), f"attached to {log.path}")
+    except tomllib.TOMLDecodeError as error:
+        raise CardError(f"{log.path}: the card in it is damaged ({error}); name one with `--card`") from error
 
 
 def fitting_cards(log: Log) -> dict[str, Card]:

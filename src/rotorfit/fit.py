@@ -11,7 +11,7 @@ from rotorfit.clock_error import check_clocks, with_clock_error
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, together
-from rotorfit.flight import Flight
+from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES
 from rotorfit.further import structure_of, told_apart
 from rotorfit.model import (
@@ -46,6 +46,10 @@ PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
 
 
+HELD = 0.2
+"""RMS of the commands of an axis, as a share of those of the flight that moves it most, below which it is held."""
+
+
 @dataclass(frozen=True)
 class Fit:
     """A model and the flights that it was fitted to.
@@ -78,7 +82,7 @@ def fit(
     """Estimates the coefficients of the axes from one or several flights.
 
     Args:
-        flights: Recorded with one card. An axis is fitted to the flights in which its command moves.
+        flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held`.
         method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was;
             `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`, the rungs between.
         axes: Which axes are wanted.
@@ -96,6 +100,7 @@ def fit(
         ModelError: No such structure, or one other than the default with a method other than the likelihood.
     """
     _check(flights, method, structure, prior)
+    flights = without_held(flights)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
@@ -228,8 +233,35 @@ def _other_structures(
     return found, axes, covariance
 
 
+def without_held(flights: Sequence[Flight]) -> list[Flight]:
+    """The flights, each without the axes that it merely holds where another one excites them; with a note.
+
+    What a controller sends to hold an axis answers the axis' own disturbance. In the likelihood of an exact model it
+    does no harm and tells next to nothing; where the model is a little wrong it tells the wrong thing with confidence.
+    """
+    power = [[np.mean(f.command[:, k] ** 2) * (axis in f.axes) for k, axis in enumerate(AXES)] for f in flights]
+    strength = np.sqrt(np.array(power))
+    share = strength / np.maximum(strength.max(axis=0), np.finfo(float).tiny)
+    return [
+        replace(
+            flight,
+            axes=tuple(axis for axis in flight.axes if not 0 < row[AXES.index(axis)] < HELD),
+            notes=(
+                *flight.notes,
+                *(
+                    Note("held_axis", f"{axis} is only held, by {100 * part:.1f} % of the commands of another flight: "
+                         "it is not fitted to this one", len(flight.command))
+                    for axis, part in zip(AXES, row, strict=True)
+                    if 0 < part < HELD
+                ),
+            ),
+        )
+        for flight, row in zip(flights, share, strict=True)
+    ]  # fmt: skip
+
+
 def _moves(flight: Flight, axis: str) -> bool:
-    """Whether the flight commands the axis at all."""
+    """Whether the flight commands the axis, and does not merely hold it."""
     return axis in flight.axes and bool(np.any(flight.command[:, AXES.index(axis)]))
 
 

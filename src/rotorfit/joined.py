@@ -51,6 +51,8 @@ def joined(logs: Sequence[Log]) -> Log:
         skipped=skipped,
         notes=tuple(f"{log.path.name}: {note}" for log in logs for note in log.notes),
         file_of=file_of,
+        attached={name: text for log in logs for name, text in log.attached.items()},
+        events=tuple(event for log in logs for event in log.events),
     )
 
 

@@ -28,6 +28,19 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Event:
+    """Something that happened in flight.
+
+    Attributes:
+        time: By the recorder's clock [ns].
+        text: What.
+    """
+
+    time: int
+    text: str
+
+
+@dataclass(frozen=True)
 class Log:
     """A file as recorded.
 
@@ -38,6 +51,8 @@ class Log:
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
         notes: What was lost or recovered on reading, and which columns were left out, one line each.
+        attached: What `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit` (version).
+        events: What it noted in flight, in order.
         file_of: Table to the file that it is from, where several files were joined; else empty.
         retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
             clock, or straightened. Empty as read.
@@ -49,6 +64,8 @@ class Log:
     tables: Mapping[str, Table]
     skipped: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    attached: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
     file_of: Mapping[str, str] = field(default_factory=dict)
     retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
 

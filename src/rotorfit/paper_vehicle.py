@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.errors import LogError
-from rotorfit.excitation import two_sines
-from rotorfit.frames import Array
+from rotorfit.frames import AXES, Array
 from rotorfit.log import Log, Table
 from rotorfit.published import PUBLISHED
 
@@ -49,7 +48,7 @@ LOG_EPOCH = 1_577_836_800 * 10**9  # ns: 2020-01-01, added to the stamps of a lo
 
 @dataclass(frozen=True)
 class Truth:
-    """Vehicle, air and room of a simulated flight. The defaults are those of `rotorfit demo`.
+    """Vehicle, air and room of a simulated flight. The defaults are a Bebop 2 in a quiet motion-capture room.
 
     Attributes:
         gamma: The paper's eight coefficients, shape (8,) [m/s^2 or rad/s^2 per unit of command; 1/s].
@@ -93,17 +92,29 @@ class Truth:
 
 @dataclass(frozen=True)
 class Controller:
-    """Holds the start pose on all axes, from the measured pose alone; its command is added to the excitation.
+    """Tracks a reference from the measured pose alone, by default the start pose; adds its command to the excitation.
+
+    u = (stiffness (r - pose) + damping (r' - velocity) + r'' + b r') / g in the heading frame, with the velocity by
+    filtered differences of the measured poses, and the input g and damping b that it believes in.
 
     Attributes:
-        stiffness: Demanded acceleration per position error [1/s^2].
-        damping: Demanded acceleration per velocity, by filtered differences of the measured poses [1/s].
+        stiffness: Demanded acceleration per position error, of all axes or of each [1/s^2].
+        damping: Demanded acceleration per velocity error, of all axes or of each [1/s].
         filter_time: Time constant of that filter [s].
+        axes: On which it acts.
+        gamma: What it believes of the vehicle, shape (8,); None for the truth.
+        reference: Times since the start (N,) [s] -> position, velocity, acceleration relative to the start, forward,
+            left, up and counter-clockwise of it, each (N, 4). None holds the start.
+        full_scale: Bound of the whole command, excitation included.
     """
 
-    stiffness: float = 1.0
-    damping: float = 1.6
+    stiffness: float | Four = 1.0
+    damping: float | Four = 1.6
     filter_time: float = 0.05
+    axes: tuple[str, ...] = AXES
+    gamma: tuple[float, ...] | None = None
+    reference: Callable[[Array], tuple[Array, Array, Array]] | None = None
+    full_scale: Four = (np.inf,) * 4
 
 
 @dataclass(frozen=True)
@@ -188,11 +199,12 @@ def simulate_flight(
     noise = np.array(truth.mocap_noise) * noise_rng.standard_normal((seen.size, 4))
     stale = (noise_rng.random(seen.size) < truth.stale_share) & (seen > seen[0])
     steered_at = _places(time, sent) if controller else np.full(time.size, -1)
-    gains = [controller.stiffness, controller.damping, controller.filter_time] if controller else [0.0, 0.0, 1.0]
+    start = np.array([0.0, 0.0, HOVER_HEIGHT, initial_yaw])
+    gains, reference = _steering(controller or Controller(axes=()), truth, sent, start)
     state, acceleration, pose = _compiled(_fly)(
         time, _interpolated(time, node, wind), value, row, stride,
-        _places(time, seen), noise, stale, steered_at, np.array(gains),
-        np.array([0.0, 0.0, HOVER_HEIGHT, initial_yaw]), np.array(truth.gamma, float), np.array(truth.trim, float),
+        _places(time, seen), noise, stale, steered_at, gains, reference,
+        start, np.array(truth.gamma, float), np.array(truth.trim, float),
     )  # fmt: skip
     command = value[1:] if held else command  # with what the controller has added
     return SimulatedFlight(
@@ -200,34 +212,6 @@ def simulate_flight(
         stale=stale, true_pose=state[:, :4], velocity=state[:, 4:], acceleration=acceleration,
         wind=_interpolated(seen, node, wind),
     )  # fmt: skip
-
-
-def demo_flights() -> dict[str, SimulatedFlight]:
-    """The six flights of `rotorfit demo`, in the manner of the paper: set B, 0.15 s delay, the defaults of `Truth`.
-
-    Training: x and y together 100 s, z 60 s, yaw 60 s (seeds 1, 2, 3). Validation: 200 s, 100 s, 100 s (seeds 4, 5, 6).
-    All are open loop, as in the paper, from rest, with the paper's two sines; z is flown at three times the paper's
-    amplitude, because at 0.1 two slow sines leave the delay of z unknown to 0.07 s. The axes that are not flown are
-    commanded zero and drift in the light wind, since the model knows no position hold.
-
-    Room needed, over 200 seeds: the xy flights take 4.6 m by 2.0 m (100 s) and 5.1 m by 2.4 m (200 s) in the median,
-    7.0 m by 2.6 m and 8.4 m by 3.5 m in 19 of 20; z climbs through 1.2 m, yaw turns through 3.3 rad. In a smaller room
-    fly with a `Controller`.
-
-    Source: paper, sections 4 and 6; the paper states only the lengths of the validation.
-    """
-    flights = {
-        "train_xy": (("x", "y"), 1.0, 100.0),
-        "train_z": (("z",), 3.0, 60.0),
-        "train_yaw": (("yaw",), 1.0, 60.0),
-        "validate_xy": (("x", "y"), 1.0, 200.0),
-        "validate_z": (("z",), 3.0, 100.0),
-        "validate_yaw": (("yaw",), 1.0, 100.0),
-    }
-    return {
-        name: simulate_flight(Truth(), functools.partial(two_sines, axes=axes, amplitude=amplitude), duration, seed)
-        for seed, (name, (axes, amplitude, duration)) in enumerate(flights.items(), start=1)
-    }
 
 
 def as_log(flight: SimulatedFlight) -> Log:
@@ -344,6 +328,32 @@ def _smooth(time: Array, delay: Four, excitation: Excitation) -> tuple[Array, In
     return np.stack(flown, axis=1), np.repeat(3 * np.arange(middle.size)[:, None], 4, axis=1), 1
 
 
+def _steering(controller: Controller, truth: Truth, sent: Array, start: Array) -> tuple[Array, Array]:
+    """What the compiled loop needs of a controller.
+
+    Returns:
+        Rows stiffness, damping, input, damping of the vehicle, full scale, filter time (of all axes): shape (6, 4).
+        Position, velocity and acceleration of the reference in the world, at the commands, shape (3, M, 4).
+    """
+    acting = np.isin(AXES, controller.axes).astype(float)
+    gamma = np.array(controller.gamma or (*truth.gamma,), float)
+    rows = [
+        acting * np.broadcast_to(controller.stiffness, 4), acting * np.broadcast_to(controller.damping, 4),
+        gamma[::2], gamma[1::2], np.array(controller.full_scale), np.full(4, controller.filter_time),
+    ]  # fmt: skip
+    reference = np.zeros((3, sent.size, 4))
+    if controller.reference:
+        asked = np.stack(controller.reference(sent)) * acting
+        c, s = np.cos(start[3]), np.sin(start[3])
+        reference[:] = asked
+        reference[..., 0], reference[..., 1] = (
+            c * asked[..., 0] - s * asked[..., 1],
+            s * asked[..., 0] + c * asked[..., 1],
+        )
+    reference[0] += start
+    return np.stack(rows), reference
+
+
 @functools.cache
 def _compiled(function: Function) -> Function:
     """The function, compiled by numba and kept on disk; here, since importing numba takes longer than `--help` may."""
@@ -355,7 +365,7 @@ def _compiled(function: Function) -> Function:
 def _fly(
     time: Array, wind: Array, value: Array, row: Integers, stride: int,
     pose_at: Integers, noise: Array, stale: Flags, steered_at: Integers,
-    gains: Array, start: Array, gamma: Array, trim: Array,
+    gains: Array, reference: Array, start: Array, gamma: Array, trim: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Integrates over the grid; takes a pose at `pose_at`, steers at `steered_at` (adds to `value`). Compiled.
 
@@ -365,21 +375,27 @@ def _fly(
     state, slope, trial, total = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8)
     states, accelerations, measured = np.empty((stale.size, 8)), np.empty((stale.size, 4)), np.empty((stale.size, 4))
     state[:4] = start
-    seen, speed, seen_at, force = start.copy(), np.zeros(4), 0.0, np.zeros(4)
+    seen, speed, seen_at, force, asked = start.copy(), np.zeros(4), 0.0, np.zeros(4), np.zeros((4, 4))
     for n in range(time.size - 1):
         pose = pose_at[n]
         if pose >= 0:  # a controller cannot tell a stale frame: it differences what it is shown
             since, seen_at = time[n] - seen_at, time[n]
             for a in range(4):
                 shown = seen[a] if stale[pose] else state[a] + noise[pose, a]
-                speed[a] += (shown - seen[a] - speed[a] * since) / (gains[2] + since)
+                if gains[5, a] + since > 0:
+                    speed[a] += (shown - seen[a] - speed[a] * since) / (gains[5, a] + since)
                 seen[a] = shown
             states[pose], measured[pose] = state, seen
         if steered_at[n] >= 0:
-            force[:] = gains[0] * (start - seen) - gains[1] * speed
-            c, s = np.cos(seen[3]), np.sin(seen[3])
-            force[0], force[1] = c * force[0] + s * force[1], c * force[1] - s * force[0]
-            value[1 + steered_at[n]] += force / gamma[::2]
+            m, c, s = steered_at[n], np.cos(seen[3]), np.sin(seen[3])
+            asked[0], asked[1] = reference[0, m] - seen, reference[1, m] - speed
+            asked[2], asked[3] = reference[2, m], reference[1, m]
+            for k in range(4):
+                asked[k, 0], asked[k, 1] = c * asked[k, 0] + s * asked[k, 1], c * asked[k, 1] - s * asked[k, 0]
+            for a in range(4):
+                wanted = gains[0, a] * asked[0, a] + gains[1, a] * asked[1, a] + asked[2, a] + gains[3, a] * asked[3, a]
+                command = value[1 + m, a] + wanted / gains[2, a]
+                value[1 + m, a] = min(max(command, -gains[4, a]), gains[4, a])
         h = time[n + 1] - time[n]
         total[:] = 0.0
         for k in range(4):  # the classic Runge-Kutta stages: the start, twice the middle, the end

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_that_fits, fits, load_card
+from rotorfit.card import Card, card_from_mapping, card_of, fits, load_card
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -69,7 +69,7 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 
 
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
-    """Reads a log and applies a card: by name or file, as it is, or the one built-in card that fits."""
+    """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
     return _flown(log, read(log.path), chosen)[2]
 
@@ -82,7 +82,7 @@ def load_flights(logs: Sequence[LogSpan], card: str | Card | None = None) -> tup
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
-    card = bound(card or card_that_fits(raw), raw)
+    card = bound(card or card_of(raw), raw)
     return raw, card, flight_from_log(raw, card, log.span)
 
 
@@ -115,15 +115,21 @@ def fit_logs(
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
     flights: list[Flight] = []
-    before: list[Finding] = []
+    noticed: list[tuple[Finding, ...]] = []
     for raw, applied, flight in _all_flown(logs, chosen):
         flights.append(flight)
-        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
+        noticed.append(findings_of_flight(raw, applied, flight))
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
+    before = [
+        told
+        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
+        for told in every
+        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+    ]  # nothing of an axis that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 

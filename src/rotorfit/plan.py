@@ -20,7 +20,7 @@ class Excitation:
     Attributes:
         axis: `x`, `y`, `z` or `yaw`.
         target: What the signal is: the `command` of the axis [unit of the card's command], or the `position` that the
-            feedback tracks, as an offset from the start [m, rad].
+            feedback tracks, as an offset from the start, forward and left of the heading there [m, rad].
         start: When it begins, from the start of the plan [s].
         duration: How long it lasts [s].
         signal: As a function of the time since `start`.
@@ -37,8 +37,9 @@ class Excitation:
 class Feedback:
     """A tracking controller on the measured pose; its command is added to that of the signals.
 
-    u = (stiffness (reference - pose) + damping (reference' - velocity) + reference'') / input, in the heading frame,
-    with the velocity from filtered differences of the measured poses.
+    u = (stiffness (reference - pose) + damping (reference' - velocity) + reference'' + b reference') / input, in the
+    heading frame, with the velocity from filtered differences of the measured poses and the believed input and damping
+    b of the vehicle. The reference is what excitations of the target `position` say, else the pose at the start.
 
     Attributes:
         axes: The axes on which it acts.

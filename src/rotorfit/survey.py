@@ -1,12 +1,13 @@
 """Survey: what is in a log, which card fits, what the flight excites."""
 
+import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, card_that_fits, fitting_cards, load_card
+from rotorfit.card import Card, card_of, fitting_cards, load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum
@@ -18,6 +19,7 @@ from rotorfit.frames import AXES, Array
 from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
 from rotorfit.sources import read
+from rotorfit.sources.content import one_line
 from rotorfit.stream import recorder_clock, sample_rows
 
 
@@ -110,6 +112,8 @@ class Survey:
         card: What the card that was applied calls itself; None where none was given and not exactly one fits.
         flight: What it makes of the log; None where no card fits or there is no usable flight.
         problem: Why there is no card or no flight, one line.
+        recording: Of a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
+        events: What it noted: seconds since the first one, and the text.
     """
 
     path: str
@@ -121,6 +125,8 @@ class Survey:
     card: str | None
     flight: FlightSurvey | None
     problem: str | None
+    recording: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[tuple[float, str], ...] = ()
 
 
 def survey(log: Log, card: Card | None = None) -> Survey:
@@ -128,14 +134,14 @@ def survey(log: Log, card: Card | None = None) -> Survey:
 
     Args:
         log: As recorded.
-        card: To apply; None for the built-in card that fits, if there is one.
+        card: To apply; None for the log's own, or the built-in card that fits, if there is one.
 
     Raises:
         CardError: The card that was given does not fit.
     """
     flight, problem = None, None
     try:
-        card = card or card_that_fits(log)
+        card = card or card_of(log)
     except CardError as err:
         problem = str(err)
     if card is not None:
@@ -154,7 +160,21 @@ def survey(log: Log, card: Card | None = None) -> Survey:
         card=None if card is None else card.name,
         flight=flight,
         problem=problem,
+        recording=_recording(log),
+        events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
     )
+
+
+def _recording(log: Log) -> dict[str, str]:
+    """What is attached to a log, the plan by its name; the card is told by `Survey.card`."""
+    told = {key: text for key, text in log.attached.items() if key not in ("plan", "card")}
+    if "plan" not in log.attached:
+        return told
+    try:
+        name = tomllib.loads(log.attached["plan"]).get("name", "without a name")
+    except tomllib.TOMLDecodeError as error:
+        name = f"damaged: {one_line(error)}"
+    return {"plan": str(name), **told}
 
 
 def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:

@@ -1,45 +1,88 @@
-"""Links: what carries commands to a vehicle and its pose back. `open_link(name, ...) -> Link`.
+"""Links: what carries commands to a vehicle and its pose back. `open_link("name:address", card) -> Link`.
 
 A link is three methods and a clock. `fly` knows nothing else of a vehicle, so a simulated flight, a replayed log and a
-real drone go through the same code.
+real drone go through the same code. Each kind of link is a module with `open_link(address, card)`,
+imported when it is asked for.
 """
 
-from collections.abc import Sequence
-from typing import Literal, Protocol
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from types import MappingProxyType
 
-from rotorfit.log import Sample
+from rotorfit.card import Card
+from rotorfit.errors import LinkError
+from rotorfit.links.joined import join
+from rotorfit.links.link import Action, Link
+from rotorfit.plan import Four
 
-Action = Literal["take_off", "land", "close"]
+__all__ = ["INSTALL", "LINKS", "Action", "Link", "open_link"]
+
+LINKS: Mapping[str, str] = MappingProxyType(
+    {
+        "sim": "rotorfit.links.sim",
+        "replay": "rotorfit.links.replay",
+        "ros1": "rotorfit.links.ros1",
+        "ros2": "rotorfit.links.ros2",
+        "mavlink": "rotorfit.links.mavlink",
+        "tello": "rotorfit.links.tello",
+    }
+)
+"""Name of a link to the module that opens it."""
+
+INSTALL: Mapping[str, str] = MappingProxyType(
+    {
+        "ros1": "run in a shell of a ROS 1 installation "
+        "(Debian: apt install python3-rospy python3-geometry-msgs python3-nav-msgs python3-std-msgs)",
+        "ros2": "run in a shell of a ROS 2 installation: source /opt/ros/DISTRO/setup.bash",
+        "mavlink": "pip install 'rotorfit[mavlink]'",
+    }
+)
+"""How to get what a link needs beyond rotorfit itself."""
 
 
-class Link(Protocol):
-    """What carries commands to a vehicle and samples back.
+def open_link(
+    text: str,
+    card: Card,
+    start: Four = (0.0, 0.0, 1.5, 0.0),
+    seed: int = 0,
+    flying: bool = True,
+    poses: str = "",
+) -> Link:
+    """Opens a link.
 
-    Attributes:
-        now: The link's clock [ns]: the wall clock of a live link, simulated time of a simulated one.
-        fail_safe: What the vehicle does by itself when the link is lost, for people, one or two sentences.
+    Args:
+        text: `NAME` or `NAME:ADDRESS`; what an address is, each link says.
+        card: Meaning and unit of the commands; for links that carry named messages, also which.
+        start: Where a simulated vehicle is: x, y, z [m] and yaw [rad].
+        seed: Of a simulated vehicle.
+        flying: Whether a simulated vehicle is in the air already.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
+
+    Raises:
+        LinkError: No such link, something to install is missing, or nobody answers.
     """
+    name, _, address = text.partition(":")
+    if name not in LINKS:
+        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    with _told_to_install(name):
+        module = import_module(LINKS[name])
+        link: Link = module.open_link(address, card, *((start, seed, flying) if name == "sim" else ()))
+    if not poses:
+        return link
+    try:
+        with _told_to_install(poses.partition(":")[0]):
+            return join(link, poses)
+    except LinkError:
+        link.act("close")
+        raise
 
-    now: int
-    fail_safe: str
 
-    def send(self, command: Sequence[float]) -> None:
-        """Sends forward, left, up, counter-clockwise, in the unit of the card's commands. All zero means hover.
-
-        Raises:
-            LinkError: The link is gone.
-        """
-
-    def receive(self, until: int) -> list[Sample]:
-        """Waits until the clock shows `until` [ns] and returns what has come since the last call, in order.
-
-        Raises:
-            LinkError: The link is gone.
-        """
-
-    def act(self, action: Action) -> None:
-        """Asks the vehicle to take off or land, or closes the link; returns at once.
-
-        Raises:
-            LinkError: The link is gone, or cannot do that.
-        """
+@contextmanager
+def _told_to_install(name: str) -> Iterator[None]:
+    """A package that is missing is one line that says how to get it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        remedy = INSTALL.get(name, f"pip install {error.name}")
+        raise LinkError(f"link {name} needs the Python package {error.name}: {remedy}") from error

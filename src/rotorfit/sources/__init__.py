@@ -25,6 +25,12 @@ FORMATS = MappingProxyType(
         "mcap": "rotorfit.sources.mcap",
         "mat": "rotorfit.sources.mat",
         "mat73": "rotorfit.sources.mat73",
+        "ulog": "rotorfit.sources.ulog",
+        "dataflash": "rotorfit.sources.dataflash",
+        "dataflash_text": "rotorfit.sources.dataflash_text",
+        "parquet": "rotorfit.sources.parquet",
+        "motive": "rotorfit.sources.motive",
+        "vicon": "rotorfit.sources.vicon",
         "csv": "rotorfit.sources.csv",
     }
 )
@@ -57,7 +63,8 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
             source = import_module(module)
             if source.sniff(path, head):
                 content: Content = source.read(path, None if tables is None else frozenset(tables))
-                return Log(path, name, _sha256(path), content.tables, content.skipped, content.notes)
+                found = (content.tables, content.skipped, content.notes, content.attached, content.events)
+                return Log(path, name, _sha256(path), *found)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
     if path.is_dir():

@@ -1,13 +1,13 @@
 """What all bags share: messages, one after the other, become tables with `log_time`."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from rotorfit.errors import LogError
-from rotorfit.log import Column, Table
+from rotorfit.log import Column, Event, Table
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
 from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
@@ -55,10 +55,20 @@ class Collector:
         self._of_topic: dict[Topic, _Stream] = {}
         self._notes: list[str] = []
         self._bytes = 0
+        self._attached: dict[str, str] = {}
+        self._events: list[Event] = []
 
     def note(self, text: str) -> None:
         """Says what was lost or recovered."""
         self._notes.append(one_line(text))
+
+    def attach(self, texts: Mapping[str, str]) -> None:
+        """Takes what was written beside the messages."""
+        self._attached |= texts
+
+    def happened(self, event: Event) -> None:
+        """Takes an event."""
+        self._events.append(event)
 
     def declare(self, topic: Topic) -> None:
         """Makes a topic known, also one that may turn out to have no message."""
@@ -110,7 +120,7 @@ class Collector:
             else:
                 reason = stream.reason or stream.fault or "no numbers of the same length in all messages"
                 skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
-        return Content(tables, skipped, tuple(self._notes))
+        return Content(tables, skipped, tuple(self._notes), self._attached, tuple(self._events))
 
     def _stream(self, topic: Topic) -> _Stream:
         """Decides whether a topic is decoded."""

@@ -1,13 +1,13 @@
 """What a format's reader hands back, and the bounds that a file from a stranger must keep."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from rotorfit.errors import LogError
-from rotorfit.log import Column, Table
+from rotorfit.log import Column, Event, Table
 
 LIMIT = 1 << 30
 """Most bytes that one packed block, or one log's decoded numbers, may take: about 15 hours of poses at 120 Hz."""
@@ -28,11 +28,15 @@ class Content:
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason.
         notes: What was lost or recovered on reading, one sentence each.
+        attached: As `Log.attached`.
+        events: As `Log.events`.
     """
 
     tables: Mapping[str, Table]
     skipped: Mapping[str, str]
     notes: tuple[str, ...]
+    attached: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
 
 
 def check_size(path: Path, columns: Iterable[Column]) -> None:

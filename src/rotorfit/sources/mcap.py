@@ -10,13 +10,17 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from rotorfit.log import Event
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import unpacked
-from rotorfit.sources.content import LIMIT, Content, DamageError
+from rotorfit.sources.content import LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
 
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+ATTACHED, EVENTS = "rotorfit", "/rotorfit/event"
+"""Name of the Metadata record, and the topic of std_msgs/msg/String, in which `rotorfit fly` writes what it did."""
+
 _PREFIX, _MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ"), struct.Struct("<QQQI")
 _LANGUAGES: dict[str, Literal["msg", "idl"]] = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
@@ -80,14 +84,19 @@ def _chunk(
 def _record(
     kind: int, data: bytes, schemas: dict[int, tuple[str, str, bytes]], topics: dict[int, Topic], to: Collector
 ) -> None:
-    """Takes a message, a channel or a schema; other records hold nothing for us."""
+    """Takes a message, a channel, a schema or what is attached; other records hold nothing for us."""
     if kind == _MESSAGE:
         if len(data) < _MESSAGE_HEAD.size:
             raise DamageError("a message is cut short")
         number, _, time, _ = _MESSAGE_HEAD.unpack_from(data)
         if number not in topics:
             raise DamageError("a message without its channel")
-        to.add(topics[number], time, memoryview(data)[_MESSAGE_HEAD.size :])
+        if _tells_events(topics[number]):
+            _event(time, data[_MESSAGE_HEAD.size :], to)
+        else:
+            to.add(topics[number], time, memoryview(data)[_MESSAGE_HEAD.size :])
+    elif kind == _METADATA:
+        _attached(data, to)
     elif kind == _SCHEMA:
         number, start = _small(data, 0)
         name, start = _text(data, start)
@@ -103,7 +112,36 @@ def _record(
         if number not in topics:
             text = definition.decode(errors="replace") if language in _LANGUAGES else ""
             topics[number] = Topic(name, normal_type(msgtype), encoding, text, _LANGUAGES.get(language, "msg"))
-            to.declare(topics[number])
+            if not _tells_events(topics[number]):
+                to.declare(topics[number])
+
+
+def _tells_events(topic: Topic) -> bool:
+    return topic.name == EVENTS and topic.msgtype == "std_msgs/msg/String" and topic.encoding == "cdr"
+
+
+def _event(time: int, data: bytes, to: Collector) -> None:
+    """Takes an event; a damaged one costs itself only."""
+    try:
+        value, _ = _text(data, 4)  # behind the head of CDR
+        to.happened(Event(time, one_line(value.rstrip("\0"))))
+    except DamageError as error:
+        to.note(f"an event is damaged ({error}); left out")
+
+
+def _attached(data: bytes, to: Collector) -> None:
+    """Takes the Metadata record of `rotorfit fly`: a name, then a map of texts. A damaged one costs itself only."""
+    try:
+        name, start = _text(data, 0)
+        if name != ATTACHED:
+            return
+        pairs, texts, start = _bytes(data, start)[0], {}, 0
+        while start < len(pairs):
+            key, start = _text(pairs, start)
+            texts[key], start = _text(pairs, start)
+        to.attach(texts)
+    except DamageError as error:
+        to.note(f"what is attached is damaged ({error}); left out")
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:

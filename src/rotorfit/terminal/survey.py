@@ -25,6 +25,9 @@ def survey_view(survey: "Survey") -> View:
         yield indented(", ".join(one.columns), 4, "dim")
     yield from bullets([f"{name}: not read: {reason}" for name, reason in survey.skipped.items()])
     yield from bullets(survey.notes)
+    if survey.recording:
+        yield indented(", ".join(f"{key} {text}" for key, text in survey.recording.items()))
+    yield from bullets([f"{since:.2f} s: {text}" for since, text in survey.events])
     yield indented(f"Built-in cards that fit: {', '.join(survey.fitting) or 'none'}")
     if survey.flight:
         yield ""

@@ -1,0 +1,55 @@
+"""Does an independent simulator agree with the virtual flight room? The same manoeuvre in both, both identified.
+
+    python bench/bench_rotorpy.py [SECONDS]
+
+Prints the coefficients of both logs with their 95 % half-widths and their difference in standard errors of the
+difference, how far the two paths part, and how far after a small step, for shorter and shorter steps of rotorpy.
+Skips where rotorpy is not installed (`pip install rotorpy`).
+"""
+
+import os
+import sys
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rotorfit.model import Axis
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def main() -> None:
+    if find_spec("rotorpy") is None:
+        print("skipped: rotorpy is not installed; pip install rotorpy")
+        return
+    from rotorpy_flights import AXES, CASES, fly_both, step_gap
+
+    duration = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
+    for name, gain in CASES.items():
+        pair = fly_both(name, duration)
+        apart = abs(pair.theirs - pair.ours.true_position).max(axis=0) * 1e3
+        reach = (pair.theirs.max(axis=0) - pair.theirs.min(axis=0)) * 1e3
+        print(f"\n{name}, velocity loop {gain:g}/s, {duration:g} s")
+        print(
+            "  paths part by at most "
+            + ", ".join(f"{a:.1f} of {r:.0f} mm on {axis}" for a, r, axis in zip(apart, reach, AXES, strict=True))
+        )
+        gaps = ", ".join(f"{step_gap(name, h):.2%} ({h * 1e3:g} ms)" for h in (0.002, 0.001, 0.0005))
+        print(f"  after a small step they part by {gaps}, by how often rotorpy's loops look")
+        print(f"  {'':12}{'room':>20}{'rotorpy':>20}{'difference':>12}  in s.e.")
+        for axis in AXES:
+            print_axis(axis, *(found[axis] for found in pair.found))
+
+
+def print_axis(axis: str, ours: "Axis", theirs: "Axis") -> None:
+    for what in ("input", "damping", "delay"):
+        a, b = getattr(ours.predictor, what), getattr(theirs.predictor, what)
+        sa, sb = ours.stderr[what], theirs.stderr[what]
+        both = f"{a:11.4f} +- {1.96 * sa:.4f}{b:11.4f} +- {1.96 * sb:.4f}"
+        print(f"  {axis + ' ' + what:12}{both}{b - a:+12.4f}  {(b - a) / (sa**2 + sb**2) ** 0.5:+.2f}")
+    a, b = ours.combinations["total_lag"].value, theirs.combinations["total_lag"].value
+    print(f"  {axis + ' total lag':12}{a:11.4f}{'':10}{b:11.4f}{'':10}{b - a:+12.4f}")
+
+
+if __name__ == "__main__":
+    main()

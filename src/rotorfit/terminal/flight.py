@@ -1,0 +1,97 @@
+"""What the terminal shows of a flight: the preflight list, a line while it lasts, how it ended."""
+
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+
+from rotorfit.terminal.tables import View, bullets, indented, title
+
+if TYPE_CHECKING:
+    from rotorfit.fly import Flown, Status
+    from rotorfit.plan import Plan
+    from rotorfit.preflight import Ready
+
+PERIOD = 0.2  # s between two lines
+
+
+def preflight_view(plan: "Plan", link: str, ready: "Ready", fail_safe: str) -> View:
+    """The preflight list, and what a lost link leaves to the vehicle."""
+    yield title(f"{plan.name}: {plan.duration:g} s at {plan.rate:g} commands a second, by {link}")
+    for check in ready.checks:
+        line = Text("  ok   " if check.ok else "  NOT  ", style="green" if check.ok else "bold red")
+        line.append(f"{check.name}: {check.text}", style="default")
+        yield line
+    yield from bullets(ready.notes)
+    yield indented(f"If the link is lost: {fail_safe}")
+
+
+def flown_view(flown: "Flown") -> View:
+    """How a flight ended."""
+    yield title(f"Flown: {flown.text}.")
+    yield indented(
+        f"{flown.duration:.1f} s of the plan, {flown.commands} commands, {flown.poses} poses; "
+        f"{'landing' if flown.landed else 'hovering'}"
+    )
+    yield indented(jitter_line(flown))
+    if flown.outliers:
+        yield indented(f"{flown.outliers} poses could not be true and were left out")
+    yield from bullets(flown.notes)
+
+
+def jitter_line(flown: "Flown") -> str:
+    """By how much commands came later than they were due."""
+    p50, p99, most = (1e3 * value for value in (flown.jitter.p50, flown.jitter.p99, flown.jitter.max))
+    late = f", {flown.late} more than three periods" if flown.late else ""
+    return f"commands late by {p50:.2f} ms (median), {p99:.2f} ms (99 %), {most:.2f} ms (most){late}"
+
+
+def next_command(paths: Sequence[str]) -> str:
+    """What to do with the recording."""
+    return f"rotorfit fit {' '.join(paths)} -o model.json"
+
+
+@contextmanager
+def status_line() -> Iterator[Callable[["Status"], None] | None]:
+    """Shows the last status in one line on stderr, where that is a terminal, from a thread of its own.
+
+    A terminal that does not keep up must not hold up the flight.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    last: list[Any] = [None]
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.wait(PERIOD):
+            if last[0] is not None:
+                sys.stderr.write(f"\r\033[K{status_text(last[0])}")
+                sys.stderr.flush()
+        sys.stderr.write("\r\033[K")
+        sys.stderr.flush()
+
+    def told(status: "Status") -> None:
+        last[0] = status
+
+    thread = threading.Thread(target=run, name="rotorfit-status", daemon=True)
+    thread.start()
+    try:
+        yield told
+    finally:
+        over.set()
+        thread.join(1.0)
+
+
+def status_text(status: "Status") -> str:
+    """The line while a flight lasts."""
+    of = f" of {status.duration:g}" if status.phase == "plan" else ""
+    place = "no pose"
+    if status.pose is not None:
+        x, y, z, _ = status.pose
+        place = f"x {x:+.2f} y {y:+.2f} z {z:.2f} m, {status.room:.2f} m to the fence"
+    battery = "" if status.battery is None else f", battery {status.battery:.0%}"
+    return f"{status.phase} {status.time:.1f}{of} s: {place}{battery}  (Ctrl-C or space: hover and end)"

@@ -1,0 +1,155 @@
+"""What the terminal shows of a plan: its signals, where it is expected to lead, what it is expected to tell."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from rotorfit.excitation import Chirp, Signal, Sines, value
+from rotorfit.expected import EXPECTED_HEADS, UNITS, expected_rows
+from rotorfit.frames import AXES
+from rotorfit.model import COEFFICIENTS
+from rotorfit.next_flight import NextFlight
+from rotorfit.plan import Excitation, Plan
+from rotorfit.terminal.tables import View, bullets, indented, table, three_digits, title
+
+
+def plan_view(plan: Plan) -> View:
+    """One plan."""
+    yield title(
+        f"{plan.name}: {plan.duration:g} s, {plan.rate:g} commands a second, for {plan.card.get('name', 'a card')}"
+    )
+    yield indented(f"Believed: {plan.belief.get('source', 'nothing')}.")
+    yield indented(_loop(plan))
+    yield ""
+    yield _signals(plan)
+    yield ""
+    yield _motion(plan)
+    yield ""
+    yield _errors(plan)
+    yield from bullets([*plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
+    yield Text(
+        f"+-: half of the 95 % interval that is expected, over {plan.predicted['vehicles']} vehicles that are believed "
+        f"possible. Inside: 95 % of {plan.predicted['draws']} of them, with wind and trim; "
+        f"{100 * plan.predicted['leaving']:.0f} % leave.",
+        style="dim",
+    )
+
+
+def _loop(plan: Plan) -> str:
+    """What the feedback does, in a sentence."""
+    if plan.feedback is None:
+        return "Open loop: nothing holds the vehicle back."
+    excited = {each.axis for each in plan.excitations}
+    tracked = {each.axis for each in plan.excitations if each.target == "position"}
+    held = [axis for axis in plan.feedback.axes if axis not in excited]
+    parts = [
+        f"{word} {', '.join(axes)}"
+        for word, axes in (
+            ("tracks", [axis for axis in plan.feedback.axes if axis in tracked]),
+            ("centres", [axis for axis in plan.feedback.axes if axis in excited - tracked]),
+            ("holds", held),
+        )
+        if axes
+    ]
+    return f"Feedback on the measured pose {'; '.join(parts)}."
+
+
+def _signals(plan: Plan) -> Table:
+    """Table of the signals."""
+    shown = table("axis", "signal", "largest", "frequencies", "crest", "of full", "from", "to", left=(0, 1), gap=3)
+    crest, amplitude = plan.predicted.get("crest_factor", {}), plan.predicted.get("amplitude", {})
+    for each in plan.excitations:
+        factor = amplitude.get(each.axis)
+        shown.add_row(
+            each.axis,
+            f"{_kind(each.signal)} of the {each.target}",
+            f"{peak(each):.3g}{_unit(each)}",
+            _frequencies(each.signal),
+            f"{crest[each.axis]:.2f}" if each.axis in crest else "",
+            "" if factor is None else f"{factor:.2f}",
+            f"{each.start:.3g} s",
+            f"{each.start + each.duration:.3g} s",
+        )
+    return shown
+
+
+def _unit(excitation: Excitation) -> str:
+    if excitation.target == "command":
+        return ""
+    return " rad" if excitation.axis == "yaw" else " m"
+
+
+def peak(excitation: Excitation) -> float:
+    """Largest value that a signal takes, without its ramps."""
+    return float(np.max(np.abs(value(excitation.signal, np.arange(0.0, excitation.duration, 0.005)))))
+
+
+def _kind(signal: Signal) -> str:
+    if isinstance(signal, Sines):
+        return f"{len(signal.frequency)} sines"
+    return "sweep" if isinstance(signal, Chirp) else f"{len(signal.level) - 1} levels"
+
+
+def _frequencies(signal: Signal) -> str:
+    if isinstance(signal, Sines | Chirp):
+        return f"{min(signal.frequency):.2f} to {max(signal.frequency):.2f} rad/s"
+    gaps = [b - a for a, b in zip(signal.time, signal.time[1:], strict=False)]
+    return f"{min(gaps):.2g} to {max(gaps):.2g} s each" if gaps else ""
+
+
+def _motion(plan: Plan) -> Table:
+    """Table of the path and the speeds with their limits."""
+    shown = table("motion", "expected within", "allowed", gap=3)
+    extent, space = plan.predicted["extent"], plan.space
+    for axis, low, high in zip(AXES[:3], space.lower, space.upper, strict=True):
+        shown.add_row(f"{axis} [m]", _range(*extent[axis]), _range(low, high))
+    shown.add_row("yaw [deg]", _range(math.degrees(extent["yaw"][0]), math.degrees(extent["yaw"][1]), 0), "")
+    high = plan.predicted["speed_high"]
+    shown.add_row("speed along x, y [m/s]", f"{high['horizontal']:.2f}", f"{space.speed:.2f}")
+    shown.add_row("speed along z [m/s]", f"{high['vertical']:.2f}", f"{space.climb:.2f}")
+    shown.add_row("rate of yaw [deg/s]", f"{math.degrees(high['yaw']):.0f}", "")
+    return shown
+
+
+def _range(low: float, high: float, digits: int = 2) -> str:
+    return f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def _errors(plan: Plan) -> Table:
+    """Table of what is believed and how well it will be known."""
+    shown = table("known after", *EXPECTED_HEADS, gap=3)
+    for row in expected_rows(plan):
+        shown.add_row(*row)
+    return shown
+
+
+def next_view(proposal: NextFlight) -> View:
+    """Why this flight comes next, and what it changes."""
+    yield title("Next flight")
+    yield indented(f"{proposal.reason}.")
+    if len(proposal.tried) > 1:
+        left = ", ".join(
+            f"{name} {value:.2g}" for name, value in sorted(proposal.tried.items(), key=lambda each: each[1])
+        )
+        yield indented(f"Error over wanted that each design would leave on them: {left}.")
+    yield ""
+    shown = table("standard error", "before", "after", "wanted", gap=3)
+    for name, before, after, wanted in _rows(proposal):
+        shown.add_row(name, *(three_digits(value) for value in (before, after, wanted)))
+    yield shown
+    yield ""
+
+
+def _rows(proposal: NextFlight) -> Iterator[tuple[str, float, float, float]]:
+    for axis in AXES:
+        if axis in proposal.plan.card["command"]:
+            for name, unit in zip(COEFFICIENTS, UNITS, strict=True):
+                yield (
+                    f"{axis} {name}{unit}",
+                    proposal.before[axis][name],
+                    proposal.after[axis][name],
+                    proposal.wanted[axis][name],
+                )
