@@ -106,7 +106,9 @@ def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files:
 
     assert apart.flights[0].path == f"{commands}+{mocap}"
     assert any("taken as one flight" in note.text for note in apart.flights[0].notes)
-    assert "clock_includes_delay" in {finding.code for finding in apart.findings}
+    found = {finding.code for finding in apart.findings}
+    assert "clock_includes_delay" in found
+    assert "delay_not_identifiable" not in found
     assert apart.axes["yaw"].delay is None
     assert told.flights[0].path == path
     flights, left_out = training_flights(told)
@@ -132,3 +134,16 @@ def test_onboard_motion_in_a_third_file_is_on_no_known_clock() -> None:
     clocks = flight_from_log(joined([first, third, room]), card_of()).clocks
     assert clocks is not None
     assert clocks.includes_delay
+
+
+def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[list[str], str], tmp_path: Path) -> None:
+    (commands, _, mocap), card = files
+    model, page = str(tmp_path / "model.json"), str(tmp_path / "report.html")
+    for words in (
+        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "-o", model],
+        ["validate", model, commands, mocap],
+        ["report", model, f"{commands}+{mocap}", "-o", page],
+    ):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, result.output
+    assert "the delay is in it" in Path(page).read_text()
