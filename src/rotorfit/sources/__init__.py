@@ -15,6 +15,7 @@ from threading import Event
 from types import MappingProxyType
 
 from rotorfit.errors import LogError
+from rotorfit.joined import joined, parts_of
 from rotorfit.log import Log
 from rotorfit.sources.content import Content, one_line
 
@@ -46,7 +47,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     """Reads a log.
 
     Args:
-        path: A file, or the folder of a ROS 2 bag.
+        path: A file, or the folder of a ROS 2 bag; or several of one flight, `A+B`.
         tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
             like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) are always read whole.
 
@@ -56,6 +57,9 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     Raises:
         LogError: Missing, empty or unreadable file, unknown format, no table in it, damage before the first message.
     """
+    parts = parts_of(path)
+    if len(parts) > 1:
+        return joined([read(part, tables) for part in parts])
     path = Path(path)
     try:
         head = _head(path)
