@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, card_for, fitting_cards, load_card
+from rotorfit.card import Card, fitting_cards, load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum
@@ -16,6 +16,7 @@ from rotorfit.errors import CardError, FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
+from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
 from rotorfit.proposal import proposal
 from rotorfit.sources import read
@@ -149,7 +150,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     except CardError as err:
         problem = str(err)
     if card is not None:
-        card = card_for(log, card)
+        card = bound(card, log)
         try:
             flight = _flight_survey(log, card, flight_from_log(log, card))
         except FlightError as err:
@@ -183,7 +184,7 @@ def _recording(log: Log) -> dict[str, str]:
 
 
 def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:
-    """Reads logs and looks through them.
+    """Reads logs and looks through them; logs that only together hold what the card names are one flight.
 
     Args:
         paths: Of the logs.
@@ -194,7 +195,7 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
         CardError: The card that was given is none, or does not fit.
     """
     chosen = None if card is None else load_card(card)
-    return tuple(survey(read(path), chosen) for path in paths)
+    return tuple(survey(log, chosen) for _, log in flights_of([read(path) for path in paths], chosen))
 
 
 def survey_draft(path: str, draft: Path) -> Survey:
