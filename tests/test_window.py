@@ -20,7 +20,7 @@ T = np.arange(0.0, 40.0, 0.1)
 
 def log_of(commands: Mapping[str, Array] | None = None, **tables: Mapping[str, Array]) -> Log:
     cmd = {"t": T, "x": np.sin(T), "z": np.cos(T), "yaw": np.sin(T / 2)} | dict(commands or {})
-    pose = {"t": T, "x": np.sin(T), "y": np.cos(T), "z": 1 + 0.4 * np.sin(T / 3), "yaw": 0.1 * T}
+    pose = {"t": T, "x": np.sin(T), "y": np.cos(T), "z": 1 + 0.9 * np.sin(T - 0.2), "yaw": 0.1 * T}
     named = {"cmd": cmd, "pose": pose, **tables}
     built = {name: Table(name, {key: np.asarray(v) for key, v in found.items()}) for name, found in named.items()}
     return Log(Path("flight.ulg"), "ulog", "0" * 64, built, {})

@@ -7,13 +7,20 @@ from rotorfit.frames import Array, Indices
 from rotorfit.stream import Stream, closed, kept
 
 LEAST = 1.0
-"""Time for which the vehicle must stand [s]: delays of velocity-commanded vehicles are below half of it."""
+"""Time for which a command must go unanswered [s]: delays of velocity-commanded vehicles are below half of it."""
 
 LEVEL = 0.15
-"""Height that still counts as the ground, above the lowest there [m]: onboard heights drift by a tenth of a metre."""
+"""Change of height that still counts as standing [m]: onboard heights drift by a tenth of a metre in some seconds."""
 
-PUSH = 0.3
-"""Least mean command, against the root mean square of the flight's, that would have moved a vehicle in the air."""
+LOW = 0.25
+"""Share of the flight's range of heights, from the lowest on, in which the ground may lie: over a minute onboard
+heights drift by more than half a metre."""
+
+PUSH = 0.7
+"""Mean command over `LEAST` seconds, against the root mean square of the flight's, that moves a vehicle in the air."""
+
+STILL = 0.05
+"""Change of height in that time that is none [m]."""
 
 
 def airborne(commands: Stream, poses: Stream) -> Stream:
@@ -26,9 +33,9 @@ def airborne(commands: Stream, poses: Stream) -> Stream:
 def standing(command_time: Stamps, climb: Array, pose_time: Stamps, height: Array) -> Mask:
     """Which commands lie before the take-off or after the landing, shape (M,).
 
-    Before: from the first command on the height stays, the lowest of the flight, within `LEVEL`, for `LEAST` seconds
-    at least, while the commands ask for a climb. After: the same from the end, while they ask to sink. A vehicle in the
-    air cannot do this: it would move, or have been lower before.
+    Before: from the first command on the height stays within `LEVEL`, low, and leaves upwards, and at some time in it
+    the commands ask for a climb for `LEAST` seconds and the height stands still. After: the same from the end
+    backwards, with commands that ask to sink. A vehicle in the air would have moved.
 
     Args:
         command_time: Increasing, shape (M,) [ns].
@@ -46,13 +53,29 @@ def standing(command_time: Stamps, climb: Array, pose_time: Stamps, height: Arra
     for sign in (1, -1):
         index = np.arange(len(time))[::sign]
         stays = _stay(level[index])
-        if stays == len(time) or level[index[0]] > np.min(level) + LEVEL:
+        low = level[index[0]] <= np.min(level) + max(LEVEL, LOW * float(np.ptp(level)))
+        if stays == len(time) or not low or level[index[stays]] < level[index[0]]:
             continue
         edge = time[index[stays]]
         part = command_time < edge if sign == 1 else command_time > edge
-        if abs(edge - time[index[0]]) >= LEAST * 1e9 and np.any(part) and sign * np.mean(climb[part]) > PUSH * rms:
+        kept = index[:stays]
+        if _unanswered(command_time[part], sign * climb[part], time[kept][::sign], level[kept][::sign], PUSH * rms):
             ground |= part
     return ground
+
+
+def _unanswered(command_time: Stamps, climb: Array, time: Stamps, level: Array, push: float) -> bool:
+    """Whether commands of at least `push` over `LEAST` seconds left the height where it was."""
+    ends = np.searchsorted(command_time, command_time + round(LEAST * 1e9))
+    total = np.concatenate([[0.0], np.cumsum(climb)])
+    for first, last in enumerate(ends.tolist()):
+        if last == len(command_time):
+            return False
+        if total[last] - total[first] >= push * (last - first):
+            during = level[(time >= command_time[first]) & (time <= command_time[last])]
+            if during.size > 1 and np.ptp(during) < STILL:
+                return True
+    return False
 
 
 def _stay(level: Array) -> int:
