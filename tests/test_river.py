@@ -31,6 +31,7 @@ RIVER = (
     "witnesses",
     "one_clock",
     "flight",
+    "held",
     "draft",
     "regression",
     "two_files",

@@ -200,6 +200,15 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
     )
 
 
+def tables_of(card: Card) -> frozenset[str] | None:
+    """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
+    parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
+    channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
+    channels += [one for one in (card.window, card.velocity_time, card.attitude_time) if one]
+    tables = {split_source(channel.source)[0] for channel in channels if isinstance(channel.source, str)}
+    return None if "" in tables else frozenset(tables)
+
+
 def card_that_fits(log: Log) -> Card:
     """The one built-in card whose columns are all in the log.
 
@@ -327,7 +336,9 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
     if head in log.skipped:
         raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
     if head:
-        raise CardError(f"{log.path}: no table {head!r}{_nearest(head, log.tables)} (`rotorfit info` lists them)")
+        raise CardError(
+            f"{log.path}: no table {head!r}{_nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` lists them)"
+        )
     holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
     raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_of, fits, load_card
+from rotorfit.card import Card, card_from_mapping, card_of, fits, load_card, tables_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -16,6 +16,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.held import without_held
 from rotorfit.influence import with_influence
 from rotorfit.joined import bound, flights_of
 from rotorfit.ladder import Ladder, ladder
@@ -71,7 +72,7 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
-    return _flown(log, read(log.path), chosen)[2]
+    return _flown(log, _read(log, chosen), chosen)[2]
 
 
 def load_flights(logs: Sequence[LogSpan], card: str | Card | None = None) -> tuple[Flight, ...]:
@@ -86,16 +87,21 @@ def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight
     return raw, card, flight_from_log(raw, card, log.span)
 
 
+def _read(log: LogSpan, card: Card | None) -> Log:
+    """A log, with the tables that a card reads; with all where there is none."""
+    return read(log.path, tables_of(card) if card else None)
+
+
 def _all_flown(logs: Sequence[LogSpan], card: Card | None) -> list[tuple[Log, Card, Flight]]:
     """Every flight in some logs, in the order of its first log."""
     flown: dict[int, tuple[Log, Card, Flight]] = {}
     parts: dict[int, Log] = {}
     for number, log in enumerate(logs):
-        raw = read(log.path)
+        raw = _read(log, card)
         if card is None or len(logs) == 1 or raw.file_of or fits(raw, card):
             flown[number] = _flown(log, raw, card)  # at once, so that no two logs need be held
         else:
-            parts[number] = raw
+            parts[number] = read(log.path)
     places = list(parts)
     for place, raw in flights_of(list(parts.values()), card):
         flown[places[place]] = _flown(logs[places[place]], raw, card)
@@ -160,7 +166,8 @@ def validate_logs(
     progress: Progress | None = None,
 ) -> tuple[Validation, tuple[Flight, ...]]:
     """Reads logs with the model's own card unless another is given, and scores the model on them."""
-    flights = load_flights(logs, card or card_from_mapping(model.card.raw, "the model's card"))
+    own = card_from_mapping(model.card.raw, "the model's card")
+    flights = tuple(without_held(load_flights(logs, card or own)))
     return validate(model, flights, horizons, progress), flights
 
 

@@ -147,7 +147,7 @@ def _speeds(panel: Axes, plan: Plan) -> None:
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
     panel.set_title("speeds")
-    panel.legend(loc="lower right", ncols=1)
+    panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=3, borderaxespad=0)
 
 
 def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) -> None:
