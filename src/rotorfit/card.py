@@ -204,7 +204,7 @@ def tables_of(card: Card) -> frozenset[str] | None:
     """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
     parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
     channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
-    channels += [each for each in (card.velocity_time, card.attitude_time, card.window) if each]
+    channels += [one for one in (card.window, card.velocity_time, card.attitude_time) if one]
     tables = {split_source(channel.source)[0] for channel in channels if isinstance(channel.source, str)}
     return None if "" in tables else frozenset(tables)
 
