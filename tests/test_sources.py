@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import lz4.frame
 import numpy as np
+import polars as pl
 import pytest
 import scipy.io
 from rosbags.interfaces import Nodetype
@@ -22,6 +23,15 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from autopilot_logs import (
+    FLASH_FMT,
+    ULOG_HEADER,
+    flash_format,
+    flash_record,
+    ulog_data,
+    ulog_format,
+    ulog_subscription,
+)
 from rotorfit.log import Log
 from rotorfit.sources import FORMATS, read
 from rotorfit.sources.content import DamageError
@@ -181,6 +191,109 @@ def write_mat73(path: Path, rec: Recording, user_block: int = 512) -> Path:
     return path
 
 
+def write_parquet(path: Path, rec: Recording) -> Path:
+    columns = plain_columns(rec)
+    cells = {name: [*values.tolist(), *[None] * (len(rec.pose_time) - len(values))] for name, values in columns.items()}
+    pl.DataFrame({**cells, "mode": ["hover"] * len(rec.pose_time)}).write_parquet(path)
+    return path
+
+
+def in_order(rec: Recording) -> list[tuple[int, str, np.ndarray]]:
+    """Poses and commands in the order of their stamps."""
+    rows = [(int(t), "pose", values) for t, values in zip(rec.pose_time, rec.pose, strict=True)]
+    rows += [(int(t), "cmd", values) for t, values in zip(rec.command_time, rec.command, strict=True)]
+    return sorted(rows, key=lambda row: row[0])
+
+
+POSE_NAMES, COMMAND_NAMES = [f"p{index}" for index in range(7)], [f"u{index}" for index in range(4)]
+
+
+def write_ulog(path: Path, rec: Recording) -> Path:
+    fields = {"pose": ["t_pose", *POSE_NAMES], "cmd": ["t_command", *COMMAND_NAMES]}
+    content = ULOG_HEADER
+    for number, (topic, names) in enumerate(fields.items()):
+        kinds = ["int64_t", *["double"] * (len(names) - 1)]
+        text = "".join(f"{kind} {name};" for kind, name in zip(kinds, names, strict=True))
+        content += ulog_format(topic, f"uint64_t timestamp;{text}") + ulog_subscription(number, topic)
+    for t, topic, values in in_order(rec):
+        content += ulog_data([*fields].index(topic), f"Qq{len(values)}d", t // 1000, t, *values)
+    path.write_bytes(content)
+    return path
+
+
+def write_dataflash(path: Path, rec: Recording) -> Path:
+    codes = {"pose": "Qqddddddd", "cmd": "Qqdddd"}
+    content = FLASH_FMT + flash_format(1, "pose", codes["pose"], ",".join(["TimeUS", "t_pose", *POSE_NAMES]))
+    content += flash_format(2, "cmd", codes["cmd"], ",".join(["TimeUS", "t_command", *COMMAND_NAMES]))
+    for t, name, values in in_order(rec):
+        content += flash_record(1 + (name == "cmd"), codes[name], t // 1000, t, *values)
+    path.write_bytes(content)
+    return path
+
+
+def write_dataflash_text(path: Path, rec: Recording) -> Path:
+    lines = [
+        "ArduCopter V3.1.3", "", "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format",
+        f"FMT, 1, 75, pose, Qqddddddd, TimeUS,t_pose,{','.join(POSE_NAMES)}",
+        f"FMT, 2, 51, cmd, Qqdddd, TimeUS,t_command,{','.join(COMMAND_NAMES)}",
+        "FMT, 129, 23, PARM, Nf, Name,Value", "PARM, RATE_RLL_P, 0.15",
+    ]  # fmt: skip
+    lines += [f"{name}, {t // 1000}, {t}, {', '.join(map(str, values))}" for t, name, values in in_order(rec)]
+    path.write_text("\r\n".join([*lines, ""]), newline="")
+    return path
+
+
+MOCAP_NAMES = {
+    "clock.position.x": "t_pose",
+    "clock.position.y": "t_command",
+    **{f"drone.position.{axis}": f"p{index}" for index, axis in enumerate("xyz")},
+    **{f"drone.rotation.{axis}": f"p{index + 3}" for index, axis in enumerate("xyzw")},
+    **{f"cmd.position.{axis}": f"u{index}" for index, axis in enumerate("xyz")},
+    "cmd.rotation.x": "u3",
+}
+"""Columns of mocap exports, in which the stamps and the commands are bodies too, to those of `plain_columns`."""
+
+
+def mocap_rows(rec: Recording) -> list[str]:
+    columns = plain_columns(rec)
+    return [
+        ",".join(str(columns[name][row]) if row < len(columns[name]) else "" for name in MOCAP_NAMES.values())
+        for row in range(len(rec.pose_time))
+    ]
+
+
+def write_motive(path: Path, rec: Recording) -> Path:
+    names, kinds, axes = zip(*(name.split(".") for name in MOCAP_NAMES), strict=True)
+    first = "Format Version,1.23,Take Name,test,Capture Start Time,2024-01-02 03.04.05.678 PM,Rotation Type,Quaternion"
+    header = [
+        f"{first},Length Units,Meters,Coordinate Space,Global", "",
+        ",".join(["", "Type", *["Rigid Body"] * len(names)]),
+        ",".join(["", "Name", *names]), ",".join(["", "ID", *['"0"'] * len(names)]),
+        ",".join(["", "", *(kind.title() for kind in kinds)]),
+        ",".join(["Frame", "Time (Seconds)", *(axis.upper() for axis in axes)]),
+    ]  # fmt: skip
+    rows = [f"{frame},{frame / 100},{row}" for frame, row in enumerate(mocap_rows(rec))]
+    path.write_text("\r\n".join([*header, *rows, ""]), newline="")
+    return path
+
+
+def write_vicon(path: Path, rec: Recording) -> Path:
+    names, kinds, axes = zip(*(name.split(".") for name in MOCAP_NAMES), strict=True)
+    titles = ["", "", *(f"Global Angle (Quaternion) {name}:{name}" for name in names)]
+    letters = [f"{'R' if kind == 'rotation' else 'T'}{axis.upper()}" for kind, axis in zip(kinds, axes, strict=True)]
+    units = ["mm" if kind == "position" else "" for kind in kinds]
+    header = [
+        "Objects",
+        "100",
+        ",".join(titles),
+        ",".join(["Frame", "Sub Frame", *letters]),
+        ",".join(["", "", *units]),
+    ]
+    rows = [f"{frame + 1},0,{row}" for frame, row in enumerate(mocap_rows(rec))]
+    path.write_text("\r\n".join([*header, *rows, ""]), newline="")
+    return path
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path, Recording], Path]]] = {
     "csv": ("csv", write_csv),
     "csv tab, crlf": ("csv", lambda path, rec: write_csv(path, rec, "\t", end="\r\n")),
@@ -201,6 +314,12 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Recording], Path]]] = {
     "lone mcap": ("mcap", lambda path, rec: write_storage(path, rec, "MCAP")),
     "lone mcap, zstd chunks": ("mcap", lambda path, rec: write_storage(path, rec, "MCAP", "STORAGE")),
     "lone mcap, ros1": ("mcap", write_mcap_ros1),
+    "ulog": ("ulog", write_ulog),
+    "dataflash": ("dataflash", write_dataflash),
+    "dataflash_text": ("dataflash_text", write_dataflash_text),
+    "parquet": ("parquet", write_parquet),
+    "motive": ("motive", write_motive),
+    "vicon": ("vicon", write_vicon),
     "lone mcap, ros1, lz4 chunk": ("mcap", lambda path, rec: write_mcap_ros1(path, rec, packed=True)),
 }
 BAGS = [name for name, (kind, _) in WRITERS.items() if kind in ("rosbag1", "rosbag2", "mcap")]
@@ -216,9 +335,12 @@ def as_recording(log: Log) -> Recording:
             command["header.stamp"],
             np.stack([command[name] for name in TWIST_FIELDS], axis=1),
         )
-    ((name, table),) = log.tables.items()
-    assert name == log.path.stem
-    columns = {label: values[~np.isnan(values)] for label, values in table.columns.items()}
+    assert list(log.tables) in ([log.path.stem], ["Objects"], ["pose", "cmd"])
+    columns = {
+        MOCAP_NAMES.get(label, label): values[~np.isnan(values)]
+        for table in log.tables.values()
+        for label, values in table.columns.items()
+    }
     return Recording(
         columns["t_pose"],
         np.stack([columns[f"p{index}"] for index in range(7)], axis=1),
@@ -236,11 +358,12 @@ def test_every_format_gives_the_same_poses_and_commands_whatever_the_file_is_cal
     got = as_recording(log)
 
     assert log.format == kind
-    assert log.notes == () or all("left out because" in note for note in log.notes)
+    assert all("left out because" in note or note.startswith(("Motive captured", "Objects: 100")) for note in log.notes)
+    sheet = name.startswith(("csv", "motive", "vicon", "parquet"))
     for values in (got.pose_time, got.command_time):
-        assert values.dtype == np.int64 or name.startswith(("csv", "mat"))
-    # A CSV column with empty cells is float64, which holds nanoseconds of today to 256 ns.
-    assert np.abs(got.command_time.astype(np.int64) - rec.command_time).max() <= (256 if "csv" in name else 0)
+        assert values.dtype == np.int64 or sheet or name.startswith("mat")
+    # A column with empty cells is float64, which holds nanoseconds of today to 256 ns.
+    assert np.abs(got.command_time.astype(np.int64) - rec.command_time).max() <= (256 if sheet else 0)
     np.testing.assert_array_equal(got.pose_time, rec.pose_time)
     np.testing.assert_array_equal(got.pose, rec.pose)
     np.testing.assert_array_equal(got.command, rec.command)

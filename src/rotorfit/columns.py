@@ -27,7 +27,8 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
     names = clocks_of(table, count)
     if not names:
         return None
-    time = Channel(source_of(log, table, names[0]), unit=unit_of_name(names[0]))
+    of_ulog = log.format == "ulog" and names[0] == "timestamp"
+    time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
     if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
         return time
     steps = np.diff(table.columns[names[0]].astype(np.float64).ravel())

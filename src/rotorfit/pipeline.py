@@ -16,6 +16,7 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.held import without_held
 from rotorfit.influence import with_influence
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
@@ -93,16 +94,22 @@ def fit_logs(
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
     flights: list[Flight] = []
-    before: list[Finding] = []
+    noticed: list[tuple[Finding, ...]] = []
     for log in logs:
         raw, applied, flight = _flown(log, chosen)
         flights.append(flight)
-        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
+        noticed.append(findings_of_flight(raw, applied, flight))
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
+    before = [
+        told
+        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
+        for told in every
+        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+    ]  # nothing of an axis that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
@@ -133,7 +140,8 @@ def validate_logs(
     progress: Progress | None = None,
 ) -> tuple[Validation, tuple[Flight, ...]]:
     """Reads logs with the model's own card unless another is given, and scores the model on them."""
-    flights = tuple(load_flight(log, card or card_from_mapping(model.card.raw, "the model's card")) for log in logs)
+    own = card_from_mapping(model.card.raw, "the model's card")
+    flights = tuple(without_held([load_flight(log, card or own) for log in logs]))
     return validate(model, flights, horizons, progress), flights
 
 

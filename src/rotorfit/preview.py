@@ -10,11 +10,10 @@ import numpy as np
 
 from rotorfit.belief import belief_from_mapping
 from rotorfit.envelope import Envelope, predicted_path
+from rotorfit.expected import EXPECTED_HEADS, expected_rows
 from rotorfit.frames import AXES, Array
-from rotorfit.model import COEFFICIENTS
 from rotorfit.plan import Plan
 from rotorfit.rehearsal import excited_axes
-from rotorfit.terminal.plan import UNITS, Z95, believed, plus_minus
 from rotorfit.tracking import command_at, reference_at
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ def _motion(panel: Axes, envelope: Envelope, axes: tuple[str, ...]) -> None:
             linewidth=0,
         )  # fmt: skip
         panel.plot(envelope.time, envelope.nominal[:, a] - begin, color=COLOURS[axis], label=axis)
-    panel.set_title("expected motion from the start [m, rad], and 95 % of it")
+    panel.set_title("expected motion [m, rad], band: 95 %")
     _over_time(panel, float(envelope.time[-1]))
 
 
@@ -111,13 +110,8 @@ def _table(panel: Axes, plan: Plan) -> None:
 
     panel.axis("off")
     panel.set_title("known after the flight, 95 % intervals")
-    rows = []
-    for axis, errors in plan.predicted["stderr"].items():
-        pairs = zip(COEFFICIENTS, believed(plan, axis), strict=True)
-        rows.append([plus_minus(value, Z95 * errors[name]).replace("+-", "\u00b1") for name, value in pairs])
-    heads = [f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True)]
-    labels = list(plan.predicted["stderr"])
-    cells = [["", *heads], *([label, *row] for label, row in zip(labels, rows, strict=True))]
+    rows = [[cell.replace("+-", "\u00b1") for cell in row] for row in expected_rows(plan)]
+    cells = [["", *EXPECTED_HEADS], *rows]
     height = 0.17 * len(cells)
     table = panel.table(
         cells,
@@ -152,8 +146,8 @@ def _speeds(panel: Axes, plan: Plan) -> None:
     panel.set_yticks(place, ["along x, y [m/s]", "along z [m/s]", "yaw [rad/s]"])
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
-    panel.set_title("greatest speeds")
-    panel.legend(loc="lower right", ncols=1)
+    panel.set_title("speeds")
+    panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=3, borderaxespad=0)
 
 
 def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) -> None:

@@ -297,13 +297,15 @@ def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str
     """A column held onto the commands' stamps; NaN before its first value.
 
     Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
-    column of its own table that is named as the commands' clock.
+    column of its own table that is named as the commands' clock, else `log_time` (messages of autopilots without one).
     """
     values = column(log, channel)
     if not isinstance(channel.source, str):
         return np.full(stamps.size, values[0])
     table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
     own = replace(card.command_time, source=f"{table}:{name}" if table else name)
+    if table in log.tables and name not in log.tables[table].columns and "log_time" in log.tables[table].columns:
+        own = Channel(f"{table}:log_time")
     beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
     for time in [*beside, own]:
         clock = stamps_of(log, time)

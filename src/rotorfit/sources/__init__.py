@@ -24,6 +24,12 @@ FORMATS = MappingProxyType(
         "mcap": "rotorfit.sources.mcap",
         "mat": "rotorfit.sources.mat",
         "mat73": "rotorfit.sources.mat73",
+        "ulog": "rotorfit.sources.ulog",
+        "dataflash": "rotorfit.sources.dataflash",
+        "dataflash_text": "rotorfit.sources.dataflash_text",
+        "parquet": "rotorfit.sources.parquet",
+        "motive": "rotorfit.sources.motive",
+        "vicon": "rotorfit.sources.vicon",
         "csv": "rotorfit.sources.csv",
     }
 )

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 _SEPARATORS = ",;\t"
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _BLOCK = 1 << 20
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
-_UTF8_MARK = b"\xef\xbb\xbf"
+UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -51,12 +51,12 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
     """Whether text begins: a row of names (or numbers), below it, if anything, cells with a number among them."""
     if head.startswith(_UTF16_MARKS):
         return True
-    text = head.removeprefix(_UTF8_MARK).decode("utf-8", errors="replace")
+    text = head.removeprefix(UTF8_MARK).decode("utf-8", errors="replace")
     lines = [line for line in text.split("\n")[:100] if line.strip()][:2]
     if not lines or not all(char.isprintable() or char in "\t\r" for line in lines for char in line):
         return False
-    names, *rows = (_cells(line, _separator(lines[0])) for line in lines)
-    return len(names) > 1 and all(len(row) > 1 and any(map(_NUMBER.fullmatch, row)) for row in rows)
+    names, *rows = (cells(line, separator_of(lines[0])) for line in lines)
+    return len(names) > 1 and all(len(row) > 1 and any(map(NUMBER.fullmatch, row)) for row in rows)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a CSV is one table
@@ -66,35 +66,68 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
         LogError: Not UTF-8, no header, no rows, no column of numbers.
     """
     notes: list[str] = []
-    if path.stat().st_size > LIMIT:
-        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of text; cut the log to the flight that you need")
-    sheet = _sheet(path, path.read_bytes().removeprefix(_UTF8_MARK), notes)
-    frame = _frame(path, sheet)
-    columns = _columns(frame, sheet.names, notes)
-    if not columns:
-        raise LogError(f"{path}: no column of numbers; check the separator and the decimal sign")
-    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
-
-
-def _sheet(path: Path, data: bytes, notes: list[str]) -> _Sheet:
-    """Takes the text apart and leaves out torn lines."""
-    _check_text(path, data)
+    data = text_of(path)
     blank = len(data) - len(data.lstrip())
     end = data.find(b"\n", blank)
     end = len(data) if end < 0 else end
-    header, body = data[blank:end].decode(), data[end + 1 :]
-    separator = _separator(header)
-    names = _cells(header, separator)
+    header = data[blank:end].decode()
+    separator = separator_of(header)
+    names = cells(header, separator)
     if len(names) < 2:
         raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
-    if all(_NUMBER.fullmatch(name) for name in names):
+    if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
+    columns = columns_below(path, data, (end + 1, len(data)), names, separator, notes)
+    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+
+
+def text_of(path: Path) -> bytes:
+    """The text of a file without the mark that says UTF-8.
+
+    Raises:
+        LogError: Too large, or not UTF-8.
+    """
+    if path.stat().st_size > LIMIT:
+        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of text; cut the log to the flight that you need")
+    data = path.read_bytes().removeprefix(UTF8_MARK)
+    _check_text(path, data)
+    return data
+
+
+def columns_below(
+    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+) -> dict[str, Column]:
+    """Columns of numbers in the rows of a part of a text.
+
+    Args:
+        path: For the text of errors.
+        data: The text.
+        part: Where the rows begin, behind the header, and where they end.
+        names: Of the columns, in order; may repeat, may be empty.
+        separator: Between cells.
+        notes: Grows by what was left out.
+
+    Raises:
+        LogError: No rows, or no column of numbers.
+    """
+    sheet = _sheet(path, data, part, names, separator, notes)
+    columns = _columns(_frame(path, sheet), sheet.names, notes)
+    if not columns:
+        raise LogError(f"{path}: no column of numbers; check the separator and the decimal sign")
+    return columns
+
+
+def _sheet(
+    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+) -> _Sheet:
+    """Takes the rows apart and leaves out torn lines."""
+    body = data[part[0] : part[1]]
     if not body.strip():
         raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
     lines = _Lines(body, separator)
     first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
     if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):
-        names.append("")  # loggers that end every row, but not the header, with a separator
+        names = [*names, ""]  # loggers that end every row, but not the header, with a separator
     whole = lines.filled & (lines.cells == len(names)) & ~lines.zeros
     if not whole.any():
         width = int(lines.cells[lines.filled][0])
@@ -102,7 +135,7 @@ def _sheet(path: Path, data: bytes, notes: list[str]) -> _Sheet:
     _drop_cut_value(body, lines, whole, separator, notes)
     torn = np.flatnonzero(lines.filled & ~whole)
     if len(torn):
-        line = data.count(b"\n", 0, end + 1 + int(lines.starts[torn[0]])) + 1
+        line = data.count(b"\n", 0, part[0] + int(lines.starts[torn[0]])) + 1
         notes.append(f"{len(torn)} torn lines left out, the first is line {line} of the file")
     rows = body if not len(torn) else np.frombuffer(body, np.uint8)[np.repeat(whole, lines.lengths)].tobytes()
     return _Sheet(names, separator, lines.quoted, _with_points(rows, separator))
@@ -158,10 +191,10 @@ def _drop_cut_value(text: bytes, lines: _Lines, whole: npt.NDArray[np.bool_], se
     if text.endswith(b"\n") or not whole[-1]:
         return
     ends = [
-        _cells(text[lines.starts[row] :][: lines.lengths[row]].decode(), separator)[-1:]
+        cells(text[lines.starts[row] :][: lines.lengths[row]].decode(), separator)[-1:]
         for row in np.flatnonzero(whole)[-2:]
     ]
-    is_number = [all(map(_NUMBER.fullmatch, cell)) for cell in ends]
+    is_number = [all(map(NUMBER.fullmatch, cell)) for cell in ends]
     if is_number == [True, False]:
         whole[-1] = False
     else:
@@ -181,13 +214,13 @@ def _check_text(path: Path, data: bytes) -> None:
         ) from error
 
 
-def _separator(header: str) -> str:
+def separator_of(header: str) -> str:
     """The separator that the header holds most of, outside quotation marks; a comma where it holds none."""
     bare = re.sub(r'"[^"]*"', "", header)
     return max(_SEPARATORS, key=bare.count)
 
 
-def _cells(line: str, separator: str) -> list[str]:
+def cells(line: str, separator: str) -> list[str]:
     """Cells of one line, without quotation marks and the blanks around them; none where they do not pair up."""
     try:
         cells = next(csv.reader([line.strip("\r\n")], delimiter=separator, skipinitialspace=separator != "\t"), [])

@@ -91,7 +91,10 @@ def types_of(topic: Topic) -> Types:
                 types |= {name: fields for name, (_, fields) in get_types_from_idl(part).items()}
         elif text or topic.msgtype not in types:
             if not text:
-                raise DamageError("its definition is neither in the bag nor among the standard ones")
+                raise DamageError(
+                    "its definition is neither in the bag nor among the standard ones; "
+                    "`ros2 bag convert` to MCAP puts it in where its package is installed"
+                )
             types |= {name: fields for name, (_, fields) in get_types_from_msg(text, topic.msgtype).items()}
     except (TypesysError, RecursionError, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
         raise DamageError(f"its definition cannot be parsed ({one_line(error)})") from error

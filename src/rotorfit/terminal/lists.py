@@ -13,6 +13,12 @@ FORMATS = {
     "mcap": "MCAP with ROS messages (.mcap), encodings cdr and ros1",
     "mat": "MATLAB, version 5 to 7.2 (.mat), also from Octave and scipy",
     "mat73": "MATLAB, version 7.3 (.mat); needs h5py: pip install 'rotorfit[mat73]'",
+    "ulog": "PX4 log (.ulg)",
+    "dataflash": "ArduPilot log (.bin), with TimeUS, TimeMS or no time",
+    "dataflash_text": "ArduPilot log as text (.log)",
+    "parquet": "Parquet: one flat table (.parquet)",
+    "motive": "OptiTrack Motive export (.csv), format 1.2 and later",
+    "vicon": "Vicon export (.csv) of Tracker or Nexus",
     "csv": "CSV: a row of names, then rows of numbers between commas, semicolons or tabs",
 }
 """Format to what a user calls it."""

@@ -8,14 +8,12 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorfit.excitation import Chirp, Signal, Sines, value
+from rotorfit.expected import EXPECTED_HEADS, UNITS, expected_rows
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS
 from rotorfit.next_flight import NextFlight
 from rotorfit.plan import Excitation, Plan
 from rotorfit.terminal.tables import View, bullets, indented, table, three_digits, title
-
-Z95 = 1.96
-"""Half width of a 95 % interval in standard errors."""
 
 
 def plan_view(plan: Plan) -> View:
@@ -122,29 +120,10 @@ def _range(low: float, high: float, digits: int = 2) -> str:
 
 def _errors(plan: Plan) -> Table:
     """Table of what is believed and how well it will be known."""
-    shown = table("known after", *(f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True)), gap=3)
-    for axis, errors in plan.predicted["stderr"].items():
-        values = believed(plan, axis)
-        shown.add_row(
-            axis, *(plus_minus(value, Z95 * errors[name]) for name, value in zip(COEFFICIENTS, values, strict=True))
-        )
+    shown = table("known after", *EXPECTED_HEADS, gap=3)
+    for row in expected_rows(plan):
+        shown.add_row(*row)
     return shown
-
-
-UNITS = ("", " [1/s]", " [s]")
-"""Of the coefficients; the input has that of its command."""
-
-
-def believed(plan: Plan, axis: str) -> tuple[float, float, float]:
-    """Input, damping and delay of an axis as the plan believes them."""
-    a = AXES.index(axis)
-    return plan.belief["gamma"][2 * a], plan.belief["gamma"][2 * a + 1], plan.belief["delay"][a]
-
-
-def plus_minus(value: float, half: float) -> str:
-    """A value with half of its interval, two digits of that."""
-    decimals = max(0, min(6, 1 - math.floor(math.log10(half)))) if 0 < half < math.inf else 3
-    return f"{value:.{decimals}f} +- {half:.{decimals}f}"
 
 
 def next_view(proposal: NextFlight) -> View:
