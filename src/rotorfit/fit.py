@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from rotorfit.card import Prior
+from rotorfit.clock_error import check_clocks, with_clock_error
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, together
@@ -140,7 +141,8 @@ def fit(
     )
     kept = {axis: e for axis, e in estimates.items() if axis in wanted}
     remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
-    return Fit(with_physics(model), tuple(flights), paper, kept, remarks, outliers)
+    model = with_physics(with_clock_error(model, flights))
+    return Fit(model, tuple(flights), paper, kept, remarks, outliers)
 
 
 def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
@@ -155,6 +157,7 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    check_clocks(flights)
     if prior and method not in LIKELIHOOD:
         raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
     if prior and not flights[0].card.prior:

@@ -9,7 +9,10 @@ from rotorfit.card import Card
 from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.joined import bound
 from rotorfit.log import Log
+from rotorfit.one_clock import Clocks, on_one_clock
+from rotorfit.stamping import with_sound_stamps
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
 
 __all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
@@ -42,6 +45,7 @@ class Flight:
         notes: Every repair, with its count.
         reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
             the card does not name and before the first value; None where it names none.
+        clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
     """
 
     path: str
@@ -57,6 +61,7 @@ class Flight:
     segments: tuple[Segment, ...]
     notes: tuple[Note, ...] = ()
     reference: Array | None = None
+    clocks: Clocks | None = None
 
     @property
     def duration(self) -> float:
@@ -80,6 +85,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     Commands hold until the next one, but no longer than `card.hold` (default: three median periods): a longer gap
     starts a new segment. Gaps between poses do not.
 
+    Where commands and poses are from two files, the commands are first brought onto the clock of the poses.
+
     Args:
         log: As recorded.
         card: Which column is what. Commands in the world frame are along the axes of the converted pose (x east, y
@@ -94,6 +101,9 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             less than two seconds, or yaw in degrees taken for radians.
     """
+    card = bound(card, log)
+    log, stamped = with_sound_stamps(log, card)
+    log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses = poses_of(log, card)
     end = _window_end(log, commands, poses, origin)
@@ -108,7 +118,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
-    notes = (*cut, *_cut_notes(seen, segments, heading, yaw))
+    notes = (*stamped, *_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
     if card.command_frame == "world":
         command_time, command, note = _in_heading_frame(command_time, command, command_end, pose_time, yaw)
         notes = (*notes, note)
@@ -128,7 +138,31 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         segments=segments,
         notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
+        clocks=clocks,
     )
+
+
+def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
+    """What was done about the clocks of two files."""
+    if clocks is None:
+        return ()
+    figures = (
+        f"{clocks.offset:+.4f} s (95 %: +-{1e3 * clocks.half_width:.2f} ms), drift {1e6 * clocks.drift:+.0f} "
+        f"(+-{1e6 * clocks.drift_half_width:.0f}) us/s"
+    )
+    if clocks.includes_delay:
+        text = (
+            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the "
+            "answer to them: the delay is in it"
+        )
+    elif clocks.moved:
+        text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"
+    else:
+        seen = "" if clocks.source == "none" else f"; the vehicle's own motion says {figures}"
+        text = (
+            f"the stamps of {count} commands stay as they are beside the poses of another file: {clocks.stated}{seen}"
+        )
+    return (Note("clocks", text, count),)
 
 
 def _window_end(log: Log, commands: Stream, poses: Stream, origin: int) -> int:
