@@ -364,7 +364,7 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 @click.option("--after", type=_file(dir_okay=False), metavar="model.json", help="Propose the flight to add to a model.")
 @click.option(
     "--design",
-    type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal"]),
+    type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a"]),
     help="How the signals come about; default: multisine, or with --after the one that tells most.",
 )
 @click.option("--room", metavar="6x4x3", help="Size of the room [m], the origin in the middle of its floor.")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -52,6 +52,9 @@ RESERVE = 0.85
 
 YAW_REACH, YAW_RATE = np.pi / 2, 1.5
 """How far and how fast an optimal design turns [rad, rad/s]."""
+
+OPTIMAL: Mapping[str, Literal["d", "a"]] = {"optimal": "d", "optimal_a": "a"}
+"""Designs that are searched for, and by which criterion, see `optimal`."""
 
 NEARLY = 0.95
 """Share of the full amplitude from which on an open loop is good enough."""
@@ -151,14 +154,21 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
     belief, length = wanted.belief, wanted.duration - 2 * QUIET
     plan = Plan(
         f"{wanted.design} on {', '.join(wanted.axes)}", wanted.design, wanted.card.raw, RATE, wanted.duration,
-        0.0 if wanted.design == "optimal" else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
+        0.0 if wanted.design in OPTIMAL else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
     )  # fmt: skip
-    if wanted.design == "optimal":
+    if wanted.design in OPTIMAL:
         hover = predicted_path(plan, belief, seed=wanted.seed)
         if not hover.fits:
             return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
         excitations = optimal_excitations(
-            belief, _limits(wanted, hover), QUIET, length, loop, seed=wanted.seed, progress=part_of(progress, 0, 2)
+            belief,
+            _limits(wanted, hover),
+            QUIET,
+            length,
+            loop,
+            OPTIMAL[wanted.design],
+            wanted.seed,
+            part_of(progress, 0, 2),
         )
         progress = part_of(progress, 1, 2)
     else:
