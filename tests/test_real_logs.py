@@ -69,6 +69,7 @@ def test_px4_uses_its_velocity_controlled_window_only(real_flights: Path) -> Non
 
     assert proposal(log).name == "px4"
     assert found["nan_commands"] == 74
+    assert found["card_proposed"] == 1  # px4-offboard makes no flight of it
     assert found["pose_resets"] == 1  # the heading, at 623.4 s
     assert found["commands_on_ground"] == 66  # until it leaves the ground, and from when it is down
     assert len(flight.segments) == 2

@@ -107,7 +107,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses = poses_of(log, card)
-    commands = airborne(commands, poses)
+    commands = airborne(commands, poses, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
     begin, finish = origin + round(start * 1e9), origin + round(stop * 1e9)

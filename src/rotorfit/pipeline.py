@@ -13,7 +13,7 @@ from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
-from rotorfit.flight import Flight, flight_from_log
+from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.held import without_held
@@ -26,7 +26,7 @@ from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
-from rotorfit.proposal import card_of
+from rotorfit.proposal import card_of, proposal
 from rotorfit.settings import disagreement
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
@@ -93,7 +93,14 @@ def load_flights(
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
-    flight = flight_from_log(raw, card or card_of(raw), log.span)
+    if card is not None:
+        flight = flight_from_log(raw, card, log.span)
+        return raw, flight.card, flight
+    proposed = proposal(raw)
+    flight = flight_from_log(raw, proposed.card, log.span)
+    if proposed.rivals:
+        note = Note("card_proposed", f"read with the card {proposed.name}, {proposed.why}", len(proposed.rivals))
+        flight = replace(flight, notes=(note, *flight.notes))
     return raw, flight.card, flight
 
 

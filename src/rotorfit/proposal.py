@@ -19,11 +19,13 @@ class Proposal:
         name: Of the built-in card; None for the card that the log carries.
         card: The card.
         why: What speaks for it, one line.
+        rivals: Names of the other built-in cards whose columns are all there, too.
     """
 
     name: str | None
     card: Card
     why: str
+    rivals: tuple[str, ...] = ()
 
 
 def proposal(log: Log) -> Proposal:
@@ -84,7 +86,8 @@ def _best(log: Log, cards: Mapping[str, Card], flights: Mapping[str, Flight]) ->
     if len(equal) > 1:
         raise CardError(f"{log.path}: several built-in cards fit ({', '.join(equal)}); name one with `--card`")
     others = [f"{name} ({_against(name, equal[0], flights, cards, rank)})" for name in cards if name != equal[0]]
-    return Proposal(equal[0], cards[equal[0]], f"before {', '.join(others)}")
+    rivals = tuple(name for name in cards if name != equal[0])
+    return Proposal(equal[0], cards[equal[0]], f"before {', '.join(others)}", rivals)
 
 
 def _against(
