@@ -60,8 +60,12 @@ class Card:
         command_time: Stamp of the commands.
         command: Axis name to channel, for the commanded axes only.
         pose_time: Stamp of the poses.
-        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`.
+        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`. x and y together, or z, are left out where
+            there is only their velocity.
         velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
+        velocity_time: Stamp of the velocity; None where it has that of the table it stands in.
+        velocity_independent: Whether the velocity is a measurement of its own, beside the pose: neither came from the
+            other.
         reference: Optional: what a position controller was told.
         window: Optional column that says when the vehicle is armed or under velocity control.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
@@ -80,12 +84,19 @@ class Card:
     pose: Mapping[str, Channel]
     velocity: Mapping[str, Channel] = field(default_factory=dict)
     velocity_frame: Literal["heading", "world"] = "world"
+    velocity_time: Channel | None = None
+    velocity_independent: bool = False
     reference: Mapping[str, Channel] = field(default_factory=dict)
     window: Channel | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, Mapping[str, Prior]] = field(default_factory=dict)
     raw: Mapping[str, Any] = field(default_factory=dict)
     fail_safe: str = ""
+
+    @property
+    def velocity_only(self) -> tuple[str, ...]:
+        """The axes of which there is a velocity and no pose, in the order of `AXES`."""
+        return tuple(axis for axis in ("x", "y", "z") if axis not in self.pose)
 
 
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
@@ -98,7 +109,7 @@ _LIMITS = tuple(LIMIT_UNITS)
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
     "pose": ("time", *AXES, "quaternion"),
-    "velocity": ("frame", *AXES),
+    "velocity": ("frame", "time", "independent", *AXES),
     "reference": AXES,
     "window": ("when",),
     "limits": _LIMITS,
@@ -175,9 +186,11 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         command_time=_recorded(command, "time", _STAMP, in_command),
         command=commands,
         pose_time=_recorded(pose, "time", _STAMP, in_pose),
-        pose=_pose(pose, in_pose),
+        pose=_pose(pose, velocity, in_pose),
         velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
+        velocity_time=_recorded(velocity, "time", _STAMP, f"{place}, [velocity]") if "time" in velocity else None,
+        velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
         window=_recorded(sections["window"], "when", _ANY, f"{place}, [window]") if "window" in raw else None,
         limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
@@ -374,6 +387,12 @@ def _positive(value: Any, place: str) -> float:
     return float(value)
 
 
+def _yes_or_no(value: Any, place: str) -> bool:
+    if not isinstance(value, bool):
+        raise CardError(f"{place}: must be true or false, not {value!r}")
+    return value
+
+
 def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
     for option in known:
         if value == option:
@@ -421,13 +440,19 @@ def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], plac
     return channel
 
 
-def _pose(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
-    """x, y, z, and yaw or qw, qx, qy, qz."""
+def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """x, y, z, and yaw or qw, qx, qy, qz; x with y, or z, may be missing where there is their velocity."""
     if ("yaw" in section) == ("quaternion" in section):
         raise CardError(f"{place}: name either yaw or quaternion, and not both")
     missing = [axis for axis in ("x", "y", "z") if axis not in section]
-    if missing:
-        raise CardError(f"{place}: {missing[0]} is missing; name its column, or a constant where it was not measured")
+    unknown = [axis for axis in missing if axis not in velocity]
+    if unknown:
+        raise CardError(
+            f"{place}: {unknown[0]} is missing; name its column, or a constant where it was not measured, or its "
+            "velocity in [velocity]"
+        )
+    if ("x" in section) != ("y" in section):
+        raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or leave both to [velocity]")
     channels = _channels(section, _POSE_UNITS, place)
     if "quaternion" not in section:
         return channels

@@ -10,6 +10,7 @@ They are the disturbance's own (the Box-Jenkins form), so its four levels share 
 information matrix falls into two blocks. The position starts unknown, s and s' start in their stationary state.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numba
@@ -19,6 +20,13 @@ from rotorfit.frames import Array, Indices
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
 """q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
+
+LEVELS_OF: Mapping[str, tuple[str, ...]] = {
+    "position": LEVELS,
+    "velocity": ("wind_power", "velocity_variance", "wind_damping", "wind_overlap"),
+    "both": (*LEVELS, "velocity_variance"),
+}
+"""Names of the levels by what was measured; r_v [unit^2/s^2] is that of one velocity."""
 
 STEP_GRAIN = 1e-5
 """Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
@@ -271,6 +279,22 @@ def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
         for j in range(3):
             own[i, j] -= gain[3 * axis + i] * gain[3 * axis + j] * S
             other[i, j] -= gain[3 * (1 - axis) + i] * gain[3 * (1 - axis) + j] * S
+            P[2, i, j] -= gain[i] * gain[3 + j] * S
+    return S
+
+
+@numba.njit(cache=True)
+def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
+    """The same of a measured velocity s of one axis."""
+    own = P[axis]
+    S = own[1, 1] + noise
+    for i in range(3):
+        gain[3 * axis + i] = own[1, i] / S
+        gain[3 * (1 - axis) + i] = (P[2, 1, i] if axis == 0 else P[2, i, 1]) / S
+    for i in range(3):
+        for j in range(3):
+            P[0, i, j] -= gain[i] * gain[j] * S
+            P[1, i, j] -= gain[3 + i] * gain[3 + j] * S
             P[2, i, j] -= gain[i] * gain[3 + j] * S
     return S
 

@@ -99,7 +99,7 @@ def fit(
         ModelError: No such structure, or one other than the default with a method other than the likelihood.
     """
     _check(flights, method, structure, prior)
-    flights = without_held(flights)
+    flights = without_held(flights) if method == "ml" else _of_poses(without_held(flights), method, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
@@ -164,6 +164,21 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
         raise CardError(
             "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
         )
+
+
+def _of_poses(flights: Sequence[Flight], method: Method, axes: Sequence[str]) -> list[Flight]:
+    """The flights without velocities that stand beside poses: only the likelihood can use them.
+
+    Raises:
+        FlightError: The method needs positions of an axis that has none.
+    """
+    lost = [axis for axis in AXES if axis in axes and any(axis in f.velocity_only for f in flights)]
+    if lost and method != "paper":  # the paper's regression needs derivatives only: those of the summed-up velocity
+        raise FlightError(
+            f"{flights[0].path}: the method {method} needs positions, and {', '.join(lost)} has only a velocity: "
+            "use --method ml, or other --axes"
+        )
+    return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
 
 
 def _likelihood_group(

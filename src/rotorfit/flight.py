@@ -1,18 +1,18 @@
 """Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from rotorfit.card import Card
-from rotorfit.clock import Mask
+from rotorfit.clock import Mask, grain
 from rotorfit.errors import FlightError
-from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.frames import AXES, Array, heading_from_world, world_from_heading
 from rotorfit.log import Log
-from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
+from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of, velocities_of
 
-__all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
+__all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "Velocity", "flight_from_log"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,37 @@ class Segment:
 
     start: float
     end: float
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """What the vehicle itself measured of its velocity, on its own clock.
+
+    Attributes:
+        time: Strictly increasing stamps, shape (V,) [s].
+        value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
+        grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
+        alone: Axes of which there is no position: only this.
+    """
+
+    time: Array
+    value: Array
+    grain: Array
+    alone: tuple[str, ...] = ()
+
+    @property
+    def rounding(self) -> Array:
+        """Variance that the rounding adds to each, shape (4,): that of a uniform error [m^2/s^2, rad^2/s^2]."""
+        return np.asarray(self.grain**2 / 12)
+
+    def of(self, axes: tuple[str, ...]) -> bool:
+        """Whether it was measured on all of these axes."""
+        return bool(self.time.size) and all(np.isfinite(self.value[0, AXES.index(axis)]) for axis in axes)
+
+    def between(self, low: float, high: float) -> "Velocity":
+        """What lies between two times [s]."""
+        inside = (self.time >= low) & (self.time <= high)
+        return replace(self, time=self.time[inside], value=self.value[inside])
 
 
 @dataclass(frozen=True)
@@ -36,12 +67,14 @@ class Flight:
         command_time: Strictly increasing stamps, shape (M,) [s]. A command holds until the next one.
         command: x, y, z, yaw commands in the heading frame after the card's scale, shape (M, 4); 0 where not commanded.
         pose_time: Strictly increasing stamps of the fresh poses, shape (N,) [s].
-        position: World x, y, z, shape (N, 3) [m].
+        position: World x, y, z, shape (N, 3) [m]; of an axis that has only a velocity, that velocity summed up, for
+            drawings and for the methods that look at nothing else.
         yaw: Unwrapped heading, shape (N,) [rad].
         segments: Where the commands are known, in order, not overlapping.
         notes: Every repair, with its count.
         reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
             the card does not name and before the first value; None where it names none.
+        velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
     """
 
     path: str
@@ -57,6 +90,12 @@ class Flight:
     segments: tuple[Segment, ...]
     notes: tuple[Note, ...] = ()
     reference: Array | None = None
+    velocity: Velocity | None = None
+
+    @property
+    def velocity_only(self) -> tuple[str, ...]:
+        """Axes of which there is a velocity and no position."""
+        return self.velocity.alone if self.velocity else ()
 
     @property
     def duration(self) -> float:
@@ -95,7 +134,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
             less than two seconds, or yaw in degrees taken for radians.
     """
     commands, axes, origin = commands_of(log, card)
-    poses = poses_of(log, card)
+    poses, velocities = poses_of(log, card), velocities_of(log, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
     begin, finish = origin + round(start * 1e9), origin + round(stop * 1e9)
@@ -109,6 +148,11 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
     notes = (*cut, *_cut_notes(seen, segments, heading, yaw))
+    position, velocity = poses.values[seen, :3], None
+    if velocities is not None:
+        velocity = _in_the_world(velocities, card, origin, pose_time, yaw).between(start, stop)
+        position, told = _with_travel(log, position, pose_time, velocity)
+        notes = (*velocities.notes, *notes, *told)
     if card.command_frame == "world":
         command_time, command, note = _in_heading_frame(command_time, command, command_end, pose_time, yaw)
         notes = (*notes, note)
@@ -123,12 +167,50 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         command_time=command_time,
         command=command,
         pose_time=pose_time,
-        position=poses.values[seen, :3],
+        position=position,
         yaw=yaw,
         segments=segments,
         notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
+        velocity=velocity,
     )
+
+
+def _in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:
+    """The vehicle's own velocity along the world's axes, seconds from the start of the common window."""
+    time, value = (velocities.stamps - origin) / 1e9, velocities.values
+    rounded = grain(value)
+    rounded[:2] = rounded[:2].max()  # the heading frame turns in the world
+    if card.velocity_frame == "heading":
+        turned = world_from_heading(value[:, :2], np.interp(time, pose_time, yaw))
+        value = np.hstack([turned, value[:, 2:]])
+    return Velocity(time, value, rounded, card.velocity_only)
+
+
+def _with_travel(
+    log: Log, position: Array, pose_time: Array, velocity: Velocity
+) -> tuple[Array, tuple[Note, ...]]:
+    """Positions with the velocity summed up (trapezoids) along the axes that have nothing else, and a note."""
+    if not velocity.alone:
+        return position, ()
+    if velocity.time.size < 2:
+        raise FlightError(f"{log.path}: no velocity in the common window or the span; check [velocity] of the card")
+    out, step = position.copy(), np.diff(velocity.time)
+    for axis in velocity.alone:
+        k = AXES.index(axis)
+        v = velocity.value[:, k]
+        travel = np.concatenate([[0.0], np.cumsum(0.5 * step * (v[1:] + v[:-1]))])
+        out[:, k] = np.interp(pose_time, velocity.time, travel)
+    text = (
+        f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities stand for it, and the delay "
+        "holds how late they are"
+    )
+    notes = (Note("velocity_only", text, velocity.time.size),)
+    for axis in velocity.alone:
+        if step := velocity.grain[AXES.index(axis)]:
+            told = f"the velocity of {axis} is rounded to {step:.3g} m/s: its error is taken to be no less than that"
+            notes = (*notes, Note("velocity_rounded", told, velocity.time.size))
+    return out, notes
 
 
 def _window_end(log: Log, commands: Stream, poses: Stream, origin: int) -> int:

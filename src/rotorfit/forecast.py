@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorfit.derivative import local_polynomial
+from rotorfit.derivative import Derivatives, local_polynomial
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
@@ -92,6 +92,7 @@ class Predictions:
         predicted: World position and velocity, (S, E, 2, 4); NaN beyond `last`.
         begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
         heading: Heading that the horizontal prediction used, shape (S, E).
+        alone: Axes of which only the velocity is measured: their positions prove nothing.
     """
 
     time: Array
@@ -103,6 +104,7 @@ class Predictions:
     predicted: Array
     begin: Array
     heading: Array
+    alone: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,8 @@ class Horizon:
 
     Attributes:
         velocity_rmse: Over all steps up to the horizon [m/s or rad/s]; None for fewer than five predictions.
-        position_rmse: At the end point, against the measured pose [m or rad]; None likewise.
+        position_rmse: At the end point, against the measured pose [m or rad]; None likewise, and where only the
+            velocity is measured.
         n: Number of predictions.
     """
 
@@ -153,8 +156,8 @@ def _predict_segment(
 ) -> Predictions | None:
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
     begin = segment.start + max(0.0, *(axis.delay for axis in axes))
-    inside = (flight.pose_time >= begin) & (flight.pose_time <= segment.end)
-    t = flight.pose_time[inside]
+    seen = _seen(flight, begin, segment.end)
+    t, pose = seen.time, seen.pose
     start = np.arange(segment.start + SETTLING, segment.end - EDGE, START_EVERY)
     first = np.searchsorted(t, start, side="right")
     last = np.searchsorted(t, np.minimum(start + longest, segment.end) + EDGE, side="right")
@@ -162,7 +165,6 @@ def _predict_segment(
     start, first, last = start[useful], first[useful], last[useful]
     if not start.size:
         return None
-    pose = np.column_stack([flight.position, flight.yaw])[inside]
     used = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
     reach = np.arange(int((last - first).max()))
     index = np.minimum(first[:, None] + reach, t.size - 1)
@@ -180,12 +182,13 @@ def _predict_segment(
             *distinct_steps(t),
             *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay")),
             np.array([max(axis.damping, LEAST_FILTER_DAMPING) for axis in chosen]),
-            np.array([axis.levels for axis in chosen]),
+            np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0],
             np.array([axis.trim_variance for axis in chosen]),
             first,
             last,
             future,
             *_general_law(chosen, t, pose[:, pair]),
+            *seen.velocity_of(pair),
         )
 
     side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
@@ -194,7 +197,7 @@ def _predict_segment(
     return Predictions(
         time=t,
         pose=pose,
-        reference=local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity,
+        reference=_reference(flight, seen, begin, segment.end),
         start=start,
         first=first,
         last=last,
@@ -205,7 +208,69 @@ def _predict_segment(
             [np.concatenate([plane_begin[:, k : k + 2], side_begin[:, k : k + 2]], axis=-1) for k in (0, 2)], axis=1
         ),
         heading=heading,
+        alone=flight.velocity_only,
     )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What was measured in a segment, on one clock: that of the poses, and of the velocities where axes have no more.
+
+    Attributes:
+        time: Shape (N,) [s].
+        pose: Measured x, y, z, yaw, shape (N, 4); between poses where only the velocity has a stamp.
+        velocity: World, shape (N, 4), NaN where there is none; None where every axis has poses.
+        known: Whether what tracks each axis was measured at a stamp, shape (N, 4); None likewise.
+        alone: Axes that are tracked by their velocity.
+        rounding: Variance that its rounding adds, shape (4,).
+    """
+
+    time: Array
+    pose: Array
+    velocity: Array | None = None
+    known: Mask | None = None
+    alone: tuple[str, ...] = ()
+    rounding: Array = field(default_factory=lambda: np.zeros(len(AXES)))
+
+    def velocity_of(self, pair: Sequence[int]) -> tuple[Array | None, Mask | None, Mask | None]:
+        """What `predict` needs of two axes; None where both have poses at every stamp."""
+        if self.velocity is None or self.known is None:
+            return None, None, None
+        alone = np.array([AXES[i] in self.alone for i in pair])
+        values, known = (np.ascontiguousarray(part[:, pair]) for part in (self.velocity, self.known))
+        return values, known, alone
+
+
+def _seen(flight: Flight, low: float, high: float) -> _Seen:
+    inside = (flight.pose_time >= low) & (flight.pose_time <= high)
+    t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
+    if flight.velocity is None or not flight.velocity_only or not t.size:
+        return _Seen(t, pose)
+    own = flight.velocity.between(t[0], high)
+    time = np.union1d(t, own.time)
+    velocity = np.full((time.size, len(AXES)), np.nan)
+    velocity[np.searchsorted(time, own.time)] = own.value
+    alone = np.isin(AXES, flight.velocity_only)
+    known = np.where(alone, np.isfinite(velocity), np.isin(time, t)[:, None])
+    filled = np.column_stack([np.interp(time, t, column) for column in pose.T])
+    return _Seen(time, filled, velocity, known, flight.velocity_only, np.where(alone, flight.velocity.rounding, 0.0))
+
+
+def _reference(flight: Flight, seen: _Seen, low: float, high: float) -> Array:
+    """Velocity of the poses from a centred local cubic; where there is only a velocity, that one smoothed by it."""
+
+    def smooth(t: Array, values: Array) -> Derivatives:
+        return local_polynomial(t, values, seen.time, 0.125, 3, least=7, max_gap=LONGEST_GAP)
+
+    if flight.velocity is None or not seen.alone:
+        return smooth(seen.time, seen.pose).velocity
+    inside = (flight.pose_time >= low) & (flight.pose_time <= high)
+    out = smooth(flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]).velocity
+    own = flight.velocity.between(low, high)
+    for axis in seen.alone:
+        k = AXES.index(axis)
+        out[:, k] = smooth(own.time, own.value[:, k : k + 1]).value[:, 0]
+    return out
 
 
 def _general_law(axes: Sequence[Dynamics], t: Array, pose: Array) -> tuple[Array | None, Array | None]:
@@ -359,15 +424,18 @@ def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array,
     position = runs[np.arange(first.size), end - first - 1, 0] - part.pose[end - 1]
     for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
         vector[:, :2] = heading_from_world(vector[:, :2], yaw)
+    position[:, np.isin(AXES, part.alone)] = np.nan
     return velocity, measured, position
 
 
 def _horizon(errors: tuple[Array, Array, Array], k: int) -> Horizon:
     velocity, _, position = (e[:, k] for e in errors)
     velocity = velocity[np.isfinite(velocity)]
-    if position.size < LEAST_SCORES or not velocity.size or not np.isfinite(position).all():
+    placed = not np.isnan(position).all()
+    if position.size < LEAST_SCORES or not velocity.size or (placed and not np.isfinite(position).all()):
         return Horizon(None, None, int(position.size))
-    return Horizon(float(np.sqrt(np.mean(velocity**2))), float(np.sqrt(np.mean(position**2))), int(position.size))
+    end = float(np.sqrt(np.mean(position**2))) if placed else None
+    return Horizon(float(np.sqrt(np.mean(velocity**2))), end, int(position.size))
 
 
 def _fit_percent(errors: tuple[Array, Array, Array], k: int) -> float | None:

@@ -122,9 +122,9 @@ def from_mapping(raw: Any, where: str) -> Model:
 
 
 def _axis(raw: Mapping[str, Any]) -> Axis:
-    from rotorfit.disturbance import LEVELS  # on use: numba takes longer than naming a model may
+    from rotorfit.disturbance import LEVELS_OF  # on use: numba takes longer than naming a model may
 
-    if raw["noise"] and set(raw["noise"]) != {*LEVELS, "trim_variance"}:
+    if raw["noise"] and set(raw["noise"]) not in [{*levels, "trim_variance"} for levels in LEVELS_OF.values()]:
         raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
     return Axis(
         **{

@@ -13,6 +13,7 @@ from rotorfit.clock import (
     ClockDrift,
     Mask,
     Stamps,
+    coarse,
     degrees_for_radians,
     drift,
     fresh,
@@ -48,10 +49,10 @@ class Note:
 
 @dataclass(frozen=True)
 class Stream:
-    """Commands or poses on their own clock, with what was repaired.
+    """Commands, poses or velocities on their own clock, with what was repaired.
 
     Attributes:
-        what: `command` or `pose`.
+        what: `command`, `pose` or `velocity`.
         stamps: Shape (N,) [ns].
         values: Shape (N, 4): x, y, z, yaw.
         until: Until when a command acts if no other follows, shape (N,) [ns].
@@ -101,14 +102,14 @@ def poses_of(log: Log, card: Card) -> Stream:
         card: Which column is what.
 
     Returns:
-        The fresh poses, world frame, z up [m, rad]; yaw still wrapped.
+        The fresh poses, world frame, z up [m, rad]; yaw still wrapped; 0 for axes of which there is only a velocity.
 
     Raises:
         CardError: A column is not there, or its length does not go with its stamps.
         FlightError: No poses, one that never changes, a clock that runs backwards, yaw in degrees taken for radians.
     """
     stamps, series, notes = _read(log, card.pose_time, card.pose, "pose")
-    x, y, z = series["x"], series["y"], series["z"]
+    x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
     if "yaw" in series:
         yaw = series["yaw"]
     else:
@@ -119,7 +120,9 @@ def poses_of(log: Log, card: Card) -> Stream:
         x, y, z, yaw = y, x, -z, np.pi / 2 - yaw
     values = np.stack([x, y, z, yaw], axis=1)
     stream = _in_order(_numbers(Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _kept(stream, fresh(stream.values), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
+    if not (card.velocity_only and coarse(stream.values)):  # a heading in whole degrees repeats itself in truth
+        why = "repeat the pose before with a fresh stamp: dropped"
+        stream = _kept(stream, fresh(stream.values), "stale_poses", why)
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
@@ -128,6 +131,40 @@ def poses_of(log: Log, card: Card) -> Stream:
             f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
         )
     return stream
+
+
+def velocities_of(log: Log, card: Card) -> Stream | None:
+    """Takes the vehicle's own velocity from a log as the card says and repairs it.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+
+    Returns:
+        Velocities in the card's own frame, z up, NaN for axes that the card does not name [m/s, rad/s]; None where
+        nothing needs them: a pose of every axis, and no word that the velocity is independent of it.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+        FlightError: No velocities, one that never changes, or a clock that runs backwards.
+    """
+    wanted = AXES if card.velocity_independent else card.velocity_only
+    channels = {axis: channel for axis, channel in card.velocity.items() if axis in wanted}
+    if not channels:
+        return None
+    time = card.velocity_time or _clock_of(log, card, next(iter(channels.values())), "velocity")
+    stamps, series, notes = _read(log, time, channels, "velocity")
+    values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
+    stream = _in_order(_numbers(Stream("velocity", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
+    if not np.any(np.ptp(stream.values, axis=0)):
+        raise FlightError(f"{log.path}: the velocity never changes; is [velocity] of the card the flown vehicle?")
+    if not coarse(stream.values):
+        why = "repeat the one before with a fresh stamp: dropped"
+        stream = _kept(stream, fresh(stream.values), "stale_velocities", why)
+    values = np.where([axis in channels for axis in AXES], stream.values, np.nan)
+    if card.frame == "NED" and card.velocity_frame == "world":
+        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], -values[:, 3]], axis=1)
+    return replace(stream, values=values)
 
 
 def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
@@ -294,27 +331,31 @@ def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
 
 
 def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str) -> Array:
-    """A column held onto the commands' stamps; NaN before its first value.
-
-    Its clock is that of the commands or of the poses where it stands in their table with as many values, else the
-    column of its own table that is named as the commands' clock, else `log_time` (messages of autopilots without one).
-    """
+    """A column held onto the commands' stamps; NaN before its first value."""
     values = column(log, channel)
     if not isinstance(channel.source, str):
         return np.full(stamps.size, values[0])
+    clock = stamps_of(log, _clock_of(log, card, channel, what))
+    shared = min(len(clock), len(values))
+    return held(clock[:shared], values[:shared], stamps)
+
+
+def _clock_of(log: Log, card: Card, channel: Channel, what: str) -> Channel:
+    """Where the stamps of a column are that the card gives no clock.
+
+    They are those of the commands or of the poses where it stands in their table with as many values, else the column
+    of its own table that is named as the commands' clock, else `log_time` (messages of autopilots without one).
+    """
+    count = len(column(log, channel))
     table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
     own = replace(card.command_time, source=f"{table}:{name}" if table else name)
     if table in log.tables and name not in log.tables[table].columns and "log_time" in log.tables[table].columns:
         own = Channel(f"{table}:log_time")
     beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
     for time in [*beside, own]:
-        clock = stamps_of(log, time)
-        if abs(len(clock) - len(values)) <= 1:
-            break
-    else:
-        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
-    shared = min(len(clock), len(values))
-    return held(clock[:shared], values[:shared], stamps)
+        if abs(len(stamps_of(log, time)) - count) <= 1:
+            return time
+    raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({count} values)")
 
 
 def _without_garbage_start(stream: Stream) -> Stream:

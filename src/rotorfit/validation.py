@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS
+from rotorfit.disturbance import LEVELS_OF
 from rotorfit.errors import FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight
@@ -79,18 +79,29 @@ class Validation:
     findings: tuple[Finding, ...] = ()
 
 
-def dynamics_from_model(model: Model) -> dict[str, Dynamics]:
-    """What prediction needs of the axes of a model; those without a predictor but with known noise are tracked only."""
+def dynamics_from_model(model: Model, flight: Flight) -> dict[str, Dynamics]:
+    """What prediction on a flight needs of the axes of a model; those with known noise and no predictor are tracked.
+
+    Raises:
+        FlightError: An axis has a position where the model knows the noise of a velocity only, or the other way round.
+    """
     out = {}
     for name, axis in model.axes.items():
         if not axis.noise or (name == "yaw" and axis.predictor is None):
             continue
         point = axis.predictor
+        levels = LEVELS_OF["velocity" if name in flight.velocity_only else "position"]
+        if not set(levels) <= set(axis.noise):
+            here, there = ("velocity", "position") if name in flight.velocity_only else ("position", "velocity")
+            raise FlightError(
+                f"{flight.path}: {name} is measured by its {here}, and the model knows the noise of its {there} only: "
+                "give the logs and the card that it was fitted with, or fit again"
+            )
         out[name] = Dynamics(
             input=point.input if point else 0.0,
             damping=point.damping if point else 1.0,
             delay=point.delay if point else 0.0,
-            levels=tuple(axis.noise[level] for level in LEVELS),  # type: ignore[arg-type]
+            levels=tuple(axis.noise[level] for level in levels),  # type: ignore[arg-type]
             trim_variance=axis.noise["trim_variance"],
             structure=structure_named(axis.structure) if point else FIRST_ORDER_DELAY,
             extra=point.extra if point else {},
@@ -149,7 +160,7 @@ def _score_flight(
     model: Model, flight: Flight, horizons: Sequence[float]
 ) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
     """Scores of the model and of both baselines on one flight, and the errors behind them."""
-    dynamics = dynamics_from_model(model)
+    dynamics = dynamics_from_model(model, flight)
     parts = predict_flight(flight, dynamics, max(horizons))
     paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
     paper_damping = np.array([b if (b := model.paper[2 * k + 1]) is not None else np.nan for k in range(4)])
@@ -283,7 +294,10 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
     if rec is None:
         return {}
     points = [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in group]
-    levels = np.log([[model.axes[axis].noise[level] for level in LEVELS] for axis in group])
+    names = LEVELS_OF[rec.measured]
+    if not all(set(names) <= set(model.axes[axis].noise) for axis in group):
+        return {}
+    levels = np.log([[model.axes[axis].noise[level] for level in names] for axis in group])
     start = replace(
         start_point([rec], 0.0, 1.0, levels),
         gain=np.array([point.input for point in points]),
@@ -298,14 +312,17 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
     rows = whiten(rec, sensitivity, best.point.levels)[0]
     if len(group) == 2:
         explained = heading_from_world(explained, rec.block_yaw)
+    # beside poses the velocities' innovations are white as well, but two kinds in a row are no series
+    own = rec.rate == (rec.measured == "velocity") if rec.rate is not None else np.ones(rec.count.size, bool)
+    time = rec.block_time[own]
     return {
         axis: Residuals(
             axis,
-            rec.block_time,
-            best.score.innovations[0][:, k],
-            explained[:, k],
-            _past(flight, AXES.index(axis), rec.block_time),
-            _sensitivity(rec, rows[:, :, k], k),
+            time,
+            best.score.innovations[0][own, k],
+            explained[own, k],
+            _past(flight, AXES.index(axis), time),
+            _sensitivity(rec, rows[:, :, k], k)[own],
         )
         for k, axis in enumerate(group)
         if model.axes[axis].predictor

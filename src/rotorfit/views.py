@@ -158,7 +158,7 @@ def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[st
     t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
     lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
     told = {"measured": np.ones(4, bool), "model": known}
-    parts = predict_flight(flight, dynamics_from_model(model), 2 * START_EVERY) if known.any() else ()
+    parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
     paper = np.array([np.nan if g is None else g for g in model.paper])
     if with_paper and np.isfinite(paper).any():
         coasted = [coast_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
