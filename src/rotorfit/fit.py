@@ -13,6 +13,7 @@ from rotorfit.estimate import Estimate, alone, coupled, together
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES
 from rotorfit.further import structure_of, told_apart
+from rotorfit.latency import on_the_poses_clock
 from rotorfit.model import (
     STRUCTURE,
     Axis,
@@ -99,7 +100,8 @@ def fit(
         ModelError: No such structure, or one other than the default with a method other than the likelihood.
     """
     _check(flights, method, structure, prior)
-    flights = without_held(flights) if method == "ml" else _of_poses(without_held(flights), method, axes)
+    flights = without_held(flights)
+    flights = [on_the_poses_clock(f) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)

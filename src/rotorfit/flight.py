@@ -32,12 +32,14 @@ class Velocity:
         value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
         grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
         alone: Axes of which there is no position: only this.
+        aligned: Whether its stamps have been moved onto the clock of the poses.
     """
 
     time: Array
     value: Array
     grain: Array
     alone: tuple[str, ...] = ()
+    aligned: bool = False
 
     @property
     def rounding(self) -> Array:

@@ -79,22 +79,26 @@ class Validation:
     findings: tuple[Finding, ...] = ()
 
 
-def dynamics_from_model(model: Model, flight: Flight) -> dict[str, Dynamics]:
-    """What prediction on a flight needs of the axes of a model; those with known noise and no predictor are tracked.
+def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str, Dynamics]:
+    """What prediction needs of the axes of a model; those with known noise and no predictor are tracked only.
+
+    Args:
+        model: The model.
+        flight: What is predicted; None for one with a position of every axis.
 
     Raises:
         FlightError: An axis has a position where the model knows the noise of a velocity only, or the other way round.
     """
-    out = {}
+    out, alone = {}, flight.velocity_only if flight else ()
     for name, axis in model.axes.items():
         if not axis.noise or (name == "yaw" and axis.predictor is None):
             continue
         point = axis.predictor
-        levels = LEVELS_OF["velocity" if name in flight.velocity_only else "position"]
+        levels = LEVELS_OF["velocity" if name in alone else "position"]
         if not set(levels) <= set(axis.noise):
-            here, there = ("velocity", "position") if name in flight.velocity_only else ("position", "velocity")
+            here, there = ("velocity", "position") if name in alone else ("position", "velocity")
             raise FlightError(
-                f"{flight.path}: {name} is measured by its {here}, and the model knows the noise of its {there} only: "
+                f"{flight.path if flight else 'the flight'}: {name} is measured by its {here}, and the model knows the noise of its {there} only: "
                 "give the logs and the card that it was fitted with, or fit again"
             )
         out[name] = Dynamics(
@@ -277,6 +281,8 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
         flight: Any flight of the vehicle.
         own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
     """
+    if not flight.velocity_only:  # beside poses a velocity says nothing of its own about the model
+        flight = replace(flight, velocity=None)
     known = [axis for axis in AXES if model.axes[axis].predictor]
     plane = ("x", "y")
     rec = record(flight, plane) if any(axis in known for axis in plane) else None
@@ -312,17 +318,14 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
     rows = whiten(rec, sensitivity, best.point.levels)[0]
     if len(group) == 2:
         explained = heading_from_world(explained, rec.block_yaw)
-    # beside poses the velocities' innovations are white as well, but two kinds in a row are no series
-    own = rec.rate == (rec.measured == "velocity") if rec.rate is not None else np.ones(rec.count.size, bool)
-    time = rec.block_time[own]
     return {
         axis: Residuals(
             axis,
-            time,
-            best.score.innovations[0][own, k],
-            explained[own, k],
-            _past(flight, AXES.index(axis), time),
-            _sensitivity(rec, rows[:, :, k], k)[own],
+            rec.block_time,
+            best.score.innovations[0][:, k],
+            explained[:, k],
+            _past(flight, AXES.index(axis), rec.block_time),
+            _sensitivity(rec, rows[:, :, k], k),
         )
         for k, axis in enumerate(group)
         if model.axes[axis].predictor
