@@ -11,7 +11,12 @@ from rotorfit.frames import heading_from_world
 from rotorfit.log import Log, Table
 from rotorfit.paper_vehicle import LOG_EPOCH, SimulatedFlight, as_log
 
-COLUMNS = {"x": "/odom:twist.linear.x", "y": "/odom:twist.linear.y", "z": "/odom:twist.linear.z", "yaw": "/odom:twist.angular.z"}
+COLUMNS = {
+    "x": "/odom:twist.linear.x",
+    "y": "/odom:twist.linear.y",
+    "z": "/odom:twist.linear.z",
+    "yaw": "/odom:twist.angular.z",
+}
 
 
 def onboard_card(alone: tuple[str, ...] = ("x", "y", "z"), independent: bool = False, frame: str = "heading") -> Card:

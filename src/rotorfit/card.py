@@ -452,7 +452,7 @@ def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -
             "velocity in [velocity]"
         )
     if ("x" in section) != ("y" in section):
-        raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or leave both to [velocity]")
+        raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
     channels = _channels(section, _POSE_UNITS, place)
     if "quaternion" not in section:
         return channels

@@ -161,7 +161,7 @@ def grain(values: Array) -> Array:
 
 
 def coarse(values: Array) -> bool:
-    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are the truth, no repeats."""
+    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are the truth."""
     moving = np.ptp(values, axis=0) > 0
     return bool(np.all(grain(values[:, moving]) > 0))
 

@@ -10,7 +10,6 @@ They are the disturbance's own (the Box-Jenkins form), so its four levels share 
 information matrix falls into two blocks. The position starts unknown, s and s' start in their stationary state.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import numba
@@ -20,13 +19,6 @@ from rotorfit.frames import Array, Indices
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
 """q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
-
-LEVELS_OF: Mapping[str, tuple[str, ...]] = {
-    "position": LEVELS,
-    "velocity": ("wind_power", "velocity_variance", "wind_damping", "wind_overlap"),
-    "both": (*LEVELS, "velocity_variance"),
-}
-"""Names of the levels by what was measured; r_v [unit^2/s^2] is that of one velocity."""
 
 STEP_GRAIN = 1e-5
 """Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response

@@ -32,14 +32,14 @@ class Velocity:
         value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
         grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
         alone: Axes of which there is no position: only this.
-        aligned: Whether its stamps have been moved onto the clock of the poses.
+        late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
     """
 
     time: Array
     value: Array
     grain: Array
     alone: tuple[str, ...] = ()
-    aligned: bool = False
+    late: Array | None = None
 
     @property
     def rounding(self) -> Array:
@@ -49,6 +49,10 @@ class Velocity:
     def of(self, axes: tuple[str, ...]) -> bool:
         """Whether it was measured on all of these axes."""
         return bool(self.time.size) and all(np.isfinite(self.value[0, AXES.index(axis)]) for axis in axes)
+
+    def true_time(self, axis: str) -> Array:
+        """When the velocity of an axis was what it says, on the clock of the poses, shape (V,) [s]."""
+        return self.time if self.late is None else self.time - self.late[AXES.index(axis)]
 
     def between(self, low: float, high: float) -> "Velocity":
         """What lies between two times [s]."""
@@ -189,9 +193,7 @@ def _in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array,
     return Velocity(time, value, rounded, card.velocity_only)
 
 
-def _with_travel(
-    log: Log, position: Array, pose_time: Array, velocity: Velocity
-) -> tuple[Array, tuple[Note, ...]]:
+def _with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity) -> tuple[Array, tuple[Note, ...]]:
     """Positions with the velocity summed up (trapezoids) along the axes that have nothing else, and a note."""
     if not velocity.alone:
         return position, ()
@@ -207,7 +209,7 @@ def _with_travel(
         f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities stand for it, and the delay "
         "holds how late they are"
     )
-    notes = (Note("velocity_only", text, velocity.time.size),)
+    notes: tuple[Note, ...] = (Note("velocity_only", text, velocity.time.size),)
     for axis in velocity.alone:
         if step := velocity.grain[AXES.index(axis)]:
             told = f"the velocity of {axis} is rounded to {step:.3g} m/s: its error is taken to be no less than that"

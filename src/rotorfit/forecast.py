@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorfit.derivative import Derivatives, local_polynomial
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
+from rotorfit.measured import LONGEST_GAP, seen_in
 from rotorfit.prediction import coast, predict
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure, law_of
 
@@ -30,9 +30,6 @@ CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 
 FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""
-
-LONGEST_GAP = 1.0
-"""No score across a hole in the pose of this length [s]."""
 
 LEAST_SCORES = 5
 """Fewer predictions than this give no score."""
@@ -156,7 +153,7 @@ def _predict_segment(
 ) -> Predictions | None:
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
     begin = segment.start + max(0.0, *(axis.delay for axis in axes))
-    seen = _seen(flight, begin, segment.end)
+    seen = seen_in(flight, begin, segment.end)
     t, pose = seen.time, seen.pose
     start = np.arange(segment.start + SETTLING, segment.end - EDGE, START_EVERY)
     first = np.searchsorted(t, start, side="right")
@@ -197,7 +194,7 @@ def _predict_segment(
     return Predictions(
         time=t,
         pose=pose,
-        reference=_reference(flight, seen, begin, segment.end),
+        reference=seen.reference,
         start=start,
         first=first,
         last=last,
@@ -210,67 +207,6 @@ def _predict_segment(
         heading=heading,
         alone=flight.velocity_only,
     )
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What was measured in a segment, on one clock: that of the poses, and of the velocities where axes have no more.
-
-    Attributes:
-        time: Shape (N,) [s].
-        pose: Measured x, y, z, yaw, shape (N, 4); between poses where only the velocity has a stamp.
-        velocity: World, shape (N, 4), NaN where there is none; None where every axis has poses.
-        known: Whether what tracks each axis was measured at a stamp, shape (N, 4); None likewise.
-        alone: Axes that are tracked by their velocity.
-        rounding: Variance that its rounding adds, shape (4,).
-    """
-
-    time: Array
-    pose: Array
-    velocity: Array | None = None
-    known: Mask | None = None
-    alone: tuple[str, ...] = ()
-    rounding: Array = field(default_factory=lambda: np.zeros(len(AXES)))
-
-    def velocity_of(self, pair: Sequence[int]) -> tuple[Array | None, Mask | None, Mask | None]:
-        """What `predict` needs of two axes; None where both have poses at every stamp."""
-        if self.velocity is None or self.known is None:
-            return None, None, None
-        alone = np.array([AXES[i] in self.alone for i in pair])
-        values, known = (np.ascontiguousarray(part[:, pair]) for part in (self.velocity, self.known))
-        return values, known, alone
-
-
-def _seen(flight: Flight, low: float, high: float) -> _Seen:
-    inside = (flight.pose_time >= low) & (flight.pose_time <= high)
-    t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
-    if flight.velocity is None or not flight.velocity_only or not t.size:
-        return _Seen(t, pose)
-    own = flight.velocity.between(t[0], high)
-    time = np.union1d(t, own.time)
-    velocity = np.full((time.size, len(AXES)), np.nan)
-    velocity[np.searchsorted(time, own.time)] = own.value
-    alone = np.isin(AXES, flight.velocity_only)
-    known = np.where(alone, np.isfinite(velocity), np.isin(time, t)[:, None])
-    filled = np.column_stack([np.interp(time, t, column) for column in pose.T])
-    return _Seen(time, filled, velocity, known, flight.velocity_only, np.where(alone, flight.velocity.rounding, 0.0))
-
-
-def _reference(flight: Flight, seen: _Seen, low: float, high: float) -> Array:
-    """Velocity of the poses from a centred local cubic; where there is only a velocity, that one smoothed by it."""
-
-    def smooth(t: Array, values: Array) -> Derivatives:
-        return local_polynomial(t, values, seen.time, 0.125, 3, least=7, max_gap=LONGEST_GAP)
-
-    if flight.velocity is None or not seen.alone:
-        return smooth(seen.time, seen.pose).velocity
-    inside = (flight.pose_time >= low) & (flight.pose_time <= high)
-    out = smooth(flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]).velocity
-    own = flight.velocity.between(low, high)
-    for axis in seen.alone:
-        k = AXES.index(axis)
-        out[:, k] = smooth(own.time, own.value[:, k : k + 1]).value[:, 0]
-    return out
 
 
 def _general_law(axes: Sequence[Dynamics], t: Array, pose: Array) -> tuple[Array | None, Array | None]:

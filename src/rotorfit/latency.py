@@ -1,4 +1,4 @@
-"""How late the vehicle's own velocity is against its pose, told by the motion itself; no model of the commands is needed.
+"""How late the vehicle's own velocity is against its pose: told by the motion itself, without a model of the commands.
 
 Pose and velocity of one axis go through the filter of `fusion` as if the commands were unknown: all motion is a
 velocity coloured by two poles. The latency is where the two fit best, that is where the likelihood is highest.
@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.estimate import free_of
-from rotorfit.flight import Flight, Note, Velocity
+from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES
-from rotorfit.likelihood import Point, score, start_levels
+from rotorfit.levels import start_levels
+from rotorfit.likelihood import Point, score
 from rotorfit.maximum import maximise
 from rotorfit.modes import excerpt, start_point
 from rotorfit.record import DELAY_RANGE, HALF_STEP, record
@@ -28,6 +29,9 @@ ENOUGH = 1e-4
 
 FALL = 0.5 * 1.959964**2
 """Fall of the log-likelihood at the ends of the 95 % interval of one parameter."""
+
+GROUPS = (("x", "y"), ("z",), ("yaw",))
+"""Axes that share a latency."""
 
 WIDEST = 0.1
 """Width of the interval [s] beyond which a velocity says too little about when: it is left out."""
@@ -54,25 +58,32 @@ class Latency:
 
 
 def on_the_poses_clock(flight: Flight) -> Flight:
-    """The flight with its velocity moved onto the clock of the poses, by what the motion tells, and a note.
+    """The flight with its velocity on the clock of the poses, by what the motion tells, and a note for each group.
 
+    Horizontal velocity, climb and turn often come from different sensors and filters: each has a latency of its own.
     A velocity whose latency the motion does not tell is left out. One that stands alone has no pose to be late against.
     """
-    velocity = flight.velocity
-    axes = both_axes(flight)
-    if velocity is None or not axes or velocity.aligned:
+    velocity, both = flight.velocity, both_axes(flight)
+    if velocity is None or not both or velocity.late is not None:
         return flight
-    latency = latency_of(flight, axes)
-    if latency is None or not latency.known:
-        text = "how late the vehicle's own velocity is against the pose cannot be told from this flight: it is not used"
-        lone = _only(velocity, velocity.alone) if velocity.alone else None
-        return replace(flight, velocity=lone, notes=(*flight.notes, Note("velocity_latency", text, velocity.time.size)))
-    text = (
-        f"the vehicle's own velocity is {1e3 * latency.value:.1f} ms later than the pose (95 %: "
-        f"{1e3 * (latency.low or 0.0):.1f} to {1e3 * (latency.high or 0.0):.1f}): its stamps were moved by that"
-    )
-    moved = replace(velocity, time=velocity.time - latency.value, aligned=True)
-    return replace(flight, velocity=moved, notes=(*flight.notes, Note("velocity_latency", text, velocity.time.size)))
+    late, value, notes = np.zeros(len(AXES)), velocity.value.copy(), flight.notes
+    for group in GROUPS:
+        axes = tuple(axis for axis in group if axis in both)
+        if not axes:
+            continue
+        places, named = [AXES.index(axis) for axis in axes], ", ".join(axes)
+        latency = latency_of(flight, axes)
+        if latency is not None and latency.known:
+            late[places] = latency.value
+            text = (
+                f"the vehicle's own velocity of {named} is {1e3 * latency.value:.0f} ms later than the pose (95 %: "
+                f"{1e3 * (latency.low or 0.0):.0f} to {1e3 * (latency.high or 0.0):.0f}): its stamps were moved by that"
+            )
+        else:
+            value[:, places] = np.nan
+            text = f"how late the vehicle's own velocity of {named} is cannot be told from this flight: it is not used"
+        notes = (*notes, Note("velocity_latency", text, velocity.time.size))
+    return replace(flight, velocity=replace(velocity, value=value, late=late), notes=notes)
 
 
 def both_axes(flight: Flight) -> tuple[str, ...]:
@@ -81,11 +92,6 @@ def both_axes(flight: Flight) -> tuple[str, ...]:
     if velocity is None:
         return ()
     return tuple(axis for axis in AXES if axis not in velocity.alone and velocity.of((axis,)))
-
-
-def _only(velocity: Velocity, axes: Sequence[str]) -> Velocity:
-    """The velocity without the other axes."""
-    return replace(velocity, value=np.where(np.isin(AXES, axes), velocity.value, np.nan))
 
 
 def latency_of(flight: Flight, axes: Sequence[str]) -> Latency | None:
@@ -127,7 +133,7 @@ def _inside(flight: Flight) -> Flight:
 
 def _late(flight: Flight, latency: float) -> Flight:
     assert flight.velocity is not None
-    return replace(flight, velocity=replace(flight.velocity, time=flight.velocity.time - latency))
+    return replace(flight, velocity=replace(flight.velocity, late=np.full(len(AXES), latency)))
 
 
 def _point(flight: Flight, axis: str, latency: float) -> Point | None:

@@ -15,46 +15,14 @@ import numpy as np
 from rotorfit.disturbance import whiten_axis, whiten_plane
 from rotorfit.frames import Array, Indices, Mask
 from rotorfit.fusion import BIAS_VARIANCE, whiten_fused
+from rotorfit.levels import Measured, level_range
 from rotorfit.motion import MEAN, NOTHING, START, motion_response
-from rotorfit.record import DELAY_RANGE, Measured, Record
+from rotorfit.record import DELAY_RANGE, Record
 from rotorfit.response import axis_response, plane_response
 from rotorfit.structure import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, TRIM, Structure, law_of
 
 DAMPING_RANGE = (1e-3, 100.0)
 """Damping that is searched [1/s]."""
-
-LEVEL_RANGE = np.log(np.array([[1e-9, 1e4], [1e-12, 1e-2], [0.05, 200.0], [1e-3, 1.0]]))
-"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
-
-START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))
-"""Where the levels start."""
-
-VELOCITY_RANGE = np.log(np.array([1e-9, 1.0]))
-"""Logarithmic bounds of the variance of a velocity [m^2/s^2]."""
-
-START_VELOCITY = np.log(1e-3)
-"""Where it starts."""
-
-
-@functools.cache
-def level_range(measured: Measured) -> Array:
-    """Logarithmic bounds of the L levels in the order of `LEVELS_OF`, shape (L, 2)."""
-    if measured == "both":
-        return np.vstack([LEVEL_RANGE, VELOCITY_RANGE])
-    out = LEVEL_RANGE.copy()
-    if measured == "velocity":
-        out[1] = VELOCITY_RANGE
-    return out
-
-
-def start_levels(measured: Measured) -> Array:
-    """Where the L levels start, shape (L,)."""
-    if measured == "both":
-        return np.append(START_LEVELS, START_VELOCITY)
-    out = START_LEVELS.copy()
-    if measured == "velocity":
-        out[1] = START_VELOCITY
-    return out
 
 
 @dataclass(frozen=True)
@@ -149,9 +117,7 @@ class Point:
 
 
 @functools.cache
-def _bounds(
-    K: int, structures: tuple[Structure, ...], E: int, others: int, measured: Measured
-) -> tuple[Array, Array]:
+def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int, measured: Measured) -> tuple[Array, Array]:
     """Bounds of a point of K axes, E further parameters, and so many trims and start velocities."""
     extra = np.tile(np.array([-np.inf, np.inf]), (E, K, 1))
     for k, structure in enumerate(structures):
@@ -261,7 +227,8 @@ def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
 
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
     """The filter of a record that holds velocities; see `whiten_fused`. `levels` (K, L) are no logarithms here."""
-    assert rec.rate is not None and rec.rounding is not None
+    assert rec.rate is not None
+    assert rec.rounding is not None
     noise = levels[:, [1, 1 if rec.measured == "velocity" else 4]]
     noise[:, 1] += rec.rounding
     bias = 0.0 if rec.measured == "velocity" else BIAS_VARIANCE

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import START_LEVELS, Point, Restriction, Score, inverted, level_range, restriction, score
+from rotorfit.levels import START_LEVELS, level_range
+from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
 from rotorfit.prior import GaussianPrior, with_prior
 from rotorfit.record import Record
 

@@ -14,7 +14,8 @@ import numpy as np
 from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.frames import AXES, Array, Mask
-from rotorfit.likelihood import Point, inverted, start_levels
+from rotorfit.levels import start_levels
+from rotorfit.likelihood import Point, inverted
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.record import BLOCK_RATE, Record, measured_by
 from rotorfit.structure import FIRST_ORDER_DELAY

@@ -287,7 +287,7 @@ def predict(
             for j in range(5):
                 x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
                 y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
-                if velocity is not None:
+                if velocity is not None:  # noqa: SIM102  numba leaves out what None decides, one test at a time
                     if alone[a]:
                         x = v[j, 0] if j else velocity[i, 0] - v[0, 0]
                         y = v[j, 1] if j else velocity[i, 1] - v[0, 1]

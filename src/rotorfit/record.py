@@ -7,13 +7,13 @@ both, and what it gives for these samples is put together block by block (`obser
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
+from rotorfit.levels import Measured
 
 DELAY_RANGE = (-0.1, 0.6)
 """Delays that are searched [s]. Below zero, because a bound at zero biases; a negative optimum is a finding."""
@@ -29,8 +29,6 @@ HELD_HEADING = np.radians(10.0)
 HALF_STEP = 1e-3
 """Half of the time over which a velocity is a difference of positions [s]: off by 1e-6 of what it changes in a second,
 and by a part of one change of acceleration where a command switches inside."""
-
-Measured = Literal["position", "velocity", "both"]
 
 
 @dataclass(frozen=True)
@@ -234,14 +232,14 @@ def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record |
             for part in (pose, velocity)
         )
     pose, velocity = pose[:, column], velocity[:, column]
-    alone = axes[0] in flight.velocity.alone
+    alone, rate_time = axes[0] in flight.velocity.alone, flight.velocity.true_time(axes[0])
     starts, ranges, commands, fresh = [], [], [], []
     times, groups_of, sizes, pairs, counts, kinds, stamps, values = [], [], [], [], [], [], [], []
     samples = groups = 0
     for segment in flight.segments:
         low, high = segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]
         poses = _blocks(flight.pose_time, pose, low, low if alone else high, rate)
-        rates = _blocks(flight.velocity.time, velocity, low + HALF_STEP, high - HALF_STEP, rate)
+        rates = _blocks(rate_time, velocity, low + HALF_STEP, high - HALF_STEP, rate)
         B, V = len(poses.value), len(rates.value)
         if B + V < 4 or not V:
             continue

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS_OF
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight
-from rotorfit.likelihood import DAMPING_RANGE, start_levels
+from rotorfit.levels import LEVELS_OF, start_levels
+from rotorfit.likelihood import DAMPING_RANGE
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Axis, Predictor
 from rotorfit.modes import start_point, trim_variance

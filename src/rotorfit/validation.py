@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS_OF
 from rotorfit.errors import FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight
@@ -23,6 +22,7 @@ from rotorfit.forecast import (
     start_errors,
 )
 from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.levels import LEVELS_OF
 from rotorfit.likelihood import Point, response, whiten
 from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
@@ -98,8 +98,8 @@ def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str,
         if not set(levels) <= set(axis.noise):
             here, there = ("velocity", "position") if name in alone else ("position", "velocity")
             raise FlightError(
-                f"{flight.path if flight else 'the flight'}: {name} is measured by its {here}, and the model knows the noise of its {there} only: "
-                "give the logs and the card that it was fitted with, or fit again"
+                f"{flight.path if flight else 'the flight'}: {name} is measured by its {here}, and the model knows the "
+                f"noise of its {there} only: use the card that it was fitted with, or fit again"
             )
         out[name] = Dynamics(
             input=point.input if point else 0.0,

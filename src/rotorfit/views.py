@@ -11,8 +11,9 @@ import numpy as np
 
 from rotorfit.derivative import local_polynomial
 from rotorfit.flight import Flight
-from rotorfit.forecast import LONGEST_GAP, START_EVERY, Predictions, coast_prediction, predict_flight
+from rotorfit.forecast import START_EVERY, Predictions, coast_prediction, predict_flight
 from rotorfit.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.measured import LONGEST_GAP
 from rotorfit.model import STRUCTURE, Model
 from rotorfit.regression import modelled_acceleration, motion_from_flight
 from rotorfit.validation import dynamics_from_model
