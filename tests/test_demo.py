@@ -11,14 +11,13 @@ from click.testing import CliRunner
 from rotorfit.cli import main
 from rotorfit.demo import Demo, demo, demo_mapping, recovered, scores
 from rotorfit.errors import LogError
-from rotorfit.flight import flight_from_log
 from rotorfit.model_file import load, to_mapping
-from rotorfit.paper_vehicle import as_log, demo_flights
+from rotorfit.plan_file import load_plan, plan_from_text, plan_text
 from rotorfit.sources import read
 from rotorfit.terminal import show
 from rotorfit.terminal.demo import demo_view
 
-BAGS = ["train_xy", "train_z", "train_yaw", "validate_xy", "validate_z", "validate_yaw"]
+FLIGHTS = ["train_xy", "train_z", "train_yaw", "validate_xy", "validate_z", "validate_yaw"]
 
 
 @pytest.fixture(scope="module")
@@ -35,30 +34,30 @@ def plain(mapping: object) -> object:
     return json.loads(json.dumps(mapping, allow_nan=False))
 
 
-def test_the_demo_writes_six_logs_two_models_and_a_report_and_nothing_else(result: Demo, folder: Path) -> None:
-    names = [*(f"{name}.bag" for name in BAGS), "model.json", "paper.json", "report.html"]
+def test_the_demo_writes_six_plans_six_logs_two_models_and_a_report_and_nothing_else(
+    result: Demo, folder: Path
+) -> None:
+    flown = [f"{name}.{kind}" for kind in ("toml", "mcap") for name in FLIGHTS]
 
-    assert [path.name for path in result.written] == names
+    assert [path.name for path in result.written] == [*flown, "model.json", "paper.json", "report.html"]
     assert sorted(folder.iterdir()) == sorted(result.written)
     assert plain(to_mapping(load(folder / "model.json"))) == plain(to_mapping(result.ml))
     assert load(folder / "paper.json").method == "paper"
     assert (folder / "report.html").read_bytes()[:15].lower() == b"<!doctype html>"
 
 
-def test_the_logs_hold_the_simulated_flights(result: Demo, folder: Path) -> None:
-    log = read(folder / "train_z.bag")
-    simulated = as_log(demo_flights()["train_z"])
+def test_every_log_was_flown_to_the_end_and_carries_its_plan(folder: Path) -> None:
+    for name in FLIGHTS:
+        log = read(folder / f"{name}.mcap")
 
-    expected = flight_from_log(simulated, result.ml.card)
-    found = flight_from_log(log, result.ml.card)
-    np.testing.assert_array_equal(found.position, expected.position)
-    np.testing.assert_array_equal(found.command, expected.command)
+        assert log.events[-1].text == "end: completed"
+        assert plan_text(plan_from_text(log.attached["plan"], name)) == plan_text(load_plan(folder / f"{name}.toml"))
 
 
 def test_only_the_training_flights_are_fitted_and_only_the_others_validate(result: Demo) -> None:
-    assert [Path(flight.path).stem for flight in result.ml.flights] == BAGS[:3]
+    assert [Path(flight.path).stem for flight in result.ml.flights] == FLIGHTS[:3]
     assert [flight.axes for flight in result.ml.flights] == [("x", "y"), ("z",), ("yaw",)]
-    assert [Path(flight.path).stem for flight in result.validation.flights] == BAGS[3:]
+    assert [Path(flight.path).stem for flight in result.validation.flights] == FLIGHTS[3:]
 
 
 def test_the_likelihood_recovers_the_truth_within_its_own_errors(result: Demo) -> None:
@@ -83,7 +82,7 @@ def test_the_papers_damping_is_too_small_on_every_axis(result: Demo) -> None:
     assert len(dampings) == 4
     for row in dampings:
         assert row.paper is not None
-        assert row.paper < 0.75 * row.truth
+        assert row.paper < 0.85 * row.truth
 
 
 def test_the_likelihood_predicts_better_than_the_paper_and_both_better_than_holding(result: Demo) -> None:
@@ -94,7 +93,8 @@ def test_the_likelihood_predicts_better_than_the_paper_and_both_better_than_hold
         assert row.ml is not None
         assert row.paper is not None
         assert row.hold is not None
-        assert row.ml < row.paper < row.hold / 5
+        assert row.ml < 0.7 * row.paper
+        assert row.ml < row.hold / 4
 
 
 def test_a_second_run_keeps_the_logs_and_gives_the_same(result: Demo, folder: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_second_run_keeps_the_logs_and_gives_the_same(result: Demo, folder: Pa
     assert (found.exit_code, found.stderr) == (0, "")
     assert json.loads(found.stdout) == plain(demo_mapping(result))
     after = {path: path.stat().st_mtime_ns for path in result.written}
-    assert [path.stem for path in result.written if before[path] == after[path]] == BAGS
+    assert [path.stem for path in result.written if before[path] == after[path]] == FLIGHTS * 2
 
 
 def test_the_table_shows_truth_and_estimates_side_by_side(result: Demo, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,11 +114,11 @@ def test_the_table_shows_truth_and_estimates_side_by_side(result: Demo, capsys: 
     rows = re.findall(r"^ *(?:x|y|z|yaw)? +(?:input|damping|delay) +[\d.]+ +[\d.]+ .* to ", found, re.MULTILINE)
     assert len(rows) == 12
     assert re.search(r"^\d+ of 12 intervals hold the truth", found, re.MULTILINE)
-    assert re.search(r"^yaw +[\d.]+ +[\d.]+ +[\d.]+  ?validate_yaw\.bag$", found, re.MULTILINE)
+    assert re.search(r"^yaw +[\d.]+ +[\d.]+ +[\d.]+  ?validate_yaw\.mcap$", found, re.MULTILINE)
     assert all(str(path) in found for path in result.written)
 
 
-@pytest.mark.parametrize("name", ["validate_yaw.bag", "model.json", "report.html"])
+@pytest.mark.parametrize("name", ["validate_yaw.mcap", "model.json", "report.html"])
 def test_what_the_demo_has_not_written_is_not_overwritten(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("somebody's own")
 

@@ -147,3 +147,11 @@ def test_a_design_that_does_not_exist_and_an_empty_band_are_refused() -> None:
         designed("sweep", 1.0, 60.0, BAND)
     with pytest.raises(ValueError, match="empty"):
         designed("chirp", 1.0, 60.0, (3.0, 2.0))
+
+
+@pytest.mark.parametrize("design", ["multisine", "chirp", "doublets", "3211", "prbs"])
+def test_axes_that_are_flown_together_get_signals_of_their_own(design: str) -> None:
+    time = np.arange(0.0, 58.0, 0.02)
+
+    signals = [value(designed(design, 0.5, 58.0, (1.8, 10.0), place, 4), time) for place in range(4)]
+    assert np.max(np.abs(np.corrcoef(signals)[np.triu_indices(4, 1)])) < 0.3

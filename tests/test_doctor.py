@@ -27,7 +27,6 @@ from rotorfit.paper_vehicle import (
     SimulatedFlight,
     Truth,
     as_log,
-    demo_flights,
     simulate_flight,
 )
 
@@ -67,13 +66,17 @@ def test_a_clean_flight_is_told_of_nothing_and_info_says_so_in_text_too(tmp_path
     assert "Effect:" not in CliRunner().invoke(main, ["info", *words]).stdout
 
 
-def test_the_flights_of_the_demo_raise_no_finding_before_the_fit_and_none_of_severity_error_with_it() -> None:
-    logs = {name: as_log(flight) for name, flight in demo_flights().items()}
-    flights = {name: flight_from_log(log, DEMO_CARD) for name, log in logs.items()}
-    before = [finding for name, log in logs.items() for finding in findings_of_flight(log, DEMO_CARD, flights[name])]
+def test_the_flights_of_the_paper_raise_no_finding_before_the_fit_and_none_of_severity_error_with_it() -> None:
+    axes = ((("x", "y"), 100.0), (("z",), 60.0), (("yaw",), 60.0))
+    logs = [
+        as_log(simulate_flight(Truth(), partial(two_sines, axes=moved), duration, seed))
+        for seed, (moved, duration) in enumerate(axes, start=1)
+    ]
+    flights = [flight_from_log(log, DEMO_CARD) for log in logs]
+    before = [found for log, f in zip(logs, flights, strict=True) for found in findings_of_flight(log, DEMO_CARD, f)]
 
     assert {finding.code for finding in before} == {"stale_poses"}
-    fitted = fit([flight for name, flight in flights.items() if name.startswith("train")])
+    fitted = fit(flights)
     assert [f for f in findings_of_fit(fitted, before) if f.severity == "error"] == []
 
 

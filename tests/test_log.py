@@ -251,7 +251,7 @@ def test_a_block_that_unpacks_beyond_the_bound_is_refused(
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + struct.pack("<II", 15, len(block)) + block)
         expected = "unpacks to more than"
     else:
-        monkeypatch.setattr("rotorfit.sources.compression.LIMIT", 1_000_000)
+        monkeypatch.setattr("rotorfit.sources.compression.BLOCK_LIMIT", 1_000_000)
         fields = [b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", len(bomb))]
         header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
         path.write_bytes(b"#ROSBAG V2.0\n" + text(header) + text(bz2.compress(bomb)))

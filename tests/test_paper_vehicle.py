@@ -21,7 +21,6 @@ from rotorfit.paper_vehicle import (
     SimulatedFlight,
     Truth,
     as_log,
-    demo_flights,
     noise_free,
     simulate_flight,
     write_bag,
@@ -360,37 +359,3 @@ def test_a_bag_is_never_written_over_a_file(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"log\.bag exists already"):
         write_bag(simulate_flight(Truth(), XY, 1.0, seed=0), tmp_path / "log.bag")
     assert (tmp_path / "log.bag").read_text() == "precious"
-
-
-def test_the_demo_flies_the_stated_axes_for_the_stated_time_with_set_b_and_its_delay() -> None:
-    flights = demo_flights()
-
-    seen = {
-        name: (round(seconds(flight.pose_stamp)[-1]), np.flatnonzero(np.any(flight.command != 0, axis=0)).tolist())
-        for name, flight in flights.items()
-    }
-    assert seen == {
-        "train_xy": (100, [0, 1]),
-        "train_z": (60, [2]),
-        "train_yaw": (60, [3]),
-        "validate_xy": (200, [0, 1]),
-        "validate_z": (100, [2]),
-        "validate_yaw": (100, [3]),
-    }
-    assert {flight.truth for flight in flights.values()} == {Truth(gamma=GAMMA_B, delay=(0.15, 0.15, 0.15, 0.15))}
-    assert len({flight.seed for flight in flights.values()}) == 6
-
-
-def test_in_still_air_the_paper_flight_needs_the_stated_room() -> None:
-    flight = simulate_flight(STILL, XY, 200.0, seed=0)
-
-    np.testing.assert_allclose(np.ptp(flight.true_pose, axis=0), [4.2, 1.4, 0.0, 0.0], atol=0.06)
-
-
-def test_with_the_wind_of_the_demo_19_of_20_flights_stay_in_the_stated_room() -> None:
-    extent = [np.ptp(simulate_flight(Truth(), XY, 200.0, seed=seed).true_pose, axis=0) for seed in range(100, 140)]
-
-    median, most = np.median(extent, axis=0), np.quantile(extent, 0.95, axis=0)
-    np.testing.assert_allclose(median[:2], [5.1, 2.4], rtol=0.2)
-    np.testing.assert_allclose(most[:2], [8.4, 3.5], rtol=0.3)
-    assert most[2] < HOVER_HEIGHT

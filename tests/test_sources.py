@@ -34,6 +34,7 @@ from autopilot_logs import (
 )
 from rotorfit.log import Log
 from rotorfit.sources import FORMATS, read
+from rotorfit.sources.block import messages_of
 from rotorfit.sources.content import DamageError
 from rotorfit.sources.messages import Topic, decoded, types_of
 
@@ -544,7 +545,7 @@ def test_every_standard_type_decodes_as_rosbags_decodes_it(encoding: str) -> Non
         data = [bytes(dump(message, typename)) for message in written]
         topic = Topic("/topic", typename, encoding)
 
-        got = decoded(topic, types_of(topic), data)
+        got = decoded(topic, types_of(topic), messages_of(data))
 
         assert got.fault == "", typename
         assert got.rows.tolist() == [0, 1, 2]

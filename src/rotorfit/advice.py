@@ -38,6 +38,9 @@ ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
 LIKELIHOOD_DOUBT = 2.0
 """Log-likelihood by which a disbelieved optimum must stand above the chosen one to be a finding."""
 
+ABOUT_DELAY = ("delay_not_identifiable", "delay_negative")
+"""What is not said of a delay that an offset of two clocks has swallowed."""
+
 
 def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, ...]:
     """Everything that a user should know about a fit, the gravest first.
@@ -49,13 +52,15 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
+    clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
         if axis.predictor and name not in wrong:
             found += _sign_findings(fit, name, axis)
-            found += _coefficient_findings(name, axis)
+            told = _coefficient_findings(name, axis)
+            found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
         if axis.predictor and name in fit.estimates and name not in wrong:
@@ -146,13 +151,13 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
         yield from _delay_findings(name, axis, point.delay)
     if axis.status["damping"] == "not_identifiable":
         low, high = axis.ci95["damping"]
-        gain, lag = axis.combinations["steady_gain"], axis.combinations["total_lag"]
+        gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
         yield Finding(
             "damping_not_identifiable",
             "info",
             f"the damping of {name} lies anywhere between {_end(low)} and {_end(high)} 1/s (95 %)",
             f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
-            if None not in (*gain.ci95, *lag.ci95)
+            if lag and None not in (*gain.ci95, *lag.ci95)
             else f"the input gain of {name} is known, how fast its speed fades is not",
             "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
             name,

@@ -63,9 +63,12 @@ class Card:
         pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`. x and y together, or z, are left out where
             there is only their velocity.
         velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
-        velocity_time: Stamp of the velocity; None where it has that of the table it stands in.
+        velocity_time: Its stamp; None for that of the table it stands in.
         velocity_independent: Whether the velocity is a measurement of its own, beside the pose: neither came from the
             other.
+        attitude: Optional onboard heading: `yaw`, or the four of `qw`, `qx`, `qy`, `qz`.
+        attitude_time: Its stamp; None likewise.
+        clock: Of a flight in several files: `own`, each file has its own, or `one`, all have the same.
         reference: Optional: what a position controller was told.
         window: Optional column that says when the vehicle is armed or under velocity control.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
@@ -84,13 +87,16 @@ class Card:
     pose: Mapping[str, Channel]
     velocity: Mapping[str, Channel] = field(default_factory=dict)
     velocity_frame: Literal["heading", "world"] = "world"
-    velocity_time: Channel | None = None
     velocity_independent: bool = False
     reference: Mapping[str, Channel] = field(default_factory=dict)
     window: Channel | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, Mapping[str, Prior]] = field(default_factory=dict)
     raw: Mapping[str, Any] = field(default_factory=dict)
+    velocity_time: Channel | None = None
+    attitude: Mapping[str, Channel] = field(default_factory=dict)
+    attitude_time: Channel | None = None
+    clock: Literal["own", "one"] = "own"
     fail_safe: str = ""
 
     @property
@@ -110,6 +116,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
     "pose": ("time", *AXES, "quaternion"),
     "velocity": ("frame", "time", "independent", *AXES),
+    "attitude": ("time", "yaw", "quaternion"),
     "reference": AXES,
     "window": ("when",),
     "limits": _LIMITS,
@@ -168,12 +175,12 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
             `[command]`, `[pose]` and their essential keys is missing.
     """
     place = f"card {where}"
-    _check_keys(raw, ("name", "frame", "fail_safe", *_SECTIONS), place)
+    _check_keys(raw, ("name", "frame", "clock", "fail_safe", *_SECTIONS), place)
     sections = {key: _section(raw, key, place) for key in _SECTIONS}
     missing = [key for key in ("command", "pose") if key not in raw]
     if missing:
         raise CardError(f"{place}: section [{missing[0]}] is missing")
-    command, pose, velocity = sections["command"], sections["pose"], sections["velocity"]
+    command, pose, velocity, attitude = (sections[key] for key in ("command", "pose", "velocity", "attitude"))
     in_command, in_pose = f"{place}, [command]", f"{place}, [pose]"
     commands = {axis: _channel(command[axis], f"{in_command} {axis}", _ANY, True) for axis in AXES if axis in command}
     if not commands:
@@ -189,15 +196,27 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         pose=_pose(pose, velocity, in_pose),
         velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
-        velocity_time=_recorded(velocity, "time", _STAMP, f"{place}, [velocity]") if "time" in velocity else None,
         velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
         window=_recorded(sections["window"], "when", _ANY, f"{place}, [window]") if "window" in raw else None,
         limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
         prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
         raw=raw,
+        velocity_time=_recorded(velocity, "time", _STAMP, f"{place}, [velocity]") if "time" in velocity else None,
+        attitude=_heading(attitude, f"{place}, [attitude]") if attitude else {},
+        attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
+        clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
     )
+
+
+def tables_of(card: Card) -> frozenset[str] | None:
+    """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
+    parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
+    channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
+    channels += [each for each in (card.velocity_time, card.attitude_time, card.window) if each]
+    tables = {split_source(channel.source)[0] for channel in channels if isinstance(channel.source, str)}
+    return None if "" in tables else frozenset(tables)
 
 
 def card_that_fits(log: Log) -> Card:
@@ -233,11 +252,13 @@ def card_of(log: Log) -> Card:
 
 def fitting_cards(log: Log) -> dict[str, Card]:
     """The built-in cards, by name, whose columns are all in the log."""
-    return {name: card for name, card in builtin_cards().items() if _fits(log, card)}
+    return {name: card for name, card in builtin_cards().items() if fits(log, card)}
 
 
-def _fits(log: Log, card: Card) -> bool:
-    others = [*card.velocity.values(), *card.reference.values(), *([card.window] if card.window else [])]
+def fits(log: Log, card: Card) -> bool:
+    """Whether all columns of a card are in a log."""
+    others = [*card.velocity.values(), *card.attitude.values(), *card.reference.values()]
+    others += [one for one in (card.window, card.velocity_time, card.attitude_time) if one]
     try:
         for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose)):
             count = len(raw_column(log, time.source)[1])
@@ -291,7 +312,7 @@ def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple
     """
     if not isinstance(source, str):
         raise CardError(f"{log.path}: a constant ({source:g}) stands where a column is needed")
-    table, name = _table_of(log, source)
+    table, name = table_of(log, source)
     row = re.fullmatch(r"(.+)\[(\d+)\]", name)
     if name in table.columns:
         values = _vector(table.columns[name], f"{log.path}: {source}")
@@ -310,8 +331,12 @@ def split_source(source: str | float) -> tuple[str, str]:
     return (table, name) if colon else ("", table)
 
 
-def _table_of(log: Log, source: str) -> tuple[Table, str]:
-    """The table that a source names, and the column's name in it."""
+def table_of(log: Log, source: str) -> tuple[Table, str]:
+    """The table that a source names, and the column's name in it.
+
+    Raises:
+        CardError: There is no such table (the nearest is named), or none is named and there are several.
+    """
     only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
     head, tail = split_source(source)
     if only is not None and (not head or source in only.columns):
@@ -321,7 +346,9 @@ def _table_of(log: Log, source: str) -> tuple[Table, str]:
     if head in log.skipped:
         raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
     if head:
-        raise CardError(f"{log.path}: no table {head!r}{_nearest(head, log.tables)} (`rotorfit info` lists them)")
+        raise CardError(
+            f"{log.path}: no table {head!r}{_nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` lists them)"
+        )
     holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
     raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
 
@@ -442,8 +469,7 @@ def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], plac
 
 def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:
     """x, y, z, and yaw or qw, qx, qy, qz; x with y, or z, may be missing where there is their velocity."""
-    if ("yaw" in section) == ("quaternion" in section):
-        raise CardError(f"{place}: name either yaw or quaternion, and not both")
+    heading = _heading(section, place)
     missing = [axis for axis in ("x", "y", "z") if axis not in section]
     unknown = [axis for axis in missing if axis not in velocity]
     if unknown:
@@ -453,15 +479,21 @@ def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -
         )
     if ("x" in section) != ("y" in section):
         raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
-    channels = _channels(section, _POSE_UNITS, place)
-    if "quaternion" not in section:
-        return channels
+    return _channels(section, _POSE_UNITS, place) | heading
+
+
+def _heading(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """yaw, or qw, qx, qy, qz."""
+    if ("yaw" in section) == ("quaternion" in section):
+        raise CardError(f"{place}: name either yaw or quaternion, and not both")
+    if "yaw" in section:
+        return {"yaw": _channel(section["yaw"], f"{place} yaw", _ANGLE)}
     value = section["quaternion"]
     names = [f"{value}.{part}" for part in "wxyz"] if isinstance(value, str) else value
     if not isinstance(names, list) or len(names) != 4:
         raise CardError(f"{place} quaternion: must be a prefix or four names in the order w, x, y, z, not {value!r}")
     parts = zip("wxyz", names, strict=True)
-    return channels | {f"q{part}": Channel(_text(name, f"{place} quaternion")) for part, name in parts}
+    return {f"q{part}": Channel(_text(name, f"{place} quaternion")) for part, name in parts}
 
 
 def _limit(key: str, value: Any, place: str) -> float:

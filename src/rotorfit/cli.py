@@ -47,6 +47,7 @@ def main() -> None:
     """From a flight log to a trustworthy model of a velocity-commanded multirotor.
 
     LOG is a file of any known format (`rotorfit formats`), or LOG@T0:T1 for a part of it in seconds.
+    A+B are two files of one flight, commands and poses.
     """
 
 

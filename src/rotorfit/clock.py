@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rotorfit.card import Channel, raw_column
+from rotorfit.card import Channel, raw_column, table_of
 from rotorfit.errors import CardError
 from rotorfit.frames import Array
 from rotorfit.log import Log
@@ -96,8 +96,8 @@ class ClockDrift:
 def stamps_of(log: Log, time: Channel) -> Stamps:
     """Stamps of a stream.
 
-    Without a unit, whole numbers are nanoseconds where the column is a `header.stamp` or `log_time`, or passes 1e15;
-    everything else is seconds.
+    Stamps in `log.retimed` are taken as they are. Else, without a unit, whole numbers are nanoseconds where the column
+    is a `header.stamp` or `log_time`, or passes 1e15; everything else is seconds.
 
     Args:
         log: Where the column is.
@@ -110,6 +110,9 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
         CardError: The column is not there, or most of its numbers are too large for their unit.
     """
     name, raw = raw_column(log, time.source)
+    moved = log.retimed.get((table_of(log, str(time.source))[0].name, name)) if log.retimed else None
+    if moved is not None:
+        return moved
     whole = raw.dtype.kind in "iu"
     finite = np.isfinite(raw)
     sizes = np.abs(np.where(finite, raw, 0).astype(np.float64))

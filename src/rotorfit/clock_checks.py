@@ -12,6 +12,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.log import Log
 from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.two_files import two_files
 
 SETTLING_LOSS = 0.6
 """What each segment of commands loses at its start [s]: the longest delay that is searched."""
@@ -39,7 +40,7 @@ DRIFT_GROWTH = 0.010
 """Growth of the difference of two clocks over a flight that matters [s]: standard errors of delays are about that."""
 
 CLOCK_OFFSET = 0.05
-"""Difference of two clocks that transport does not explain [s]."""
+"""Difference of two clocks of one file that transport does not explain [s]."""
 
 STALE_SHARE = 0.05
 """Share of repeated poses that is worth a word."""
@@ -68,9 +69,12 @@ def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
     if one_row:
         yield from _repeated(flight)
     else:
-        yield from _jitter("command", commands, "what acts when is known no better: the delay comes out wide or biased")
-    yield from _jitter("pose", poses, "if they are stamps of arrival, speed times jitter is added to every pose")
-    yield from _two_clocks(log, card)
+        effect = "what acts when is known no better: the delay comes out wide or biased"
+        yield from _jitter("command", commands, flight, effect)
+    yield from _jitter(
+        "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
+    )
+    yield from _two_clocks(log, card) if flight.clocks is None else two_files(flight.clocks)
     yield from _stale(flight)
 
 
@@ -122,7 +126,9 @@ def _holes(flight: Flight, start: float, end: float) -> Array:
     return steps[steps > limit]
 
 
-def _jitter(what: str, stamps: Stamps, effect: str) -> Iterator[Finding]:
+def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[Finding]:
+    if any(note.code == f"{what}_stamps_straightened" for note in flight.notes):
+        return
     found = rate(stamps)
     if found.period is None or found.jitter is None:
         return

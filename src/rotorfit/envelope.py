@@ -171,10 +171,16 @@ def largest_amplitudes(
         factors = {axis: (low[axis] + high[axis]) / 2 for axis in axes}
     if min(low.values()) <= 0:
         return dict.fromkeys(axes, 0.0)
-    # speeds along x and y need not be greatest at the same time
-    spare = min(np.sqrt(2), upper / max(low.values())) if {"x", "y"} <= set(axes) else 1.0
-    common = largest_amplitude(with_amplitudes(plan, low), belief, spare, draws, seed, _second_half(progress))
-    return {axis: common * factor for axis, factor in low.items()}
+    plan, rest = with_amplitudes(plan, low), _second_half(progress)
+    if not predicted_path(plan, belief, draws, seed).fits:
+        common = largest_amplitude(plan, belief, 1.0, draws, seed, rest)
+        return {axis: common * factor for axis, factor in low.items()}
+    plane = [axis for axis in axes if axis in ("x", "y")]
+    if len(plane) < 2:
+        return low
+    spare = min(np.sqrt(2), upper / max(low[axis] for axis in plane))  # they need not be fastest at the same time
+    more = largest_amplitude(plan, belief, spare, draws, seed, rest, plane) if spare > 1 else 1.0
+    return {axis: (max(more, 1.0) if axis in plane else 1.0) * factor for axis, factor in low.items()}
 
 
 def _guilty(axis: str, axes: Sequence[str], foreseen: Envelope) -> bool:
@@ -199,14 +205,23 @@ def _second_half(progress: Progress | None) -> Progress | None:
 
 
 def largest_amplitude(
-    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+    plan: Plan,
+    belief: Belief,
+    upper: float = 1.0,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: Progress | None = None,
+    axes: Sequence[str] = AXES,
 ) -> float:
-    """The largest factor on all signals alike with which the plan stays in its space; arguments and search as above."""
+    """The largest factor on the signals of some axes alike with which the plan stays in its space.
+
+    The other arguments and the search are as above.
+    """
 
     def stays(factor: float, step: int) -> bool:
         if progress:
             progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
-        factors = dict.fromkeys(AXES, factor)
+        factors = {axis: factor if axis in axes else 1.0 for axis in AXES}
         return predicted_path(with_amplitudes(plan, factors), belief, draws, seed).fits
 
     if stays(upper, 0):

@@ -171,11 +171,12 @@ def designed(
     if design == "multisine":
         return multisine(amplitude, duration, band, place, of)
     if design == "chirp":
-        ends = (low, high) if place % 2 == 0 else (high, low)
-        return Chirp(amplitude, ends, duration)
+        shrunk = (high / low) ** (0.1 * (place // 2))  # up, down, and the same again over a little less of the band
+        ends = (low * shrunk, high / shrunk)
+        return Chirp(amplitude, ends if place % 2 == 0 else ends[::-1], duration)
     if design in ("doublets", "3211"):
         make = doublets if design == "doublets" else three_two_one_one
-        return make(amplitude if place % 2 == 0 else -amplitude, duration, band)
+        return make(amplitude, duration, band, place)
     if design == "prbs":
         return prbs(amplitude, duration, band, seed + place)
     raise ValueError(f"no such design: {design!r}; designs are {', '.join(DESIGNS)}")
@@ -240,18 +241,27 @@ def _fine(signal: Signal, duration: float) -> Array:
     return np.linspace(0.0, duration, max(int(duration * fastest / (2 * np.pi) * 64), 512), endpoint=False)
 
 
-def doublets(amplitude: float, duration: float, band: tuple[float, float]) -> Steps:
+def doublets(amplitude: float, duration: float, band: tuple[float, float], place: int = 0) -> Steps:
     """Pairs of opposite pulses, then the same pair mirrored, so that the vehicle comes back; wide ones first.
 
-    The half width of a pair runs through half the periods of five frequencies of the band, again and again.
+    The half width of a pair runs through half the periods of five frequencies of the band, again and again. Axes that
+    are flown together change their signs from one pattern to the next, each in its own order (`_sign`).
     """
     widths = np.pi / np.geomspace(band[0], band[1], 5)
     pattern = (1, -1, 0, -1, 1, 0)
-    return _steps(((width, level) for width in itertools.cycle(widths) for level in pattern), amplitude, duration)
+    blocks = ((width, _sign(place, number)) for number, width in enumerate(itertools.cycle(widths)))
+    return _steps(((width, sign * level) for width, sign in blocks for level in pattern), amplitude, duration)
 
 
-def three_two_one_one(amplitude: float, duration: float, band: tuple[float, float]) -> Steps:
+def _sign(place: int, number: int) -> int:
+    """Sign of a pattern on one of up to four axes: Walsh functions, orthogonal over any four patterns in a row."""
+    return -1 if (place & number).bit_count() % 2 else 1
+
+
+def three_two_one_one(amplitude: float, duration: float, band: tuple[float, float], place: int = 0) -> Steps:
     """Steps of 3, 2, 1 and 1 units with changing sign, a rest of 2, the same mirrored, a rest; again and again.
+
+    Signs of axes that are flown together as for `doublets`.
 
     The unit is a third of the period of the frequency in the middle of the band: the steps of 3, 2 and 1 are then half
     periods of 0.5, 0.75 and 1.5 times that frequency.
@@ -260,7 +270,8 @@ def three_two_one_one(amplitude: float, duration: float, band: tuple[float, floa
     """
     unit = 2 * np.pi / (3 * np.sqrt(band[0] * band[1]))
     pattern = ((3, 1), (2, -1), (1, 1), (1, -1), (2, 0), (3, -1), (2, 1), (1, -1), (1, 1), (2, 0))
-    return _steps(((units * unit, level) for _ in itertools.count() for units, level in pattern), amplitude, duration)
+    signs = (_sign(place, number) for number in itertools.count())
+    return _steps(((units * unit, sign * level) for sign in signs for units, level in pattern), amplitude, duration)
 
 
 def _steps(held: Iterable[tuple[float, int]], amplitude: float, duration: float) -> Steps:

@@ -7,12 +7,14 @@ from typing import Literal
 import numpy as np
 
 from rotorfit.card import Prior
+from rotorfit.clock_error import check_clocks, with_clock_error
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, together
-from rotorfit.flight import Flight, Note
+from rotorfit.flight import Flight
 from rotorfit.frames import AXES
 from rotorfit.further import structure_of, told_apart
+from rotorfit.held import without_held
 from rotorfit.latency import on_the_poses_clock
 from rotorfit.model import (
     STRUCTURE,
@@ -44,10 +46,6 @@ LIKELIHOOD = ("ml", "robust")
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval needed [s]."""
-
-
-HELD = 0.1
-"""RMS of the commands of an axis, as a share of those of the flight that moves it most, below which it is held."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,8 @@ def fit(
     )
     kept = {axis: e for axis, e in estimates.items() if axis in wanted}
     remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
-    return Fit(with_physics(model), tuple(flights), paper, kept, remarks, outliers)
+    model = with_physics(with_clock_error(model, flights))
+    return Fit(model, tuple(flights), paper, kept, remarks, outliers)
 
 
 def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
@@ -160,6 +159,7 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    check_clocks(flights)
     if prior and method not in LIKELIHOOD:
         raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
     if prior and not flights[0].card.prior:
@@ -245,33 +245,6 @@ def _other_structures(
                 axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
             )
     return found, axes, covariance
-
-
-def without_held(flights: Sequence[Flight]) -> list[Flight]:
-    """The flights, each without the axes that it merely holds where another one excites them; with a note.
-
-    What a controller sends to hold an axis answers the axis' own disturbance. In the likelihood of an exact model it
-    does no harm and tells next to nothing; where the model is a little wrong it tells the wrong thing with confidence.
-    """
-    power = [[np.mean(f.command[:, k] ** 2) * (axis in f.axes) for k, axis in enumerate(AXES)] for f in flights]
-    strength = np.sqrt(np.array(power))
-    share = strength / np.maximum(strength.max(axis=0), np.finfo(float).tiny)
-    return [
-        replace(
-            flight,
-            axes=tuple(axis for axis in flight.axes if not 0 < row[AXES.index(axis)] < HELD),
-            notes=(
-                *flight.notes,
-                *(
-                    Note("held_axis", f"{axis} is only held, by {100 * part:.1f} % of the commands of another flight: "
-                         "it is not fitted to this one", len(flight.command))
-                    for axis, part in zip(AXES, row, strict=True)
-                    if 0 < part < HELD
-                ),
-            ),
-        )
-        for flight, row in zip(flights, share, strict=True)
-    ]  # fmt: skip
 
 
 def _moves(flight: Flight, axis: str) -> bool:

@@ -1,16 +1,20 @@
 """Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from rotorfit.card import Card
-from rotorfit.clock import Mask, grain
+from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
-from rotorfit.frames import AXES, Array, heading_from_world, world_from_heading
+from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.joined import bound
 from rotorfit.log import Log
+from rotorfit.one_clock import Clocks, on_one_clock
+from rotorfit.stamping import with_sound_stamps
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of, velocities_of
+from rotorfit.velocity import Velocity, in_the_world, with_travel
 
 __all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "Velocity", "flight_from_log"]
 
@@ -21,43 +25,6 @@ class Segment:
 
     start: float
     end: float
-
-
-@dataclass(frozen=True)
-class Velocity:
-    """What the vehicle itself measured of its velocity, on its own clock.
-
-    Attributes:
-        time: Strictly increasing stamps, shape (V,) [s].
-        value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
-        grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
-        alone: Axes of which there is no position: only this.
-        late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
-    """
-
-    time: Array
-    value: Array
-    grain: Array
-    alone: tuple[str, ...] = ()
-    late: Array | None = None
-
-    @property
-    def rounding(self) -> Array:
-        """Variance that the rounding adds to each, shape (4,): that of a uniform error [m^2/s^2, rad^2/s^2]."""
-        return np.asarray(self.grain**2 / 12)
-
-    def of(self, axes: tuple[str, ...]) -> bool:
-        """Whether it was measured on all of these axes."""
-        return bool(self.time.size) and all(np.isfinite(self.value[0, AXES.index(axis)]) for axis in axes)
-
-    def true_time(self, axis: str) -> Array:
-        """When the velocity of an axis was what it says, on the clock of the poses, shape (V,) [s]."""
-        return self.time if self.late is None else self.time - self.late[AXES.index(axis)]
-
-    def between(self, low: float, high: float) -> "Velocity":
-        """What lies between two times [s]."""
-        inside = (self.time >= low) & (self.time <= high)
-        return replace(self, time=self.time[inside], value=self.value[inside])
 
 
 @dataclass(frozen=True)
@@ -80,6 +47,7 @@ class Flight:
         notes: Every repair, with its count.
         reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
             the card does not name and before the first value; None where it names none.
+        clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
         velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
     """
 
@@ -96,6 +64,7 @@ class Flight:
     segments: tuple[Segment, ...]
     notes: tuple[Note, ...] = ()
     reference: Array | None = None
+    clocks: Clocks | None = None
     velocity: Velocity | None = None
 
     @property
@@ -125,6 +94,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     Commands hold until the next one, but no longer than `card.hold` (default: three median periods): a longer gap
     starts a new segment. Gaps between poses do not.
 
+    Where commands and poses are from two files, the commands are first brought onto the clock of the poses.
+
     Args:
         log: As recorded.
         card: Which column is what. Commands in the world frame are along the axes of the converted pose (x east, y
@@ -139,6 +110,9 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             less than two seconds, or yaw in degrees taken for radians.
     """
+    card = bound(card, log)
+    log, stamped = with_sound_stamps(log, card)
+    log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses, velocities = poses_of(log, card), velocities_of(log, card)
     end = _window_end(log, commands, poses, origin)
@@ -153,11 +127,11 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
-    notes = (*cut, *_cut_notes(seen, segments, heading, yaw))
+    notes = (*stamped, *_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
     position, velocity = poses.values[seen, :3], None
     if velocities is not None:
-        velocity = _in_the_world(velocities, card, origin, pose_time, yaw).between(start, stop)
-        position, told = _with_travel(log, position, pose_time, velocity)
+        velocity = in_the_world(velocities, card, origin, pose_time, yaw).between(start, stop)
+        position, told = with_travel(log, position, pose_time, velocity)
         notes = (*velocities.notes, *notes, *told)
     if card.command_frame == "world":
         command_time, command, note = _in_heading_frame(command_time, command, command_end, pose_time, yaw)
@@ -178,43 +152,32 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         segments=segments,
         notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
+        clocks=clocks,
         velocity=velocity,
     )
 
 
-def _in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:
-    """The vehicle's own velocity along the world's axes, seconds from the start of the common window."""
-    time, value = (velocities.stamps - origin) / 1e9, velocities.values
-    rounded = grain(value)
-    rounded[:2] = rounded[:2].max()  # the heading frame turns in the world
-    if card.velocity_frame == "heading":
-        turned = world_from_heading(value[:, :2], np.interp(time, pose_time, yaw))
-        value = np.hstack([turned, value[:, 2:]])
-    return Velocity(time, value, rounded, card.velocity_only)
-
-
-def _with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity) -> tuple[Array, tuple[Note, ...]]:
-    """Positions with the velocity summed up (trapezoids) along the axes that have nothing else, and a note."""
-    if not velocity.alone:
-        return position, ()
-    if velocity.time.size < 2:
-        raise FlightError(f"{log.path}: no velocity in the common window or the span; check [velocity] of the card")
-    out, step = position.copy(), np.diff(velocity.time)
-    for axis in velocity.alone:
-        k = AXES.index(axis)
-        v = velocity.value[:, k]
-        travel = np.concatenate([[0.0], np.cumsum(0.5 * step * (v[1:] + v[:-1]))])
-        out[:, k] = np.interp(pose_time, velocity.time, travel)
-    text = (
-        f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities stand for it, and the delay "
-        "holds how late they are"
+def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
+    """What was done about the clocks of two files."""
+    if clocks is None:
+        return ()
+    figures = (
+        f"{clocks.offset:+.4f} s (95 %: +-{1e3 * clocks.half_width:.2f} ms), drift {1e6 * clocks.drift:+.0f} "
+        f"(+-{1e6 * clocks.drift_half_width:.0f}) us/s"
     )
-    notes: tuple[Note, ...] = (Note("velocity_only", text, velocity.time.size),)
-    for axis in velocity.alone:
-        if step := velocity.grain[AXES.index(axis)]:
-            told = f"the velocity of {axis} is rounded to {step:.3g} m/s: its error is taken to be no less than that"
-            notes = (*notes, Note("velocity_rounded", told, velocity.time.size))
-    return out, notes
+    if clocks.includes_delay:
+        text = (
+            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the "
+            "answer to them: the delay is in it"
+        )
+    elif clocks.moved:
+        text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"
+    else:
+        seen = "" if clocks.source == "none" else f"; the vehicle's own motion says {figures}"
+        text = (
+            f"the stamps of {count} commands stay as they are beside the poses of another file: {clocks.stated}{seen}"
+        )
+    return (Note("clocks", text, count),)
 
 
 def _window_end(log: Log, commands: Stream, poses: Stream, origin: int) -> int:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import numpy.typing as npt
 
 Column = npt.NDArray[Any]
@@ -52,6 +53,9 @@ class Log:
         notes: What was lost or recovered on reading, and which columns were left out, one line each.
         attached: What `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit` (version).
         events: What it noted in flight, in order.
+        file_of: Table to the file that it is from, where several files were joined; else empty.
+        retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
+            clock, or straightened. Empty as read.
     """
 
     path: Path
@@ -62,6 +66,8 @@ class Log:
     notes: tuple[str, ...] = ()
     attached: Mapping[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
+    file_of: Mapping[str, str] = field(default_factory=dict)
+    retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.errors import LogError
-from rotorfit.excitation import two_sines
 from rotorfit.frames import AXES, Array
 from rotorfit.log import Log, Table
 from rotorfit.published import PUBLISHED
@@ -49,7 +48,7 @@ LOG_EPOCH = 1_577_836_800 * 10**9  # ns: 2020-01-01, added to the stamps of a lo
 
 @dataclass(frozen=True)
 class Truth:
-    """Vehicle, air and room of a simulated flight. The defaults are those of `rotorfit demo`.
+    """Vehicle, air and room of a simulated flight. The defaults are a Bebop 2 in a quiet motion-capture room.
 
     Attributes:
         gamma: The paper's eight coefficients, shape (8,) [m/s^2 or rad/s^2 per unit of command; 1/s].
@@ -213,34 +212,6 @@ def simulate_flight(
         stale=stale, true_pose=state[:, :4], velocity=state[:, 4:], acceleration=acceleration,
         wind=_interpolated(seen, node, wind),
     )  # fmt: skip
-
-
-def demo_flights() -> dict[str, SimulatedFlight]:
-    """The six flights of `rotorfit demo`, in the manner of the paper: set B, 0.15 s delay, the defaults of `Truth`.
-
-    Training: x and y together 100 s, z 60 s, yaw 60 s (seeds 1, 2, 3). Validation: 200 s, 100 s, 100 s (seeds 4, 5, 6).
-    All are open loop, as in the paper, from rest, with the paper's two sines; z is flown at three times the paper's
-    amplitude, because at 0.1 two slow sines leave the delay of z unknown to 0.07 s. The axes that are not flown are
-    commanded zero and drift in the light wind, since the model knows no position hold.
-
-    Room needed, over 200 seeds: the xy flights take 4.6 m by 2.0 m (100 s) and 5.1 m by 2.4 m (200 s) in the median,
-    7.0 m by 2.6 m and 8.4 m by 3.5 m in 19 of 20; z climbs through 1.2 m, yaw turns through 3.3 rad. In a smaller room
-    fly with a `Controller`.
-
-    Source: paper, sections 4 and 6; the paper states only the lengths of the validation.
-    """
-    flights = {
-        "train_xy": (("x", "y"), 1.0, 100.0),
-        "train_z": (("z",), 3.0, 60.0),
-        "train_yaw": (("yaw",), 1.0, 60.0),
-        "validate_xy": (("x", "y"), 1.0, 200.0),
-        "validate_z": (("z",), 3.0, 100.0),
-        "validate_yaw": (("yaw",), 1.0, 100.0),
-    }
-    return {
-        name: simulate_flight(Truth(), functools.partial(two_sines, axes=axes, amplitude=amplitude), duration, seed)
-        for seed, (name, (axes, amplitude, duration)) in enumerate(flights.items(), start=1)
-    }
 
 
 def as_log(flight: SimulatedFlight) -> Log:

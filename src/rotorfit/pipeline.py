@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_of, load_card
+from rotorfit.card import Card, card_from_mapping, card_of, fits, load_card, tables_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -16,7 +16,9 @@ from rotorfit.fit import Fit, Method, fit, with_delay_profiles
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.held import without_held
 from rotorfit.influence import with_influence
+from rotorfit.joined import bound, flights_of, parts_of
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
@@ -70,14 +72,40 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
-    return _flown(log, chosen)[2]
+    return _flown(log, _read(log, chosen), chosen)[2]
 
 
-def _flown(log: LogSpan, card: Card | None) -> tuple[Log, Card, Flight]:
+def load_flights(logs: Sequence[LogSpan], card: str | Card | None = None) -> tuple[Flight, ...]:
+    """Reads logs and applies a card to each; logs that only together hold what it names are one flight."""
+    chosen = load_card(card) if isinstance(card, str) else card
+    return tuple(flight for _, _, flight in _all_flown(logs, chosen))
+
+
+def _read(log: LogSpan, card: Card | None) -> Log:
+    """A log, of a card only the tables that it names; of several files all, since joining may rename them."""
+    return read(log.path, tables_of(card) if card and len(parts_of(log.path)) == 1 else None)
+
+
+def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
-    raw = read(log.path)
-    card = card or card_of(raw)
+    card = bound(card or card_of(raw), raw)
     return raw, card, flight_from_log(raw, card, log.span)
+
+
+def _all_flown(logs: Sequence[LogSpan], card: Card | None) -> list[tuple[Log, Card, Flight]]:
+    """Every flight in some logs, in the order of its first log."""
+    flown: dict[int, tuple[Log, Card, Flight]] = {}
+    parts: dict[int, Log] = {}
+    for number, log in enumerate(logs):
+        raw = _read(log, card)
+        if card is None or len(logs) == 1 or raw.file_of or fits(raw, card):
+            flown[number] = _flown(log, raw, card)  # at once, so that no two logs need be held
+        else:
+            parts[number] = raw
+    places = list(parts)
+    for place, raw in flights_of(list(parts.values()), card):
+        flown[places[place]] = _flown(logs[places[place]], raw, card)
+    return [flown[number] for number in sorted(flown)]
 
 
 def fit_logs(
@@ -93,16 +121,21 @@ def fit_logs(
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
     flights: list[Flight] = []
-    before: list[Finding] = []
-    for log in logs:
-        raw, applied, flight = _flown(log, chosen)
+    noticed: list[tuple[Finding, ...]] = []
+    for raw, applied, flight in _all_flown(logs, chosen):
         flights.append(flight)
-        before += [told for told in findings_of_flight(raw, applied, flight) if told.axis in (None, *axes)]
+        noticed.append(findings_of_flight(raw, applied, flight))
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
     if uncertainty:
         result = with_uncertainty(result, progress)
+    before = [
+        told
+        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
+        for told in every
+        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+    ]  # nothing of an axis that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
@@ -122,7 +155,7 @@ def ladder_logs(
     progress: Progress | None = None,
 ) -> Ladder:
     """Reads logs and fits every rung of the ladder to them together."""
-    return ladder([load_flight(log, card) for log in logs], axes, progress)
+    return ladder(load_flights(logs, card), axes, progress)
 
 
 def validate_logs(
@@ -133,7 +166,7 @@ def validate_logs(
     progress: Progress | None = None,
 ) -> tuple[Validation, tuple[Flight, ...]]:
     """Reads logs with the model's own card unless another is given, and scores the model on them."""
-    flights = tuple(load_flight(log, card or card_from_mapping(model.card.raw, "the model's card")) for log in logs)
+    flights = tuple(without_held(load_flights(logs, card or card_from_mapping(model.card.raw, "the model's card"))))
     return validate(model, flights, horizons, progress), flights
 
 

@@ -100,7 +100,7 @@ def _motion(panel: Axes, envelope: Envelope, axes: tuple[str, ...]) -> None:
             linewidth=0,
         )  # fmt: skip
         panel.plot(envelope.time, envelope.nominal[:, a] - begin, color=COLOURS[axis], label=axis)
-    panel.set_title("expected motion from the start [m, rad], and 95 % of it")
+    panel.set_title("expected motion [m, rad], band: 95 %")
     _over_time(panel, float(envelope.time[-1]))
 
 
@@ -146,8 +146,8 @@ def _speeds(panel: Axes, plan: Plan) -> None:
     panel.set_yticks(place, ["along x, y [m/s]", "along z [m/s]", "yaw [rad/s]"])
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
-    panel.set_title("greatest speeds")
-    panel.legend(loc="lower right", ncols=1)
+    panel.set_title("speeds")
+    panel.legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=3, borderaxespad=0)
 
 
 def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) -> None:

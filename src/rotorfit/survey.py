@@ -16,6 +16,7 @@ from rotorfit.errors import CardError, FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
+from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
 from rotorfit.sources import read
 from rotorfit.sources.content import one_line
@@ -144,6 +145,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     except CardError as err:
         problem = str(err)
     if card is not None:
+        card = bound(card, log)
         try:
             flight = _flight_survey(log, card, flight_from_log(log, card))
         except FlightError as err:
@@ -176,7 +178,7 @@ def _recording(log: Log) -> dict[str, str]:
 
 
 def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:
-    """Reads logs and looks through them.
+    """Reads logs and looks through them; logs that only together hold what the card names are one flight.
 
     Args:
         paths: Of the logs.
@@ -187,7 +189,7 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
         CardError: The card that was given is none, or does not fit.
     """
     chosen = None if card is None else load_card(card)
-    return tuple(survey(read(path), chosen) for path in paths)
+    return tuple(survey(log, chosen) for _, log in flights_of([read(path) for path in paths], chosen))
 
 
 def survey_draft(path: str, draft: Path) -> Survey:

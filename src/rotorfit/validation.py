@@ -22,6 +22,7 @@ from rotorfit.forecast import (
     start_errors,
 )
 from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.held import without_held
 from rotorfit.levels import LEVELS_OF
 from rotorfit.likelihood import Point, response, whiten
 from rotorfit.maximum import maximise
@@ -45,7 +46,7 @@ class FlightScores:
         axes: Axis name to errors; None in place of every number of an axis that has no model.
         heading: `predicted` by the model's own yaw, or `measured` where it has none.
         fitted: Whether the model was fitted to part of this very stretch: then the scores prove nothing.
-        moved: The axes that the flight commands with anything but zero.
+        moved: The axes that the flight commands, and does not merely hold where another one moves them.
     """
 
     path: str
@@ -131,6 +132,7 @@ def validate(
         raise FlightError("no flight to validate on: give at least one log")
     if not horizons or min(horizons) <= 0:
         raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
+    flights = without_held(flights)
     scores: dict[str, list[FlightScores]] = {"model": [], "hold": [], "paper": []}
     errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
     tests = []

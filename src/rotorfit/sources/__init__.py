@@ -6,12 +6,16 @@ outside is imported when it reads.
 """
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from threading import Event
 from types import MappingProxyType
 
 from rotorfit.errors import LogError
+from rotorfit.joined import joined, parts_of
 from rotorfit.log import Log
 from rotorfit.sources.content import Content, one_line
 
@@ -36,13 +40,14 @@ FORMATS = MappingProxyType(
 """Format to the module that reads it, in the order of asking: signatures first, CSV, which has none, last."""
 
 _HEAD = 1 << 16  # two lines of the widest CSV
+_BLOCK = 1 << 22  # bytes hashed at once, without holding up the thread that reads
 
 
 def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     """Reads a log.
 
     Args:
-        path: A file, or the folder of a ROS 2 bag.
+        path: A file, or the folder of a ROS 2 bag; or several of one flight, `A+B`.
         tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
             like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) are always read whole.
 
@@ -52,15 +57,19 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     Raises:
         LogError: Missing, empty or unreadable file, unknown format, no table in it, damage before the first message.
     """
+    parts = parts_of(path)
+    if len(parts) > 1:
+        return joined([read(part, tables) for part in parts])
     path = Path(path)
     try:
         head = _head(path)
         for name, module in FORMATS.items():
             source = import_module(module)
             if source.sniff(path, head):
-                content: Content = source.read(path, None if tables is None else frozenset(tables))
-                found = (content.tables, content.skipped, content.notes, content.attached, content.events)
-                return Log(path, name, _sha256(path), *found)
+                with _hashed(path) as digest:
+                    content: Content = source.read(path, None if tables is None else frozenset(tables))
+                    found = (content.tables, content.skipped, content.notes, content.attached, content.events)
+                    return Log(path, name, digest(), *found)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
     if path.is_dir():
@@ -89,12 +98,26 @@ def _head(path: Path) -> bytes:
     return head
 
 
-def _sha256(path: Path) -> str:
+@contextmanager
+def _hashed(path: Path) -> Iterator[Callable[[], str]]:
+    """Gives the SHA-256 of a file, which a second thread takes while the first one reads; left early, it stops."""
+    stop = Event()
+    with ThreadPoolExecutor(1) as pool:
+        digest = pool.submit(_sha256, path, stop)
+        try:
+            yield digest.result
+        finally:
+            stop.set()
+
+
+def _sha256(path: Path, stop: Event) -> str:
     """Hex digest of a file; of a folder: of the bytes of its files in the order of their names."""
     digest = hashlib.sha256()
     files = sorted(entry for entry in path.iterdir() if entry.is_file()) if path.is_dir() else [path]
+    block = bytearray(_BLOCK)
+    view = memoryview(block)
     for entry in files:
-        with entry.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+        with entry.open("rb", buffering=0) as file:
+            while (size := file.readinto(block)) and not stop.is_set():
+                digest.update(view[:size])
     return digest.hexdigest()

@@ -5,16 +5,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Event, Table
+from rotorfit.sources.block import Messages, gathered, integers, joined, messages_of
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
 from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
 
 _BATCH = 4096  # messages decoded at once, or
-_BATCH_BYTES = 1 << 23
+_BATCH_BYTES = 1 << 22
 _LATEST = (1 << 63) - 1
+_MOST_TOPICS, _MOST_TEXT = 1 << 14, 1 << 25  # connections, and characters of their definitions together
+_MOST_PARSED = 1 << 21  # characters of definitions that are parsed: a few seconds
+_MOST_NOTES, _MOST_EVENTS = 100, 10_000
 
 
 @dataclass
@@ -26,6 +31,14 @@ class _Stream:
         types: Its definitions; None where it is not decoded.
         reason: Why it is not decoded.
         count: Messages seen.
+        times: Of the messages that came one by one [ns].
+        messages: Those.
+        blocks: Times and messages, before those, that came many at once.
+        rows: Messages that wait to be decoded.
+        waiting: Bytes of them.
+        columns: Name to what is decoded, with room for more at the end: memory that is not written to is not taken.
+        filled: Rows decoded.
+        uneven: Names of columns that differ in shape from message to message.
     """
 
     topic: Topic
@@ -37,8 +50,11 @@ class _Stream:
     foreign: int = 0
     times: list[int] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
+    blocks: list[tuple[npt.NDArray[np.int64], Messages]] = field(default_factory=list)
+    rows: int = 0
     waiting: int = 0
-    batches: list[dict[str, Column]] = field(default_factory=list)
+    columns: dict[str, Column] = field(default_factory=dict)
+    filled: int = 0
     uneven: set[str] = field(default_factory=set)
 
 
@@ -54,29 +70,63 @@ class Collector:
         self._streams: dict[str, _Stream] = {}
         self._of_topic: dict[Topic, _Stream] = {}
         self._notes: list[str] = []
+        self._more_notes = 0
         self._bytes = 0
+        self._text = self._parsed = 0
+        self._types: dict[tuple[str, str, str, str], Types] = {}
         self._attached: dict[str, str] = {}
         self._events: list[Event] = []
 
     def note(self, text: str) -> None:
         """Says what was lost or recovered."""
-        self._notes.append(one_line(text))
+        if len(self._notes) < _MOST_NOTES:
+            self._notes.append(one_line(text))
+        else:
+            self._more_notes += 1
 
     def attach(self, texts: Mapping[str, str]) -> None:
-        """Takes what was written beside the messages."""
+        """Takes what was written beside the messages.
+
+        Raises:
+            DamageError: It is more text than any recorder writes.
+        """
+        self._text += sum(map(len, texts.values()))
+        if self._text > _MOST_TEXT:
+            raise DamageError(f"more than {_MOST_TEXT >> 20} MiB of text")
         self._attached |= texts
 
     def happened(self, event: Event) -> None:
-        """Takes an event."""
+        """Takes an event.
+
+        Raises:
+            DamageError: There are more than anything notes in flight.
+        """
+        if len(self._events) == _MOST_EVENTS:
+            raise DamageError(f"more than {_MOST_EVENTS} events")
         self._events.append(event)
 
     def declare(self, topic: Topic) -> None:
-        """Makes a topic known, also one that may turn out to have no message."""
+        """Makes a topic known, also one that may turn out to have no message.
+
+        Raises:
+            DamageError: There are more of them, or more text of definitions, than any recorder writes.
+        """
+        self._text += len(topic.definition)
+        if len(self._of_topic) == _MOST_TOPICS or self._text > _MOST_TEXT:
+            raise DamageError(f"more than {_MOST_TOPICS} topics, or {_MOST_TEXT >> 20} MiB of definitions")
         if topic.name not in self._streams:
             self._streams[topic.name] = self._stream(topic)
         self._of_topic[topic] = self._streams[topic.name]
 
-    def add(self, topic: Topic, time: int, data: bytes | memoryview) -> None:
+    def wants(self, topic: Topic) -> bool:
+        """Whether the messages of a topic are decoded."""
+        return self._of_topic[topic].types is not None
+
+    def pass_over(self, topic: Topic, count: int) -> None:
+        """Counts messages of a topic that is not wanted."""
+        self._of_topic[topic].count += count
+
+    def add(self, topic: Topic, time: int, data: bytes) -> None:
         """Takes one message, recorded at `time` [ns].
 
         Raises:
@@ -84,19 +134,90 @@ class Collector:
         """
         stream = self._of_topic[topic]
         stream.count += 1
-        if stream.types is None:
-            return
-        if (topic.msgtype, topic.encoding) != (stream.topic.msgtype, stream.topic.encoding):
-            stream.foreign += 1
+        if stream.types is None or self._is_foreign(stream, topic, 1):
             return
         if not 0 <= time <= _LATEST:
             stream.lost, stream.fault = stream.lost + 1, stream.fault or "a time of recording that is none"
             return
+        if topic.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
+            try:
+                data = unpacked(data, "zstd")
+            except DamageError as error:
+                stream.lost, stream.fault = stream.lost + 1, stream.fault or str(error)
+                return
         stream.times.append(time)
-        stream.messages.append(bytes(data))
-        stream.waiting += len(data)
-        if len(stream.messages) >= _BATCH or stream.waiting >= _BATCH_BYTES:
-            self._decode(stream)
+        stream.messages.append(data)
+        self._count(stream, 1, len(data))
+
+    def add_block(self, topic: Topic, times: npt.NDArray[np.int64], messages: Messages) -> None:
+        """Takes many messages of one topic; their block may go afterwards.
+
+        Args:
+            topic: Of all of them.
+            times: Of recording [ns], shape (N,).
+            messages: N of them, in their order.
+
+        Raises:
+            LogError: As `add`.
+        """
+        stream = self._of_topic[topic]
+        if stream.types is None or self._is_foreign(stream, topic, len(messages)):
+            stream.count += len(messages)
+            return
+        if times.min(initial=0) < 0 or _any_packed(topic, messages):
+            for row, time in enumerate(times.tolist()):
+                self.add(topic, time, messages.one(row))
+            return
+        stream.count += len(messages)
+        ends, start = np.cumsum(messages.lengths), 0
+        while start < len(messages):
+            fitting = int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _BATCH_BYTES)) + 1
+            stop = min(start + _BATCH - stream.rows, fitting)
+            part = slice(start, stop)
+            _close(stream)
+            stream.blocks.append((times[part], gathered(messages[part])))
+            start = min(stop, len(messages))
+            self._count(stream, len(stream.blocks[-1][0]), len(stream.blocks[-1][1].data))
+
+    def add_mixed(
+        self,
+        topics: Mapping[int, Topic],
+        numbers: npt.NDArray[np.int64],
+        times: npt.NDArray[np.int64],
+        messages: Messages,
+    ) -> bool:
+        """Takes many messages of several topics.
+
+        Args:
+            topics: Number to topic, as the file numbers them.
+            numbers: Of the topic of each message, shape (N,); what has a number below 0 is none.
+            times: Of recording [ns], shape (N,).
+            messages: N of them, in their order.
+
+        Returns:
+            Whether all numbers are known; where they are not, nothing is taken.
+
+        Raises:
+            LogError: As `add`.
+        """
+        rows = np.flatnonzero(numbers >= 0)
+        rows = rows[_stable_order(numbers[rows])]
+        ends = np.append(np.flatnonzero(np.diff(numbers[rows])) + 1, len(rows))
+        of_number = {int(numbers[part[0]]): part for part in np.split(rows, ends[:-1]) if len(part)}
+        if not all(number in topics for number in of_number):
+            return False
+        same: dict[tuple[str, str, str], list[int]] = {}  # several may publish on a topic: their order is kept
+        for number in of_number:
+            topic = topics[number]
+            same.setdefault((topic.name, topic.msgtype, topic.encoding), []).append(number)
+        for members in same.values():
+            topic, parts = topics[members[0]], [of_number[number] for number in members]
+            if self.wants(topic):
+                which = np.sort(np.concatenate(parts)) if len(parts) > 1 else parts[0]
+                self.add_block(topic, times[which], messages[which])
+            else:
+                self.pass_over(topic, sum(map(len, parts)))
+        return True
 
     def content(self) -> Content:
         """The tables of all messages.
@@ -112,7 +233,8 @@ class Collector:
         tables: dict[str, Table] = {}
         skipped: dict[str, str] = {}
         for name, stream in self._streams.items():
-            columns = _columns(stream)
+            columns = {name: values[: stream.filled] for name, values in stream.columns.items()}
+            columns = {name: values for name, values in columns.items() if name not in stream.uneven}
             if len(columns) > 1:
                 tables[name] = Table(name, columns)
                 for text in _notes(stream):
@@ -120,6 +242,8 @@ class Collector:
             else:
                 reason = stream.reason or stream.fault or "no numbers of the same length in all messages"
                 skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
+        if self._more_notes:
+            self._notes.append(f"and {self._more_notes} more such notes")
         return Content(tables, skipped, tuple(self._notes), self._attached, tuple(self._events))
 
     def _stream(self, topic: Topic) -> _Stream:
@@ -129,59 +253,96 @@ class Collector:
         if self._wanted is None and topic.msgtype in BULK_TYPES:
             return _Stream(topic, None, "not a table of numbers")
         try:
-            types = types_of(topic)
+            types = self._types_of(topic)
         except DamageError as error:
             return _Stream(topic, None, str(error))
         if not has_numbers(types, topic.msgtype):
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
 
+    def _types_of(self, topic: Topic) -> Types:
+        """The definitions of a topic's type, parsed once for all topics of the type."""
+        key = (topic.msgtype, topic.encoding, topic.definition, topic.language)
+        if key not in self._types:
+            self._parsed += len(topic.definition)
+            if self._parsed > _MOST_PARSED:
+                raise DamageError(f"the definitions of the topics before it fill {_MOST_PARSED >> 20} MiB")
+            self._types[key] = types_of(topic)
+        return self._types[key]
+
+    def _is_foreign(self, stream: _Stream, topic: Topic, count: int) -> bool:
+        """Whether messages are of another type than the first on their topic; they are counted then."""
+        if (topic.msgtype, topic.encoding) == (stream.topic.msgtype, stream.topic.encoding):
+            return False
+        stream.foreign += count
+        return True
+
+    def _count(self, stream: _Stream, rows: int, size: int) -> None:
+        """Counts messages that wait, and decodes them where they are enough."""
+        stream.rows += rows
+        stream.waiting += size
+        if stream.rows >= _BATCH or stream.waiting >= _BATCH_BYTES:
+            self._decode(stream)
+
     def _decode(self, stream: _Stream) -> None:
         """Decodes the messages that wait."""
-        if stream.types is None or not stream.messages:
+        _close(stream)
+        if stream.types is None or not stream.blocks:
             return
-        messages, fault = _plain(stream)
+        messages = joined([part for _, part in stream.blocks])
+        times = np.concatenate([part for part, _ in stream.blocks])
+        stream.blocks, stream.rows, stream.waiting = [], 0, 0
         batch = decoded(stream.topic, stream.types, messages)
         stream.lost += len(messages) - len(batch.rows)
-        stream.fault = stream.fault or batch.fault or fault
+        stream.fault = stream.fault or batch.fault
         stream.uneven |= batch.uneven
-        times = np.array(stream.times, dtype=np.int64)[batch.rows]
-        if len(times):
-            stream.batches.append(batch.columns | {"log_time": times})
-            self._bytes += sum(values.nbytes for values in stream.batches[-1].values())
-        stream.times, stream.messages, stream.waiting = [], [], 0
+        if len(batch.rows):
+            _append(stream, {"log_time": times[batch.rows]} | batch.columns)
+            self._bytes += sum(values.nbytes for values in batch.columns.values()) + 8 * len(batch.rows)
         if self._bytes > LIMIT:
             raise LogError(f"{self._path}: more than {LIMIT >> 20} MiB of numbers; read only the topics that you need")
 
 
-def _plain(stream: _Stream) -> tuple[list[bytes], str]:
-    """Messages that were packed one by one (`--compression-mode message`) unpacked; CDR never begins as zstd does."""
-    if stream.topic.encoding != "cdr" or not any(message.startswith(ZSTD_MAGIC) for message in stream.messages):
-        return stream.messages, ""
-    plain, fault = [], ""
-    for message in stream.messages:
-        try:
-            plain.append(unpacked(message, "zstd") if message.startswith(ZSTD_MAGIC) else message)
-        except DamageError as error:
-            plain.append(b"")
-            fault = fault or str(error)
-    return plain, fault
+def _stable_order(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """What sorts numbers from 0 on and keeps the order of equal ones; numpy counts small ones, which is faster."""
+    small = numbers.max(initial=0) < 1 << 16
+    return np.argsort(numbers.astype(np.uint16) if small else numbers, kind="stable")
 
 
-def _columns(stream: _Stream) -> dict[str, Column]:
-    """Batches end to end, `log_time` first; columns that are not alike in all batches are left out."""
-    if not stream.batches:
-        return {}
-    first, *others = stream.batches
-    columns: dict[str, Column] = {}
-    for name in ("log_time", *(name for name in first if name != "log_time")):
-        if name in stream.uneven or any(
-            name not in batch or batch[name].shape[1:] != first[name].shape[1:] for batch in others
-        ):
-            stream.uneven.add(name)
-        else:
-            columns[name] = np.concatenate([batch[name] for batch in stream.batches])
-    return columns
+def _close(stream: _Stream) -> None:
+    """Makes a block of the messages that came one by one."""
+    if stream.messages:
+        stream.blocks.append((np.array(stream.times, dtype=np.int64), messages_of(stream.messages)))
+        stream.times, stream.messages = [], []
+
+
+def _any_packed(topic: Topic, messages: Messages) -> bool:
+    """Whether messages are packed one by one (`--compression-mode message`); CDR never begins as zstd does."""
+    if topic.encoding != "cdr":
+        return False
+    heads = integers(messages.data, messages.starts[messages.lengths >= len(ZSTD_MAGIC)], "<u4")
+    return bool((heads == int.from_bytes(ZSTD_MAGIC, "little")).any())
+
+
+def _append(stream: _Stream, batch: dict[str, Column]) -> None:
+    """Puts a batch behind what is decoded; columns that are not alike in all batches are left out."""
+    start, stop = stream.filled, stream.filled + len(batch["log_time"])
+    if start == 0:
+        stream.columns = batch
+    else:
+        alike = {name for name, values in stream.columns.items() if name in batch and _are_alike(values, batch[name])}
+        stream.uneven |= (stream.columns.keys() | batch.keys()) - alike
+        stream.columns = {name: values for name, values in stream.columns.items() if name in alike}
+        for name, values in stream.columns.items():
+            if len(values) < stop:  # twice the room: all copies together are as much as the column
+                stream.columns[name] = np.empty((2 * stop, *values.shape[1:]), values.dtype)
+                stream.columns[name][:start] = values[:start]
+            stream.columns[name][start:stop] = batch[name]
+    stream.filled = stop
+
+
+def _are_alike(one: Column, other: Column) -> bool:
+    return one.shape[1:] == other.shape[1:] and one.dtype == other.dtype
 
 
 def _notes(stream: _Stream) -> list[str]:

@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rotorfit.sources.content import LIMIT, DamageError
+from rotorfit.sources.content import BLOCK_LIMIT, DamageError
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_MOST_FRAMES = 64  # in one block; each costs a copy of the rest
 
 
 def _zstd() -> Any:
@@ -19,7 +20,7 @@ def _zstd() -> Any:
     return zstd
 
 
-def unpacked(data: bytes | memoryview, method: str, size: int = LIMIT) -> bytes:
+def unpacked(data: bytes | memoryview, method: str, size: int = BLOCK_LIMIT) -> bytes:
     """Unpacks a block.
 
     Args:
@@ -31,12 +32,12 @@ def unpacked(data: bytes | memoryview, method: str, size: int = LIMIT) -> bytes:
         The plain bytes; fewer than claimed where the block was cut short.
 
     Raises:
-        DamageError: Unknown method, a claim beyond `LIMIT`, or bytes that are not of this method.
+        DamageError: Unknown method, a claim beyond `BLOCK_LIMIT`, or bytes that are not of this method.
     """
-    if size > LIMIT:
-        raise DamageError(f"a block that claims {size} bytes unpacked, more than {LIMIT}")
+    if size > BLOCK_LIMIT:
+        raise DamageError(f"a block that claims {size} bytes unpacked, more than {BLOCK_LIMIT}")
     if method in ("", "none"):
-        return bytes(data[:size])
+        return bytes(data[:size])  # no copy where bytes come whole
     if method == "bz2":
         make: Any = bz2.BZ2Decompressor
         faults: tuple[type[Exception], ...] = (OSError, EOFError)
@@ -48,16 +49,19 @@ def unpacked(data: bytes | memoryview, method: str, size: int = LIMIT) -> bytes:
         make, faults = _zstd().ZstdDecompressor, (_zstd().ZstdError, EOFError)
     else:
         raise DamageError(f"compression {method!r}, which is not known")
-    plain = bytearray()
-    rest: bytes | memoryview | None = data
+    parts: list[bytes] = []
+    left, rest = size, data
     try:
-        while rest and len(plain) < size:  # a block may consist of several frames
+        while rest and left > 0:  # a block may consist of several frames
+            if len(parts) == _MOST_FRAMES:
+                raise DamageError(f"a {method} block of more than {_MOST_FRAMES} frames")
             frame = make()
-            plain += frame.decompress(rest, max_length=size - len(plain))
-            rest = frame.unused_data if frame.eof else None
+            parts.append(frame.decompress(rest, max_length=left))
+            left -= len(parts[-1])
+            rest = frame.unused_data if frame.eof else b""
     except faults as error:
         raise DamageError(f"a {method} block that does not unpack") from error
-    return bytes(plain)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
 def unpack_file(source: Path, target: Path, limit: int) -> None:

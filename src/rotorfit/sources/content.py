@@ -10,7 +10,10 @@ from rotorfit.errors import LogError
 from rotorfit.log import Column, Event, Table
 
 LIMIT = 1 << 30
-"""Most bytes that one packed block, or one log's decoded numbers, may take: about 15 hours of poses at 120 Hz."""
+"""Most bytes that one log's decoded numbers, or one of its arrays, may take: about 15 hours of poses at 120 Hz."""
+
+BLOCK_LIMIT = 1 << 28
+"""Most bytes that one record, or one packed block, of a bag may take: recorders end a chunk at about one MiB."""
 
 WIDEST = 64
 """Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.log import Column
+from rotorfit.sources.block import Messages, byte_rows
 from rotorfit.sources.content import WIDEST, DamageError, one_line
 
 Fields = Sequence[tuple[str, Any]]
@@ -40,7 +41,7 @@ _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields as rosbags numbers them (inter
 _TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
 _FILLER = "structure_needs_at_least_one_member"  # what an empty message is in ROS 2
 _COMPUTED = re.compile(r"<<|\bconst\b[^;]*=[^;]*\*")  # a stranger's may grow without bound
-_DEEPEST, _MOST_STEPS, _LONGEST = 24, 100_000, 1 << 20
+_DEEPEST, _MOST_STEPS, _LONGEST, _MOST_SHAPES = 24, 100_000, 1 << 18, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ def types_of(topic: Topic) -> Types:
     types: dict[str, Fields] = {name: fields for name, (_, fields) in store.fielddefs.items()}
     text = topic.definition.replace("\r\n", "\n")
     if len(text) > _LONGEST:
-        raise DamageError(f"its definition is longer than {_LONGEST >> 20} MiB")
+        raise DamageError(f"its definition is longer than {_LONGEST >> 10} KiB")
     try:
         if topic.language == "idl":
             if _COMPUTED.search(text):
@@ -266,28 +267,33 @@ class Decoded:
     fault: str
 
 
-def decoded(topic: Topic, types: Types, messages: Sequence[bytes]) -> Decoded:
+def decoded(topic: Topic, types: Types, messages: Messages) -> Decoded:
     """Decodes messages of one topic, all of the same shape at once."""
-    by_size: dict[int, list[int]] = {}
-    for row, message in enumerate(messages):
-        by_size.setdefault(len(message), []).append(row)
     parts: list[tuple[npt.NDArray[np.int64], dict[str, Column]]] = []
     fault = ""
-    for size, members in by_size.items():
-        rows = np.array(members)
-        block = np.frombuffer(b"".join(messages[row] for row in members), np.uint8).reshape(len(rows), size)
-        left = np.arange(len(rows))
+    for members in _by_length(messages.lengths):
+        block = byte_rows(messages.data, messages.starts[members], int(messages.lengths[members[0]]))
+        left, shapes = np.arange(len(members)), 0
         while len(left):
-            walk = _Walk(messages[rows[left[0]]], types, topic.encoding == "ros1")
+            walk = _Walk(block[left[0]].tobytes(), types, topic.encoding == "ros1")
             try:
                 walk.message(topic.msgtype)
             except DamageError as error:
                 fault, left = fault or str(error), left[1:]
                 continue
-            same = _of_same_shape(block, left, walk)
-            parts.append((rows[left[same]], _numbers(block, left[same], walk)))
+            shapes += 1  # of many shapes each message is its own: to look for others like it would take too long
+            same = _of_same_shape(block, left, walk) if shapes < _MOST_SHAPES else np.arange(len(left)) == 0
+            parts.append((members[left[same]], _numbers(block, left[same], walk)))
             left = left[~same]
     return _joined(parts, fault)
+
+
+def _by_length(lengths: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+    """Rows of equal length together, in their order."""
+    if len(lengths) == 0 or (lengths == lengths[0]).all():
+        return [np.arange(len(lengths))] if len(lengths) else []
+    order = np.argsort(lengths, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1)
 
 
 def _of_same_shape(block: npt.NDArray[np.uint8], rows: npt.NDArray[np.int64], walk: _Walk) -> npt.NDArray[np.bool_]:

@@ -8,15 +8,21 @@ from functools import partial
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from rotorfit.errors import LogError
 from rotorfit.sources import mcap
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import ZSTD_MAGIC, unpack_file
-from rotorfit.sources.content import LIMIT, Content, DamageError, one_line
+from rotorfit.sources.content import BLOCK_LIMIT, LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
+from rotorfit.sources.sqlite_leaves import rows_left, rows_of_table
 
 _MAGIC = b"SQLite format 3\0"
+_FIRST_ROW = -(1 << 63)
 _UNPACKED_LIMIT = 16 * LIMIT  # on disk
+
+_Row = tuple[int, object, object, object]  # rowid, topic, time, message, of whatever types a stranger chose
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -92,15 +98,15 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
             _whole_pages(named, file, collector) as whole,
             closing(sqlite3.connect(f"{whole.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
         ):
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LIMIT)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, BLOCK_LIMIT)
             database.text_factory = partial(str, encoding="utf-8", errors="replace")
             database.execute("PRAGMA trusted_schema = OFF")
             _check_schema(named, database)
             topics = _topics(database)
             for topic in topics.values():
                 collector.declare(topic)
-            _messages(database, topics, collector)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second where SQLite quotes damaged bytes
+            _messages(whole, database, topics, collector)
+    except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:  # the second where SQLite quotes damaged bytes
         collector.note(f"{named.name} is damaged ({one_line(error)}); read up to there")
 
 
@@ -146,6 +152,8 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
             definitions[str(name)] = (str(language), str(text))
     topics: dict[int, Topic] = {}
     for number, name, msgtype, encoding in database.execute("SELECT id, name, type, serialization_format FROM topics"):
+        if not isinstance(number, int):
+            continue
         language, text = definitions.get(str(msgtype), ("ros2msg", ""))
         topics[number] = Topic(
             str(name), normal_type(str(msgtype)), str(encoding), text, "idl" if language == "ros2idl" else "msg"
@@ -153,8 +161,57 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
     return topics
 
 
-def _messages(database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
-    """Gives the messages in the order of recording."""
-    for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
-        if number in topics and isinstance(time, int) and isinstance(data, bytes):
-            collector.add(topics[number], time, data)
+def _messages(file: Path, database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
+    """Gives the messages in the order of recording.
+
+    From the pages where they are as rosbag2 writes them, else by SQLite, and behind damage from the pages again.
+    """
+    last = _FIRST_ROW
+    wanted = [number for number, topic in topics.items() if collector.wants(topic)]
+    try:
+        for rows in rows_of_table(file, _root(database), wanted):
+            if not collector.add_mixed(topics, rows.numbers, rows.times, rows.messages):
+                raise DamageError("a message without its topic")
+            last = int(rows.rowids.max(initial=last))
+        return
+    except DamageError:
+        pass
+    try:
+        for row, number, time, data in _slow_rows(file, database, wanted, last):
+            if number in topics and isinstance(time, int) and isinstance(data, bytes):
+                collector.add(topics[number], time, data)
+            last = row
+    except (sqlite3.DatabaseError, DamageError):
+        for rows in rows_left(file, last, wanted):
+            known = rows[np.isin(rows.numbers, [*topics])]
+            collector.add_mixed(topics, known.numbers, known.times, known.messages)
+        raise
+
+
+def _slow_rows(file: Path, database: sqlite3.Connection, wanted: list[int], after: int) -> Iterator[_Row]:
+    """Rows behind one, one by one; of topics that are not wanted SQLite fetches no bytes.
+
+    Raises:
+        DamageError: Together they are larger than their file, whose pages then belong to several of them.
+    """
+    numbers, left = ",".join(map(str, wanted)), file.stat().st_size
+    for row in database.execute(
+        f"SELECT rowid, topic_id, timestamp, CASE WHEN topic_id IN ({numbers}) THEN data ELSE x'' END "
+        "FROM messages WHERE rowid > ? ORDER BY rowid",
+        (after,),
+    ):
+        left -= len(row[3]) if isinstance(row[3], bytes) else 0
+        if left < 0:
+            raise DamageError("messages larger than the file")
+        yield row
+
+
+def _root(database: sqlite3.Connection) -> int:
+    """Root page of the table of messages."""
+    columns = [
+        (name, kind.upper(), key) for _, name, kind, _, _, key in database.execute("PRAGMA table_info(messages)")
+    ]
+    if [name for name, _, _ in columns] != ["id", "topic_id", "timestamp", "data"] or columns[0][1:] != ("INTEGER", 1):
+        raise DamageError("a table with other columns")
+    ((root,),) = database.execute("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'")
+    return int(root)

@@ -1,0 +1,190 @@
+"""Two files, two clocks: how well are offset and drift recovered, do the intervals hold, and is nonsense refused?
+
+    python bench/bench_clocks.py [FLIGHTS]
+
+Simulated flights of five published vehicles (the paper's vehicle, seeds from 0), 40 to 100 s, half of them under the
+paper's two sines and half under steps, in wind. Offsets of 20 to 500 ms of either sign, in a quarter of the flights
+with five minutes on top; drifts to 100 us/s of either sign. The onboard sensors: see `CASES`. The true offset is that
+in the middle of the commands. Where the recorded flights are, six of them are cut in two files, too: they carry onboard
+velocity and pose in one file, so the offset that is found after the cut, less the one injected, is the latency of
+their velocity, whatever it is, and must be the same in all. Results: bench/clocks.json.
+"""
+
+import functools
+import json
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from flights import steps  # noqa: E402 - it lies beside the tests
+from rotorfit.card import card_from_mapping, load_card  # noqa: E402
+from rotorfit.errors import FlightError  # noqa: E402
+from rotorfit.excitation import two_sines  # noqa: E402
+from rotorfit.flight import flight_from_log  # noqa: E402
+from rotorfit.joined import joined  # noqa: E402
+from rotorfit.log import Log, Table  # noqa: E402
+from rotorfit.one_clock import ANSWER, Clocks  # noqa: E402
+from rotorfit.paper_vehicle import STABLE, SimulatedFlight, Truth, simulate_flight  # noqa: E402
+from rotorfit.sources import read  # noqa: E402
+from twin_logs import Sensor, Skew, card_of, in_two_files  # noqa: E402
+
+GOOD, FAIR, POOR = Sensor(), Sensor(15.0, 0.05, 0.02, 0.7), Sensor(10.0, 0.1, 0.03, 0.9)
+CASES: Mapping[str, tuple[Sensor, Mapping[str, bool]]] = {
+    "velocity and heading, 30 Hz, 0.03 m/s, 0.01 rad": (GOOD, {"velocity": True, "attitude": True}),
+    "velocity, 30 Hz, 0.03 m/s": (GOOD, {"velocity": True}),
+    "heading, 30 Hz, 0.01 rad": (GOOD, {"velocity": False, "attitude": True}),
+    "velocity and heading, 15 Hz, 0.05 m/s, 0.02 rad": (FAIR, {"velocity": True, "attitude": True}),
+    "velocity and heading, 10 Hz, 0.1 m/s, 0.03 rad": (POOR, {"velocity": True, "attitude": True}),
+}
+REAL = ROOT.parent / "shared" / "data" / "dji-hexarotor"
+
+
+def drawn(seed: int) -> tuple[SimulatedFlight, Skew]:
+    """A flight, and how its clocks stand."""
+    rng = np.random.default_rng([20, seed])
+    duration, yaw = rng.uniform(40, 100), rng.uniform(-3, 3)
+    offset = rng.uniform(0.02, 0.5) * rng.choice([-1, 1]) + (300 if seed % 4 == 3 else 0)
+    excitation: Callable[..., Any] = two_sines if seed % 2 else steps(seed=seed)
+    truth = Truth(gamma=list(STABLE.values())[seed % 5])
+    flight = simulate_flight(truth, excitation, duration, seed, initial_yaw=yaw)
+    return flight, Skew(float(offset), float(rng.uniform(-1e-4, 1e-4)))
+
+
+def clocks_of(log: Log, card: Mapping[str, bool]) -> Clocks | str:
+    """What is found, or why nothing is."""
+    try:
+        return flight_from_log(log, card_of(**card)).clocks or "one file"
+    except FlightError as error:
+        return str(error)
+
+
+def onboard_case(count: int, sensor: Sensor, card: Mapping[str, bool]) -> dict[str, Any]:
+    """Figures of one kind of sensor."""
+    errors, halves, drifts, drift_halves, left = [], [], [], [], 0
+    for seed in range(count):
+        flight, skew = drawn(seed)
+        found = clocks_of(joined(in_two_files(flight, skew, sensor, seed)), card)
+        if isinstance(found, str) or found.source != "onboard":
+            left += 1
+            continue
+        errors.append(found.offset - skew.offset)
+        halves.append(found.half_width)
+        drifts.append(found.drift - skew.drift)
+        drift_halves.append(found.drift_half_width)
+    error, half, drift, drift_half = (np.array(each) for each in (errors, halves, drifts, drift_halves))
+    sure = half < 0.002
+    return {
+        "flights": count,
+        "refused": left,
+        "rms_ms": 1e3 * float(np.sqrt(np.mean(error**2))),
+        "median_ms": 1e3 * float(np.median(np.abs(error))),
+        "within_2_ms": float(np.mean(np.abs(error) < 0.002)),
+        "coverage": float(np.mean(np.abs(error) < half)),
+        "half_width_ms": 1e3 * float(np.median(half)),
+        "interval_below_2_ms": float(np.mean(sure)),
+        "within_2_ms_of_those": float(np.mean(np.abs(error[sure]) < 0.002)) if np.any(sure) else None,
+        "drift_rms_us_s": 1e6 * float(np.sqrt(np.mean(drift**2))),
+        "drift_coverage": float(np.mean(np.abs(drift) < drift_half)),
+    }
+
+
+def command_case(count: int) -> dict[str, Any]:
+    """Without a second source: how roughly, and whether it is always marked."""
+    errors, marked, refused = [], 0, 0
+    for seed in range(count):
+        flight, skew = drawn(seed)
+        found = clocks_of(joined(in_two_files(flight, skew)), {"velocity": False})
+        if isinstance(found, str):
+            refused += 1
+            continue
+        marked += found.includes_delay
+        errors.append(found.offset - skew.offset - flight.truth.delay[0] + ANSWER)
+    size = np.abs(errors)
+    return {
+        "flights": count,
+        "refused": refused,
+        "marked": marked,
+        "rms_ms": 1e3 * float(np.sqrt(np.mean(size**2))),
+        "largest_ms": 1e3 * float(np.max(size)),
+    }
+
+
+def wrong_case(count: int) -> dict[str, Any]:
+    """Onboard motion of another flight beside the right commands; and two files of different flights.
+
+    The other flight is of another vehicle under the other kind of commands.
+    """
+    sensors, files = 0, 0
+    for seed in range(count):
+        (flight, skew), (other, _) = drawn(seed), drawn(seed + 1001)
+        vehicle, room = in_two_files(flight, skew)
+        foreign, _ = in_two_files(other, skew)
+        mixed = replace(vehicle, tables={**vehicle.tables, "odometry": foreign.tables["odometry"]})
+        found = clocks_of(joined([mixed, room]), {"velocity": True, "attitude": True})
+        sensors += isinstance(found, str) or bool(found.refused)
+        files += isinstance(clocks_of(joined([foreign, room]), {"velocity": True, "attitude": True}), str)
+    return {"flights": count, "sensor_refused": sensors, "files_refused": files}
+
+
+def real_case() -> list[dict[str, float]]:
+    """The recorded flights, cut in two: the latency of their velocity [ms] with its interval."""
+    rng, out = np.random.default_rng(5), []
+    card = load_card(str(REAL / "card.toml")) if REAL.is_dir() else None
+    for path in sorted(REAL.glob("*.mat")) if card else []:
+        assert card is not None
+        log = read(path)
+        (table,) = log.tables.values()
+        skew = Skew(float(rng.uniform(0.02, 0.5) * rng.choice([-1, 1])), float(rng.uniform(-1e-4, 1e-4)))
+        time = str(card.command_time.source)
+        clock = table.columns[time].astype(np.float64).ravel()
+        middle = float(np.mean(clock[[0, -1]]))
+        own = middle - skew.offset + (clock - middle) / (1 + skew.drift)
+        vehicle = replace(log, path=Path("v.mat"), tables={"v": Table("v", {**table.columns, time: own})})
+        room = replace(log, path=Path("r.mat"), tables={"r": Table("r", table.columns)})
+        raw = {**card.raw, "command": _placed(card.raw["command"], "v"), "pose": _placed(card.raw["pose"], "r")}
+        raw["velocity"] = {"frame": "heading", "x": "v:vf", "y": "v:vl", "z": "v:ve", "yaw": "v:w", "time": f"v:{time}"}
+        found = flight_from_log(joined([vehicle, room]), card_from_mapping(raw, "cut")).clocks
+        if found is None or found.source != "onboard":
+            out.append({"refused": 1.0})
+            continue
+        out.append({"latency_ms": 1e3 * (skew.offset - found.offset), "half_width_ms": 1e3 * found.half_width})
+    return out
+
+
+def _placed(section: Mapping[str, Any], table: str) -> dict[str, Any]:
+    """The columns of a section with their table."""
+    plain = ("frame", "hold")
+    return {
+        key: value
+        if key in plain or isinstance(value, int | float)
+        else {**value, "from": f"{table}:{value['from']}"}
+        if isinstance(value, dict)
+        else f"{table}:{value}"
+        for key, value in section.items()
+    }
+
+
+def main(count: int) -> None:
+    """Runs all cases, prints them, and writes them."""
+    cases: dict[str, Callable[[], Any]] = {
+        "recorded flights, cut in two": real_case,
+        "wrong source": lambda: wrong_case(count // 4),
+        "answer to the commands only": lambda: command_case(count // 2),
+        **{name: functools.partial(onboard_case, count, *case) for name, case in CASES.items()},
+    }
+    results = {}
+    for name, case in cases.items():
+        results[name] = case()
+        print(name, results[name], flush=True)
+    (ROOT / "bench" / "clocks.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)

@@ -1,0 +1,163 @@
+"""Log + Log -> Log: one flight that was recorded in several files, and which columns are in which."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+from rotorfit.card import Card, Channel, fits
+from rotorfit.errors import CardError
+from rotorfit.log import Log, Table
+
+MOST_FILES = 3
+"""Files of one flight that are put together without a plus: commands, poses, and something beside them."""
+
+
+def parts_of(path: str | Path) -> tuple[str, ...]:
+    """The files of `A+B`; the path itself where a file is called so, or where it holds no plus."""
+    text = str(path)
+    parts = tuple(part for part in text.split("+") if part)
+    return (text,) if Path(text).exists() or len(parts) < 2 else parts
+
+
+def joined(logs: Sequence[Log]) -> Log:
+    """One log with the tables of several.
+
+    Tables of one name are told apart by the stem of their file, as `flight2/cmd_vel`; all others keep their names.
+
+    Args:
+        logs: Of one flight; none of them joined before.
+
+    Returns:
+        A log whose path is `A+B`, whose digest is those of the files with a plus between, and which knows which file
+        each table is from.
+    """
+    names = [name for log in logs for name in log.tables]
+    tables: dict[str, Table] = {}
+    file_of: dict[str, str] = {}
+    skipped: dict[str, str] = {}
+    for log in logs:
+        for name, table in log.tables.items():
+            own = name if names.count(name) == 1 else f"{log.path.stem}/{name.lstrip('/')}"
+            while own in tables:
+                own += "'"
+            tables[own], file_of[own] = replace(table, name=own), str(log.path)
+        skipped |= {name: reason for name, reason in log.skipped.items() if name not in names}
+    return Log(
+        path=Path("+".join(str(log.path) for log in logs)),
+        format="+".join(log.format for log in logs),
+        sha256="+".join(log.sha256 for log in logs),
+        tables=tables,
+        skipped=skipped,
+        notes=tuple(f"{log.path.name}: {note}" for log in logs for note in log.notes),
+        file_of=file_of,
+        attached={name: text for log in logs for name, text in log.attached.items()},
+        events=tuple(event for log in logs for event in log.events),
+    )
+
+
+def bound(card: Card, log: Log) -> Card:
+    """The card with the table of every column that it names without one, for a flight in several files.
+
+    The columns that a section names without a table are in one table: the only one that holds them all, or of several
+    the one that the section names elsewhere. So `time` in `[command]` and in `[pose]` may mean two files.
+
+    Args:
+        card: As written.
+        log: Joined; a card for any other log stays as it is.
+    """
+    if not log.file_of:
+        return card
+    window = {"when": card.window} if card.window else {}
+    attitude, velocity = dict(card.attitude), dict(card.velocity)
+    command = _section(log, {"time": card.command_time, **card.command})
+    pose = _section(log, {"time": card.pose_time, **card.pose})
+    velocity = _section(log, velocity | ({"time": card.velocity_time} if card.velocity_time else {}))
+    attitude = _section(log, attitude | ({"time": card.attitude_time} if card.attitude_time else {}))
+    return replace(
+        card,
+        command_time=command.pop("time"),
+        command=command,
+        pose_time=pose.pop("time"),
+        pose=pose,
+        velocity_time=velocity.pop("time", None),
+        velocity=velocity,
+        attitude_time=attitude.pop("time", None),
+        attitude=attitude,
+        reference=_section(log, card.reference),
+        window=_section(log, window).get("when"),
+    )
+
+
+def _section(log: Log, channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """The channels of a section, each with its table."""
+    sources = [channel.source for channel in channels.values() if isinstance(channel.source, str)]
+    plain = [source for source in sources if not _placed(log, source)]
+    holders = [table.name for table in log.tables.values() if all(_holds(table, name) for name in plain)]
+    beside = {source.partition(":")[0] for source in sources} & set(holders)  # a table that the section names anyway
+    holders = list(beside) if len(beside) == 1 else holders
+    if not plain or len(holders) != 1:
+        return dict(channels)
+    return {
+        key: replace(channel, source=f"{holders[0]}:{channel.source}") if channel.source in plain else channel
+        for key, channel in channels.items()
+    }
+
+
+def _placed(log: Log, source: str) -> bool:
+    """Whether a source names its table."""
+    return source.partition(":")[0] in log.tables and ":" in source
+
+
+def _holds(table: Table, name: str) -> bool:
+    return name in table.columns or (name.endswith("]") and name.rpartition("[")[0] in table.columns)
+
+
+def flights_of(logs: Sequence[Log], card: Card | None) -> list[tuple[int, Log]]:
+    """Logs as flights: those that only together hold all that a card names are joined, with a note that says so.
+
+    Args:
+        logs: As read.
+        card: Which columns are needed; None joins nothing.
+
+    Returns:
+        The place of the first log of each flight, and the flight's log, in that order. Logs that cannot be put together
+        stay by themselves, for the error that says what they lack.
+
+    Raises:
+        CardError: They can be put together in more than one way.
+    """
+    parts = [i for i, log in enumerate(logs) if card and not log.file_of and not fits(log, card)]
+    groups = _groups([logs[i] for i in parts], card) if card and len(parts) > 1 else []
+    taken = {parts[place] for group in groups for place in group}
+    found = [(i, log) for i, log in enumerate(logs) if i not in taken]
+    for group in groups:
+        log = joined([logs[parts[place]] for place in group])
+        note = f"taken as one flight, {log.path}: no file alone holds all that the card names, together they do"
+        found.append((parts[group[0]], replace(log, notes=(note, *log.notes))))
+    return sorted(found, key=lambda one: one[0])
+
+
+def _groups(logs: Sequence[Log], card: Card) -> list[tuple[int, ...]]:
+    """Places of the logs of each flight, each of as few logs as fit; none where not all of them can be put together."""
+    groups = [
+        group
+        for size in range(2, min(len(logs), MOST_FILES) + 1)
+        for group in combinations(range(len(logs)), size)
+        if _together([logs[i] for i in group], card)
+    ]
+    least = [group for group in groups if not any(set(other) < set(group) for other in groups)]
+    places = [place for group in least for place in group]
+    if not least or sorted(places) == list(range(len(logs))):
+        return least
+    files = [str(log.path) for log in logs]
+    offer = "+".join(files[place] for place in least[0])
+    raise CardError(
+        f"{', '.join(files)}: no file alone holds all that the card names, and which belong together cannot be told: "
+        f"join the files of each flight by a plus, as {offer}"
+    )
+
+
+def _together(logs: Sequence[Log], card: Card) -> bool:
+    log = joined(logs)
+    return fits(log, bound(card, log))

@@ -1,0 +1,84 @@
+"""The vehicle's own velocity: a measurement beside the pose, or all that there is of an axis."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.card import Card
+from rotorfit.clock import grain
+from rotorfit.errors import FlightError
+from rotorfit.frames import AXES, Array, world_from_heading
+from rotorfit.log import Log
+from rotorfit.stream import Note, Stream
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """What the vehicle itself measured of its velocity, on its own clock.
+
+    Attributes:
+        time: Strictly increasing stamps, shape (V,) [s].
+        value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
+        grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
+        alone: Axes of which there is no position: only this.
+        late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
+    """
+
+    time: Array
+    value: Array
+    grain: Array
+    alone: tuple[str, ...] = ()
+    late: Array | None = None
+
+    @property
+    def rounding(self) -> Array:
+        """Variance that the rounding adds to each, shape (4,): that of a uniform error [m^2/s^2, rad^2/s^2]."""
+        return np.asarray(self.grain**2 / 12)
+
+    def of(self, axes: tuple[str, ...]) -> bool:
+        """Whether it was measured on all of these axes."""
+        return bool(self.time.size) and all(np.isfinite(self.value[0, AXES.index(axis)]) for axis in axes)
+
+    def true_time(self, axis: str) -> Array:
+        """When the velocity of an axis was what it says, on the clock of the poses, shape (V,) [s]."""
+        return self.time if self.late is None else self.time - self.late[AXES.index(axis)]
+
+    def between(self, low: float, high: float) -> "Velocity":
+        """What lies between two times [s]."""
+        inside = (self.time >= low) & (self.time <= high)
+        return replace(self, time=self.time[inside], value=self.value[inside])
+
+
+def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:
+    """The vehicle's own velocity along the world's axes, seconds from the start of the common window."""
+    time, value = (velocities.stamps - origin) / 1e9, velocities.values
+    rounded = grain(value)
+    rounded[:2] = rounded[:2].max()  # the heading frame turns in the world
+    if card.velocity_frame == "heading":
+        turned = world_from_heading(value[:, :2], np.interp(time, pose_time, yaw))
+        value = np.hstack([turned, value[:, 2:]])
+    return Velocity(time, value, rounded, card.velocity_only)
+
+
+def with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity) -> tuple[Array, tuple[Note, ...]]:
+    """Positions with the velocity summed up (trapezoids) along the axes that have nothing else, and a note."""
+    if not velocity.alone:
+        return position, ()
+    if velocity.time.size < 2:
+        raise FlightError(f"{log.path}: no velocity in the common window or the span; check [velocity] of the card")
+    out, step = position.copy(), np.diff(velocity.time)
+    for axis in velocity.alone:
+        k = AXES.index(axis)
+        v = velocity.value[:, k]
+        travel = np.concatenate([[0.0], np.cumsum(0.5 * step * (v[1:] + v[:-1]))])
+        out[:, k] = np.interp(pose_time, velocity.time, travel)
+    text = (
+        f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities stand for it, and the delay "
+        "holds how late they are"
+    )
+    notes: tuple[Note, ...] = (Note("velocity_only", text, velocity.time.size),)
+    for axis in velocity.alone:
+        if step := velocity.grain[AXES.index(axis)]:
+            told = f"the velocity of {axis} is rounded to {step:.3g} m/s: its error is taken to be no less than that"
+            notes = (*notes, Note("velocity_rounded", told, velocity.time.size))
+    return out, notes
