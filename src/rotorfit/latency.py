@@ -1,7 +1,9 @@
-"""How late the vehicle's own velocity is against its pose: told by the motion itself, without a model of the commands.
+"""How late the vehicle's own velocity is against its pose: told by the motion itself, by the likelihood.
 
-Pose and velocity of one axis go through the filter of `fusion` as if the commands were unknown: all motion is a
-velocity coloured by two poles. The latency is where the two fit best, that is where the likelihood is highest.
+First as if the commands were unknown: all motion is a velocity coloured by two poles, which goes through the filter of
+`fusion`, and the latency is where pose and velocity fit each other best. Then, where the commands explain the motion,
+by the profile of the whole likelihood about that place, everything else at its best: steps of a command are no
+coloured noise, and an interval that takes them for it is too short.
 """
 
 from collections.abc import Sequence
@@ -9,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.estimate import free_of
+from rotorfit.estimate import Estimate, alone, free_of, together
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES
 from rotorfit.levels import start_levels
 from rotorfit.likelihood import Point, score
-from rotorfit.maximum import maximise
+from rotorfit.maximum import Optimum, maximise
 from rotorfit.modes import excerpt, start_point
-from rotorfit.record import DELAY_RANGE, HALF_STEP, record
+from rotorfit.record import DELAY_RANGE, HALF_STEP, Record, record
 
 LATENCY_RANGE = (-0.1, 0.5)
 """Latencies that are searched [s]."""
@@ -27,7 +29,9 @@ GRID = 0.02
 ENOUGH = 1e-4
 """To this the top and the ends of the interval are found [s]."""
 
-FALL = 0.5 * 1.959964**2
+NORMAL = 1.959964
+
+FALL = 0.5 * NORMAL**2
 """Fall of the log-likelihood at the ends of the 95 % interval of one parameter."""
 
 GROUPS = (("x", "y"), ("z",), ("yaw",))
@@ -66,24 +70,24 @@ def on_the_poses_clock(flight: Flight) -> Flight:
     velocity, both = flight.velocity, both_axes(flight)
     if velocity is None or not both or velocity.late is not None:
         return flight
-    late, value, notes = np.zeros(len(AXES)), velocity.value.copy(), flight.notes
+    late, error, value, notes = np.zeros(len(AXES)), np.zeros(len(AXES)), velocity.value.copy(), flight.notes
     for group in GROUPS:
         axes = tuple(axis for axis in group if axis in both)
         if not axes:
             continue
         places, named = [AXES.index(axis) for axis in axes], ", ".join(axes)
         latency = latency_of(flight, axes)
-        if latency is not None and latency.known:
-            late[places] = latency.value
+        if latency is not None and latency.low is not None and latency.high is not None and latency.known:
+            late[places], error[places] = latency.value, 0.5 * (latency.high - latency.low)
             text = (
                 f"the vehicle's own velocity of {named} is {1e3 * latency.value:.0f} ms later than the pose (95 %: "
-                f"{1e3 * (latency.low or 0.0):.0f} to {1e3 * (latency.high or 0.0):.0f}): its stamps were moved by that"
+                f"{1e3 * latency.low:.0f} to {1e3 * latency.high:.0f}): its stamps were moved by that"
             )
         else:
             value[:, places] = np.nan
             text = f"how late the vehicle's own velocity of {named} is cannot be told from this flight: it is not used"
         notes = (*notes, Note("velocity_latency", text, velocity.time.size))
-    return replace(flight, velocity=replace(velocity, value=value, late=late), notes=notes)
+    return replace(flight, velocity=replace(velocity, value=value, late=late, late_error=error), notes=notes)
 
 
 def both_axes(flight: Flight) -> tuple[str, ...]:
@@ -116,7 +120,77 @@ def latency_of(flight: Flight, axes: Sequence[str]) -> Latency | None:
         best = _top(part, levels, max(best - reach, LATENCY_RANGE[0]), min(best + reach, LATENCY_RANGE[1]))
     height = _height(part, levels, best)
     low, high = (_end(part, levels, best, height - FALL, edge) for edge in LATENCY_RANGE)
-    return Latency(best, low, high)
+    found = Latency(best, low, high)
+    return _by_the_commands(part, axes, found) if found.known else found
+
+
+def _by_the_commands(flight: Flight, axes: Sequence[str], found: Latency) -> Latency:
+    """The latency by the profile of the whole likelihood about the one that was found; that one where it tells none."""
+    assert found.low is not None
+    assert found.high is not None
+    reach = (found.high - found.low) / NORMAL
+    flown = _late(flight, found.value)
+    rec = record(flown, axes)
+    moving = [axis in flight.axes and bool(np.ptp(flight.command[:, AXES.index(axis)])) for axis in axes]
+    if rec is None or not any(moving):
+        return found
+    if rec.held:
+        estimates = [alone([flown], axis, moves) for axis, moves in zip(axes, moving, strict=True)]
+    else:
+        estimates = together([flown], [rec], axes, moving)
+    if not any(estimate.excited for estimate in estimates):
+        return found
+    offsets = np.array([-1.0, 0.0, 1.0]) * reach
+    heights = [_profile(flight, estimates, found.value + float(offset)) for offset in offsets]
+    bend = (heights[0] - 2 * heights[1] + heights[2]) / reach**2
+    if bend >= 0:
+        return found
+    best = found.value + float(np.clip(-(heights[2] - heights[0]) / (2 * reach * bend), -2 * reach, 2 * reach))
+    half = NORMAL / float(np.sqrt(-bend))
+    return Latency(best, best - half, best + half)
+
+
+def _profile(flight: Flight, estimates: Sequence[Estimate], latency: float) -> float:
+    """The whole log-likelihood of some axes at a latency, with coefficients at their best and levels held."""
+    late, height = _late(flight, latency), 0.0
+    for estimate in estimates:
+        names = estimate.records[0].axes
+        if estimate.place == 0:  # x and y together have one likelihood
+            height += _at_best([rec for rec in [record(late, names)] if rec], estimate).score.log_likelihood
+    return height
+
+
+def _at_best(records: Sequence[Record], estimate: Estimate) -> Optimum:
+    """The maximum on other records, from the estimate's own point with its levels."""
+    free = estimate.optimum.free.copy()
+    free[estimate.optimum.point.n :] = False
+    return maximise(records, estimate.optimum.point, free)
+
+
+def delay_error(flights: Sequence[Flight], estimate: Estimate) -> float:
+    """Half the 95 % interval that the latencies of the velocities alone leave to the delay of an axis [s].
+
+    Args:
+        flights: Those that the estimate is of, in its order.
+        estimate: Of the axis, alone or x with y.
+    """
+    axes, place = estimate.records[0].axes, estimate.place
+    axis, total = axes[place], 0.0
+    for j, flight in enumerate(flights):
+        velocity = flight.velocity
+        if velocity is None or velocity.late is None or velocity.late_error is None:
+            continue
+        error = float(velocity.late_error[AXES.index(axis)])
+        if error == 0:
+            continue
+        ends = []
+        for late in (velocity.late - error, velocity.late + error):
+            shifted = record(replace(flight, velocity=replace(velocity, late=late)), axes)
+            others = [record(f, axes) for f in flights]
+            records = [rec for rec in (*others[:j], shifted, *others[j + 1 :]) if rec]
+            ends.append(float(_at_best(records, estimate).point.delay[place]))
+        total += (0.5 * (ends[1] - ends[0])) ** 2
+    return float(np.sqrt(total))
 
 
 def _inside(flight: Flight) -> Flight:

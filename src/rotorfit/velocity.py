@@ -22,6 +22,7 @@ class Velocity:
         grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
         alone: Axes of which there is no position: only this.
         late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
+        late_error: Half the 95 % interval of that, shape (4,) [s]; None likewise.
     """
 
     time: Array
@@ -29,6 +30,7 @@ class Velocity:
     grain: Array
     alone: tuple[str, ...] = ()
     late: Array | None = None
+    late_error: Array | None = None
 
     @property
     def rounding(self) -> Array:
