@@ -45,7 +45,8 @@ class Seen:
         if self.velocity is None or self.tracked is None:
             return None, None, None
         alone = np.array([AXES[i] in self.alone for i in pair])
-        return np.ascontiguousarray(self.velocity[:, pair]), np.ascontiguousarray(self.tracked[:, pair]), alone
+        values = np.nan_to_num(self.velocity[:, pair])  # what is not tracked is not looked at, but 0 times NaN is NaN
+        return np.ascontiguousarray(values), np.ascontiguousarray(self.tracked[:, pair]), alone
 
 
 def seen_in(flight: Flight, low: float, high: float) -> Seen:
