@@ -19,6 +19,7 @@ from rotorfit.likelihood import Point, score
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.modes import excerpt, start_point
 from rotorfit.record import DELAY_RANGE, HALF_STEP, Record, record
+from rotorfit.velocity import moved
 
 LATENCY_RANGE = (-0.1, 0.5)
 """Latencies that are searched [s]."""
@@ -87,7 +88,8 @@ def on_the_poses_clock(flight: Flight) -> Flight:
             value[:, places] = np.nan
             text = f"how late the vehicle's own velocity of {named} is cannot be told from this flight: it is not used"
         notes = (*notes, Note("velocity_latency", text, velocity.time.size))
-    return replace(flight, velocity=replace(velocity, value=value, late=late, late_error=error), notes=notes)
+    on_time = moved(replace(velocity, value=value), late, flight.pose_time, flight.yaw)
+    return replace(flight, velocity=replace(on_time, late_error=error), notes=notes)
 
 
 def both_axes(flight: Flight) -> tuple[str, ...]:
@@ -121,7 +123,12 @@ def latency_of(flight: Flight, axes: Sequence[str]) -> Latency | None:
     height = _height(part, levels, best)
     low, high = (_end(part, levels, best, height - FALL, edge) for edge in LATENCY_RANGE)
     found = Latency(best, low, high)
-    return _by_the_commands(part, axes, found) if found.known else found
+    if not found.known:
+        return found
+    assert part.velocity is not None
+    # turned by the heading of the right time, once for all: likelihoods of different data cannot be compared
+    turned = moved(part.velocity, np.full(len(AXES), best), part.pose_time, part.yaw)
+    return _by_the_commands(replace(part, velocity=turned), axes, found)
 
 
 def _by_the_commands(flight: Flight, axes: Sequence[str], found: Latency) -> Latency:

@@ -23,6 +23,7 @@ class Velocity:
         alone: Axes of which there is no position: only this.
         late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
         late_error: Half the 95 % interval of that, shape (4,) [s]; None likewise.
+        onboard: Whether x and y were measured forward and left, and turned into the world by the heading.
     """
 
     time: Array
@@ -31,6 +32,7 @@ class Velocity:
     alone: tuple[str, ...] = ()
     late: Array | None = None
     late_error: Array | None = None
+    onboard: bool = False
 
     @property
     def rounding(self) -> Array:
@@ -59,7 +61,24 @@ def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, 
     if card.velocity_frame == "heading":
         turned = world_from_heading(value[:, :2], np.interp(time, pose_time, yaw))
         value = np.hstack([turned, value[:, 2:]])
-    return Velocity(time, value, rounded, card.velocity_only)
+    return Velocity(time, value, rounded, card.velocity_only, onboard=card.velocity_frame == "heading")
+
+
+def moved(velocity: Velocity, late: Array, pose_time: Array, yaw: Array) -> Velocity:
+    """The velocity on the clock of the poses, with x and y turned by the heading of the time that they are of.
+
+    Args:
+        velocity: As it was.
+        late: How late each axis is against the pose, shape (4,) [s]; x and y alike.
+        pose_time: Stamps of the poses, shape (N,) [s].
+        yaw: Their heading, shape (N,) [rad].
+    """
+    out = replace(velocity, late=late)
+    if not velocity.onboard:
+        return out
+    before, after = (np.interp(each.true_time("x"), pose_time, yaw) for each in (velocity, out))
+    turned = world_from_heading(velocity.value[:, :2], after - before)
+    return replace(out, value=np.hstack([turned, velocity.value[:, 2:]]))
 
 
 def with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity) -> tuple[Array, tuple[Note, ...]]:
