@@ -99,7 +99,7 @@ def fit(
     """
     _check(flights, method, structure, prior)
     flights = without_held(flights)
-    flights = [on_the_poses_clock(f) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
+    flights = [on_the_poses_clock(f, axes) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)

@@ -62,11 +62,15 @@ class Latency:
         return self.low is not None and self.high is not None and self.high - self.low < WIDEST
 
 
-def on_the_poses_clock(flight: Flight) -> Flight:
+def on_the_poses_clock(flight: Flight, wanted: Sequence[str] = AXES) -> Flight:
     """The flight with its velocity on the clock of the poses, by what the motion tells, and a note for each group.
 
     Horizontal velocity, climb and turn often come from different sensors and filters: each has a latency of its own.
     A velocity whose latency the motion does not tell is left out. One that stands alone has no pose to be late against.
+
+    Args:
+        flight: Any.
+        wanted: Axes that will be fitted; of groups without any of them the velocity is left out without a look.
     """
     velocity, both = flight.velocity, both_axes(flight)
     if velocity is None or not both or velocity.late is not None:
@@ -77,6 +81,9 @@ def on_the_poses_clock(flight: Flight) -> Flight:
         if not axes:
             continue
         places, named = [AXES.index(axis) for axis in axes], ", ".join(axes)
+        if not set(axes) & set(wanted):
+            value[:, places] = np.nan
+            continue
         latency = latency_of(flight, axes)
         if latency is not None and latency.low is not None and latency.high is not None and latency.known:
             late[places], error[places] = latency.value, 0.5 * (latency.high - latency.low)
