@@ -138,17 +138,21 @@ def classic(form: AxisInformation, axis: str) -> dict[str, float]:
     }
 
 
-def wrong_beliefs(axis: str) -> dict[str, float]:
-    """Factor by which a design for a wrong belief is worse than one for the truth, both scaled to fit the true path."""
+def wrong_beliefs(axis: str) -> dict[str, tuple[float, float]]:
+    """Factors by which a design for a wrong belief is worse than one for the truth: as it is, and made to fit.
+
+    As it is, its path may leave the room; to fit, it shrinks, in open loop, and may start anywhere.
+    """
     right, out = dynamics_of(axis), {}
     form = axis_information(right, levels(right, axis), DURATION, STEP, POSE_RATE)
 
-    def fitting(dynamics: Dynamics, wind: float) -> float:
+    def scores(dynamics: Dynamics, wind: float) -> Array:
         found = optimal_signal(dynamics, levels(dynamics, axis, wind), LIMITS[axis], DURATION, pose_rate=POSE_RATE)
         command = sampled(found, STEP)
-        return score(form.information(command / max(1.0, reach(command, axis, STEP, wandering=True))))
+        shrink = max(1.0, reach(command, axis, STEP, wandering=True))
+        return np.array([score(form.information(command)), score(form.information(command / shrink))])
 
-    best = fitting(right, 1.0)
+    best = scores(right, 1.0)
     cases = {
         "half the damping": (right._replace(damping=right.damping / 2), 1.0),
         "twice the damping": (right._replace(damping=right.damping * 2), 1.0),
@@ -159,7 +163,8 @@ def wrong_beliefs(axis: str) -> dict[str, float]:
         "five times the wind": (right, 5.0),
     }
     for name, case in cases.items():
-        out[name] = float(np.exp(best - fitting(*case)))
+        bare, fitting = np.exp(best - scores(*case))
+        out[name] = float(bare), float(fitting)
     return out
 
 
@@ -194,9 +199,9 @@ def main() -> None:
         wrong = wrong_beliefs(axis)
         for name, factor in factors.items():
             print(f"  {name:52}{factor:7.3f}")
-        print("  designed for another vehicle:")
-        for name, factor in wrong.items():
-            print(f"  {name:52}{factor:7.3f}")
+        print("  designed for another vehicle: as it is, and made to fit")
+        for name, (bare, fitting) in wrong.items():
+            print(f"  {name:52}{bare:7.3f}{fitting:7.3f}")
         print("  standard errors (input, damping: shares; delay: s): " + ", ".join(
             f"{criterion} " + " ".join(f"{each:.2g}" for each in told) for criterion, told in errors.items()
         ))  # fmt: skip

@@ -10,15 +10,16 @@ import pytest
 from rotorfit.card import (
     Card,
     Channel,
+    Condition,
     builtin_cards,
     card_from_mapping,
-    card_that_fits,
     column,
     fitting_cards,
     load_card,
 )
 from rotorfit.errors import CardError
 from rotorfit.log import Log, Table
+from rotorfit.proposal import card_of
 
 TEXT = """
 name = "test"
@@ -81,7 +82,7 @@ def test_every_key_of_the_format_is_read() -> None:
     assert [card.pose[f"q{part}"].source for part in "wxyz"] == [f"/pose:orientation.{part}" for part in "wxyz"]
     assert (card.velocity_frame, card.velocity["x"]) == ("heading", Channel("/v:x", unit="cm/s"))
     assert card.reference == {"x": Channel("/pose:x_goal")}
-    assert card.window == Channel("/mode:flying")
+    assert card.window == (Condition(Channel("/mode:flying")),)
     assert card.limits == pytest.approx(
         {"tilt": np.radians(10), "vertical_speed": 1.5, "yaw_rate": 1.5, "speed": 3.0}, rel=1e-12
     )
@@ -95,7 +96,7 @@ def test_frames_hold_and_optional_sections_have_defaults() -> None:
 
     card = card_from_mapping(text, "mine")
 
-    assert (card.name, card.frame, card.command_frame, card.hold, card.window) == ("mine", "ENU", "heading", None, None)
+    assert (card.name, card.frame, card.command_frame, card.hold, card.window) == ("mine", "ENU", "heading", None, ())
     assert not card.velocity
     assert not card.reference
     assert not card.limits
@@ -167,7 +168,7 @@ MISSING = object()
         (("window", "when"), MISSING, "when is missing"),
         (("limits", "tilt", "value"), MISSING, "'value' is missing"),
         (("command",), "cmd", "section"),
-        (("command", "x"), ["a"], "column's name or a number"),
+        (("command", "x"), [None], "column's name or a number"),
         (("command", "x"), True, "column's name or a number"),
         (("command", "x"), "", "column's name or a number"),
         (("command", "x", "scale"), "-1", "finite number"),
@@ -322,7 +323,7 @@ def joystick() -> dict:
 
 
 def test_the_one_card_whose_columns_are_all_there_is_found() -> None:
-    assert card_that_fits(log_of(flight=joystick())) == load_card("bebop2-joystick")
+    assert card_of(log_of(flight=joystick())) == load_card("bebop2-joystick")
 
 
 def test_no_fitting_card_offers_a_draft_and_several_ask_for_one() -> None:
@@ -335,9 +336,9 @@ def test_no_fitting_card_offers_a_draft_and_several_ask_for_one() -> None:
     }
 
     with pytest.raises(CardError, match="--draft-card") as none:
-        card_that_fits(neither)
+        card_of(neither)
     with pytest.raises(CardError, match=r"several built-in cards fit .*--card") as several:
-        card_that_fits(log_of(flight=both))
+        card_of(log_of(flight=both))
 
     assert one_line(none)
     assert one_line(several)

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import rotorfit.draft
-from rotorfit.card import load_card
-from rotorfit.draft import builtin_card_text, draft_card, write_draft
+import rotorfit.proposal
+from rotorfit.card import builtin_card_text, load_card
+from rotorfit.draft import draft_card, write_draft
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log
 from rotorfit.sources import read
+from test_builtin_cards import COMMAND, T, motion
 from test_survey import csv_log, loaded, log_of, message_log
 
 # Drafts
@@ -166,9 +167,69 @@ def test_drafts_by_names_alone_give_the_flights_of_the_real_cards(
         log = read(real_flights / folder / file)
         expected = flight_from_log(log, load_card(folder))
         with monkeypatch.context() as patch:
-            patch.setattr(rotorfit.draft, "fitting_cards", lambda _: {})
+            patch.setattr(rotorfit.proposal, "fitting_cards", lambda _: {})
             found = flight_from_log(log, loaded(draft_card(log), tmp_path))
 
         np.testing.assert_array_equal(found.position, expected.position)
         np.testing.assert_array_equal(found.command, expected.command)
         assert found.segments == expected.segments
+
+
+# By the motion
+
+
+def test_a_draft_exchanges_and_turns_commands_as_the_motion_says(tmp_path: Path) -> None:
+    """The columns are called after the wrong axes, and two point the other way."""
+    columns = {"time": T, **motion(world=False), "u_x": COMMAND["y"], "u_y": -COMMAND["x"]}
+    log = log_of(flight=columns | {"u_z": -COMMAND["z"], "u_yaw": COMMAND["yaw"]})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        "x": ("u_y", -1), "y": ("u_x", 1), "z": ("u_z", -1), "yaw": ("u_yaw", 1),
+    }  # fmt: skip
+    assert card.command_frame == "heading"
+    assert "+ leads left by the motion, though it looks like x" in text
+    assert "Signs were checked against the motion." in text
+    flight = flight_from_log(log, card)
+    np.testing.assert_allclose(flight.command[:, 0], np.interp(flight.command_time, T, COMMAND["x"]), atol=1e-9)
+
+
+def test_a_draft_says_world_where_commands_do_not_turn_with_the_vehicle(tmp_path: Path) -> None:
+    columns = {"time": T, **motion(world=True), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert card.command_frame == "world"
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        axis: (f"cmd_{axis}", 1) for axis in COMMAND
+    }
+
+
+def test_what_does_not_move_is_marked_to_be_checked() -> None:
+    columns = {"time": T, **motion(world=False), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
+
+    text = draft_card(log_of(flight=columns | {"cmd_z": np.zeros(T.size)}))
+
+    assert 'z = "cmd_z"  # does not move in this log: EDIT, sign unknown' in text
+
+
+def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_references() -> None:
+    true = motion(world=False)
+    half = true["yaw"] / 2
+    tables = {
+        "local_position": {"timestamp": T, **{axis: true[axis] for axis in "xyz"}},
+        "attitude": {"timestamp": T, "q": np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)},
+        "velocity_setpoint": {"timestamp": T, "velocity": np.stack([COMMAND[axis] for axis in "xyz"], axis=1)}
+        | {"yawspeed": COMMAND["yaw"], "x": true["x"]},
+        "state": {"timestamp": T, "armed": (T > 1).astype(np.uint8)},
+    }
+
+    text = draft_card(log_of(**tables))
+
+    assert 'x = "velocity_setpoint:velocity[0]"  # + leads forward by the motion' in text
+    assert 'quaternion = ["attitude:q[0]", "attitude:q[1]", "attitude:q[2]", "attitude:q[3]"]' in text
+    assert '[reference]\nx = "velocity_setpoint:x"' in text
+    assert '[[window]]  # commands count while this holds\nwhen = "state:armed"' in text
+    assert "INCOMPLETE" not in text

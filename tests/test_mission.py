@@ -39,7 +39,7 @@ def test_fly_shows_the_preflight_flies_and_says_what_to_do_next(tmp_path: Path) 
 
     assert result.exit_code == 0, result.output
     assert "  ok   pose: 119 a second" in result.stdout
-    assert "If the link is lost: Simulated: the vehicle hovers 0.5 s after the last command." in result.stdout
+    assert "If the link is lost: Simulated: the vehicle goes on as last told for 0.5 s, then hovers." in result.stdout
     assert "Flown: completed." in result.stdout
     assert "commands late by 0.00 ms (median)" in result.stdout
     assert result.stdout.endswith(f"Next: rotorfit fit {output} -o model.json\n")

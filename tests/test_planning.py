@@ -116,12 +116,13 @@ def test_separate_flights_are_the_papers_groups() -> None:
     assert [[each.axis for each in plan.excitations] for plan in plans] == [["x"], ["z"], ["yaw"]]
 
 
-def test_the_band_ends_above_one_over_the_delay_and_begins_higher_in_a_smaller_room() -> None:
+def test_the_band_ends_below_one_over_the_delay_and_begins_higher_in_a_smaller_room() -> None:
     low, high = band_of(BELIEF, ROOM, "x", 0.8)
-    assert high == pytest.approx(10.0)
-    assert band_of(BELIEF, space_of_room("3x3x3"), "x", 0.8)[0] > low
+    assert high == pytest.approx(0.7 / 0.15)
+    assert band_of(BELIEF, space_of_room("3x3x3"), "x", 0.4)[0] > band_of(BELIEF, ROOM, "x", 0.4)[0]
+    assert low < high
     late = replace(BELIEF, truth=replace(BELIEF.truth, delay=(0.3,) * 4))
-    assert band_of(late, ROOM, "x", 0.8)[1] == pytest.approx(5.0)
+    assert band_of(late, ROOM, "x", 0.8)[1] == pytest.approx(2.5)
 
 
 @pytest.mark.parametrize(

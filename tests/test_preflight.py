@@ -66,7 +66,7 @@ def test_a_dead_link_and_a_dark_room_are_told() -> None:
 
 def test_slow_poses_and_a_vehicle_that_drifts_are_told() -> None:
     slow = preflight(plan_of(), Watched(room_link(Conditions(mocap=Mocap(rate=5.0)))))
-    assert wrong(slow) == {"pose": "5 a second, 0% of them repeat; at least 10 a second are needed"}
+    assert wrong(slow) == {"pose": "5 a second, 0% of them repeat; at least 8 a second are needed"}
 
     def drifting(_: float, samples: list[Sample]) -> list[Sample]:
         return [

@@ -15,10 +15,11 @@ from mcap.reader import make_reader
 
 from flying import CARD, SECOND
 from rotorfit import __version__
-from rotorfit.card import card_from_mapping, card_of
+from rotorfit.card import card_from_mapping
 from rotorfit.errors import CardError, LogError
 from rotorfit.log import Event, Sample
 from rotorfit.pipeline import LogSpan, load_flight
+from rotorfit.proposal import card_of
 from rotorfit.recorder import COMMAND, POSE, Recorder, card_as_recorded, record
 from rotorfit.sources import read
 from rotorfit.survey import survey_logs

@@ -10,7 +10,7 @@ from rotorfit.belief import Belief, belief_from_card, belief_mapping, levels_of
 from rotorfit.card import load_card
 from rotorfit.envelope import LIMITS, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
 from rotorfit.errors import PlanError
-from rotorfit.excitation import Sines, designed
+from rotorfit.excitation import Sines, Steps, designed
 from rotorfit.fit import fit
 from rotorfit.likelihood import Point, response
 from rotorfit.model import COEFFICIENTS
@@ -243,3 +243,16 @@ def test_a_still_room_without_doubt_gives_the_likeliest_path() -> None:
     calm = replace(BELIEF, truth=noise_free(TRUTH), covariance=np.zeros((12, 12)), trim_sigma=(0.0,) * 4)
     envelope = predicted_path(plan_of("x", duration=10.0), calm, draws=2)
     np.testing.assert_allclose(envelope.low, envelope.nominal, atol=1e-3)
+
+
+def test_a_flight_that_begins_fast_is_predicted_as_a_fit_of_it_states() -> None:
+    """Yaw turns fast when scoring begins, and how that fades tells the damping."""
+    plan = replace(plan_of("yaw", duration=30.0), ramp=0.0)
+    fast = (replace(plan.excitations[0], start=0.0, duration=30.0, signal=Steps((0.0, 0.5, 8.0), (1.0, 0.1, -0.1))),)
+    plan = replace(plan, excitations=fast, feedback=None)
+
+    predicted = predicted_errors([plan], SURE, draws=0).nominal["yaw"]
+
+    stated = [fit([recorded(flown(tracker_of(plan), TRUTH, seed))], axes=("yaw",)).model for seed in (1, 2, 3, 4)]
+    for name in COEFFICIENTS:
+        assert np.mean([model.axes["yaw"].stderr[name] for model in stated]) == pytest.approx(predicted[name], rel=0.12)

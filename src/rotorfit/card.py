@@ -4,8 +4,9 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -16,7 +17,7 @@ from rotorfit.errors import CardError
 from rotorfit.frames import AXES, UNIT_SCALE, Array
 from rotorfit.log import Column, Log, Table
 
-Choice = TypeVar("Choice", bound=str)
+Choice = TypeVar("Choice", bound=str | bool)
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Channel:
         unit: One of the names in `frames.UNIT_SCALE`, or None where the value is SI or a fraction.
         meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
         full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
+        others: What stands in its place in other versions of the same format, in the order of asking; the first of
+            all of them that a log holds is read: `card_for`.
     """
 
     source: str | float
@@ -38,6 +41,28 @@ class Channel:
     unit: str | None = None
     meaning: str | None = None
     full_scale: str | None = None
+    others: tuple["Channel", ...] = ()
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing that must hold while commands count.
+
+    Attributes:
+        channel: The column that tells.
+        equals: It holds while the column is one of these; empty with all else empty: while it is not 0.
+        above: It holds while the column is more than this; None where that is not asked.
+        opens: For events: it holds from an event of one of these numbers,
+        closes: until one of these.
+        optional: Whether logs without the column are taken without the condition.
+    """
+
+    channel: Channel
+    equals: tuple[float, ...] = ()
+    above: float | None = None
+    opens: tuple[float, ...] = ()
+    closes: tuple[float, ...] = ()
+    optional: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,11 +95,13 @@ class Card:
         attitude_time: Its stamp; None likewise.
         clock: Of a flight in several files: `own`, each file has its own, or `one`, all have the same.
         reference: Optional: what a position controller was told.
-        window: Optional column that says when the vehicle is armed or under velocity control.
+        window: Optional conditions (armed, in the air, under velocity control): commands count while all hold.
+        resets: Optional counters that move where an estimator steps its own pose: the flight is split there.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
         prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.
         raw: The whole card as parsed from TOML: what the model file stores.
         fail_safe: What the vehicle does by itself when commands stop, for people; empty where the card does not say.
+        over: Built-in cards that are not proposed where this one makes a flight of the log, too.
     """
 
     name: str
@@ -89,7 +116,8 @@ class Card:
     velocity_frame: Literal["heading", "world"] = "world"
     velocity_independent: bool = False
     reference: Mapping[str, Channel] = field(default_factory=dict)
-    window: Channel | None = None
+    window: tuple[Condition, ...] = ()
+    resets: tuple[Channel, ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, Mapping[str, Prior]] = field(default_factory=dict)
     raw: Mapping[str, Any] = field(default_factory=dict)
@@ -98,6 +126,7 @@ class Card:
     attitude_time: Channel | None = None
     clock: Literal["own", "one"] = "own"
     fail_safe: str = ""
+    over: tuple[str, ...] = ()
 
     @property
     def velocity_only(self) -> tuple[str, ...]:
@@ -114,11 +143,11 @@ LIMIT_UNITS = {"tilt": _ANGLE, "vertical_speed": _SPEED, "yaw_rate": _RATE, "spe
 _LIMITS = tuple(LIMIT_UNITS)
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
-    "pose": ("time", *AXES, "quaternion"),
+    "pose": ("time", *AXES, "quaternion", "resets"),
     "velocity": ("frame", "time", "independent", *AXES),
     "attitude": ("time", "yaw", "quaternion"),
     "reference": AXES,
-    "window": ("when",),
+    "window": ("when", "equals", "above", "opens", "closes", "optional"),
     "limits": _LIMITS,
     "prior": AXES,
 }
@@ -160,6 +189,19 @@ def builtin_cards() -> dict[str, Card]:
     return {name: card_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
 
 
+def builtin_card_text(name: str) -> str:
+    """The TOML text of a built-in card.
+
+    Raises:
+        CardError: There is none of that name; the nearest is named.
+    """
+    known = builtin_cards()
+    if name not in known:
+        nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        raise CardError(f"no built-in card {name!r}; nearest: {nearest!r} (`rotorfit cards` lists them)")
+    return resources.files("rotorfit").joinpath("cards", f"{name}.toml").read_text(encoding="utf-8")
+
+
 def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
     """Checks a card as parsed from TOML or as stored in a model file.
 
@@ -175,8 +217,8 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
             `[command]`, `[pose]` and their essential keys is missing.
     """
     place = f"card {where}"
-    _check_keys(raw, ("name", "frame", "clock", "fail_safe", *_SECTIONS), place)
-    sections = {key: _section(raw, key, place) for key in _SECTIONS}
+    _check_keys(raw, ("name", "frame", "clock", "fail_safe", "over", *_SECTIONS), place)
+    sections = {key: _section(raw, key, place) for key in _SECTIONS if key != "window"}
     missing = [key for key in ("command", "pose") if key not in raw]
     if missing:
         raise CardError(f"{place}: section [{missing[0]}] is missing")
@@ -198,7 +240,8 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
         velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
-        window=_recorded(sections["window"], "when", _ANY, f"{place}, [window]") if "window" in raw else None,
+        window=_window(raw.get("window", []), place),
+        resets=_resets(pose.get("resets", []), in_pose),
         limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
         prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
         raw=raw,
@@ -207,6 +250,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
         clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
+        over=tuple(_text(name, f"{place}, over") for name in raw.get("over", [])),
     )
 
 
@@ -214,40 +258,11 @@ def tables_of(card: Card) -> frozenset[str] | None:
     """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
     parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
     channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
-    channels += [each for each in (card.velocity_time, card.attitude_time, card.window) if each]
+    channels += [each for each in (card.velocity_time, card.attitude_time) if each]
+    channels += [*(part.channel for part in card.window), *card.resets]
+    channels += [other for channel in channels for other in channel.others]
     tables = {split_source(channel.source)[0] for channel in channels if isinstance(channel.source, str)}
-    return None if "" in tables else frozenset(tables)
-
-
-def card_that_fits(log: Log) -> Card:
-    """The one built-in card whose columns are all in the log.
-
-    Raises:
-        CardError: No card fits, or several do; the text says how to go on.
-    """
-    fitting = fitting_cards(log)
-    if len(fitting) == 1:
-        return next(iter(fitting.values()))
-    if fitting:
-        raise CardError(f"{log.path}: several built-in cards fit ({', '.join(fitting)}); name one with `--card`")
-    raise CardError(
-        f"{log.path}: no built-in card fits; draft one with `rotorfit info {log.path} --draft-card FILE`, "
-        "or name one with `--card`"
-    )
-
-
-def card_of(log: Log) -> Card:
-    """The card that the log carries, as recordings of `rotorfit fly` do; else the one built-in card that fits.
-
-    Raises:
-        CardError: The log's card is damaged; or it carries none, and none or several fit.
-    """
-    if "card" not in log.attached:
-        return card_that_fits(log)
-    try:
-        return card_from_mapping(tomllib.loads(log.attached["card"]), f"attached to {log.path}")
-    except tomllib.TOMLDecodeError as error:
-        raise CardError(f"{log.path}: the card in it is damaged ({error}); name one with `--card`") from error
+    return None if any(not table or "*" in table for table in tables) else frozenset(tables)
 
 
 def fitting_cards(log: Log) -> dict[str, Card]:
@@ -255,15 +270,70 @@ def fitting_cards(log: Log) -> dict[str, Card]:
     return {name: card for name, card in builtin_cards().items() if fits(log, card)}
 
 
+def card_for(log: Log, card: Card) -> Card:
+    """The card with each column by the name that it has in this log, and without optional conditions that it lacks.
+
+    Args:
+        log: Where the columns are.
+        card: What may name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`),
+            which stands for the one table that it describes.
+    """
+    log_tables = (*log.tables, *log.skipped)
+
+    def bare(channel: Channel) -> Channel:
+        table, name = split_source(channel.source)
+        there = [one for one in log_tables if fnmatchcase(one, table)] if "*" in table else []
+        return replace(channel, source=f"{there[0]}:{name}", others=()) if len(there) == 1 else channel
+
+    def named(channel: Channel) -> Channel:
+        if not channel.others:
+            return bare(channel)
+        known = (one for one in map(bare, (channel, *channel.others)) if _holds(log, one.source))
+        return replace(next(known, channel), others=())
+
+    def all_named(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+        return {key: named(channel) for key, channel in channels.items()}
+
+    window = [replace(part, channel=named(part.channel)) for part in card.window]
+    return replace(
+        card,
+        command_time=named(card.command_time),
+        command=all_named(card.command),
+        pose_time=named(card.pose_time),
+        pose=all_named(card.pose),
+        velocity=all_named(card.velocity),
+        velocity_time=named(card.velocity_time) if card.velocity_time else None,
+        attitude=all_named(card.attitude),
+        attitude_time=named(card.attitude_time) if card.attitude_time else None,
+        reference=all_named(card.reference),
+        window=tuple(part for part in window if not part.optional or _holds(log, part.channel.source)),
+        resets=tuple(named(channel) for channel in card.resets),
+    )
+
+
+def _holds(log: Log, source: str | float) -> bool:
+    """Whether a log has a column of numbers of that name; constants are always there."""
+    if not isinstance(source, str):
+        return True
+    try:
+        raw_column(log, source)
+    except CardError:
+        return False
+    return True
+
+
 def fits(log: Log, card: Card) -> bool:
     """Whether all columns of a card are in a log."""
+    card = card_for(log, card)
     others = [*card.velocity.values(), *card.attitude.values(), *card.reference.values()]
-    others += [one for one in (card.window, card.velocity_time, card.attitude_time) if one]
+    others += [*(part.channel for part in card.window), *card.resets]
+    others += [one for one in (card.velocity_time, card.attitude_time) if one]
     try:
         for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose)):
-            count = len(raw_column(log, time.source)[1])
+            table, count = split_source(time.source)[0], len(raw_column(log, time.source)[1])
             for channel in channels.values():
-                column(log, channel, count)
+                beside = split_source(channel.source)[0] == table
+                column(log, channel, count if beside or not isinstance(channel.source, str) else None)
         for channel in others:
             column(log, channel)
     except CardError:
@@ -389,7 +459,10 @@ def _check_keys(raw: Mapping[str, Any], known: Iterable[str], place: str) -> Non
 
 
 def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
-    section = raw.get(key, {})
+    return _checked(raw.get(key, {}), key, place)
+
+
+def _checked(section: Any, key: str, place: str) -> Mapping[str, Any]:
     if not isinstance(section, Mapping):
         raise CardError(f"{place}, {key}: must be a section [{key}], not {section!r}")
     _check_keys(section, _SECTIONS[key], f"{place}, [{key}]")
@@ -429,7 +502,12 @@ def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
 
 
 def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
-    """A channel from a string, a number, or `{ from, scale, offset, unit }`; commands also have a meaning."""
+    """A channel from a string, a number, `{ from, scale, offset, unit }`, or a list; commands also have a meaning."""
+    if isinstance(value, list):  # what it is called in different versions of a format
+        if not value:
+            raise CardError(f"{place}: an empty list names no column")
+        first, *others = (_channel(one, place, units, command) for one in value)
+        return replace(first, others=tuple(others))
     if not isinstance(value, Mapping):
         return Channel(_source(value, place))
     _check_keys(value, ("from", "scale", "offset", "unit", *(("meaning", "full_scale") if command else ())), place)
@@ -465,6 +543,38 @@ def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], plac
     if not isinstance(channel.source, str):
         raise CardError(f"{place} {key}: must be a column, not the constant {channel.source:g}")
     return channel
+
+
+def _window(value: Any, place: str) -> tuple[Condition, ...]:
+    """The conditions of `[window]`, or of several `[[window]]`."""
+    parts = value if isinstance(value, list) else [value]
+    return tuple(_condition(_checked(part, "window", place), f"{place}, [window]") for part in parts)
+
+
+def _condition(section: Mapping[str, Any], place: str) -> Condition:
+    condition = Condition(
+        channel=_recorded(section, "when", _ANY, place),
+        equals=_numbers(section.get("equals", []), f"{place} equals"),
+        above=_number(section["above"], f"{place} above") if "above" in section else None,
+        opens=_numbers(section.get("opens", []), f"{place} opens"),
+        closes=_numbers(section.get("closes", []), f"{place} closes"),
+        optional=_choice(section.get("optional", False), (True, False), f"{place} optional"),
+    )
+    asked = (bool(condition.equals), condition.above is not None, bool(condition.opens or condition.closes))
+    if sum(asked) > 1:
+        raise CardError(f"{place}: give one of equals, above, and opens with closes; write a [[window]] for each")
+    if bool(condition.opens) != bool(condition.closes):
+        raise CardError(f"{place}: opens and closes go together: which events begin the flight, and which end it?")
+    return condition
+
+
+def _numbers(value: Any, place: str) -> tuple[float, ...]:
+    return tuple(_number(one, place) for one in (value if isinstance(value, list) else [value]))
+
+
+def _resets(value: Any, place: str) -> tuple[Channel, ...]:
+    names = value if isinstance(value, list) else [value]
+    return tuple(_recorded({"resets": name}, "resets", (), place) for name in names)
 
 
 def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:

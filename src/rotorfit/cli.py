@@ -360,14 +360,14 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 
 
 @main.command()
-@click.option("--card", metavar="C", help="Name of a built-in card, or a TOML file, with the limits of the vehicle.")
+@click.option("--card", metavar="C", help="Built-in card, TOML file, or sim:VEHICLE; with the limits.")
 @click.option("--after", type=_file(dir_okay=False), metavar="model.json", help="Propose the flight to add to a model.")
 @click.option(
     "--design",
-    type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal"]),
+    type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a"]),
     help="How the signals come about; default: multisine, or with --after the one that tells most.",
 )
-@click.option("--room", metavar="6x4x3", help="Size of the room [m], the origin in the middle of its floor.")
+@click.option("--room", metavar="6x4x3", help="Size of the room [m], origin amid its floor; default: 6x4x3.")
 @click.option("--box", metavar="x0,y0,z0,x1,y1,z1", help="The fence itself, in the frame of the poses [m].")
 @click.option(
     "--axes", metavar="x,y,z,yaw", callback=_some_axes, help="To excite; default: all, or --after the worst known."
@@ -460,8 +460,7 @@ def fly(
 @_json
 def cards(name: str | None, as_json: bool) -> None:
     """List the built-in cards, or print the one that is named."""
-    from rotorfit.card import builtin_cards
-    from rotorfit.draft import builtin_card_text
+    from rotorfit.card import builtin_card_text, builtin_cards
 
     if name and not as_json:
         return click.echo(builtin_card_text(name), nl=False)

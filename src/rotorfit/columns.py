@@ -9,6 +9,7 @@ from rotorfit.card import Channel
 from rotorfit.log import Column, Log, Table
 
 _CLOCKS = ("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed")
+_FEW_ROWS = 8  # quaternions, vectors, sticks
 _UNIT_SUFFIX = re.compile(r"_(deg|rad|mm|cm|m|ms|us|ns|s)$")
 
 
@@ -47,6 +48,15 @@ def clocks_of(table: Table, count: int) -> list[str]:
 def is_series(values: Column) -> bool:
     """Whether a column is one series of real numbers, of more than one sample."""
     return values.dtype.kind in "iuf" and values.size > 1 and values.size == max(values.shape)
+
+
+def series_of(table: Table) -> dict[str, int]:
+    """Columns that are one series, and the rows of matrices of few rows as `NAME[i]`, with their lengths."""
+    found = {name: values.size for name, values in table.columns.items() if is_series(values)}
+    for name, values in table.columns.items():
+        if values.dtype.kind in "iuf" and values.ndim == 2 and 1 < min(values.shape) <= _FEW_ROWS < max(values.shape):
+            found |= {f"{name}[{row}]": max(values.shape) for row in range(min(values.shape))}
+    return found
 
 
 def plain_name(name: str) -> str:

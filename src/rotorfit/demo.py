@@ -27,10 +27,11 @@ from rotorfit.pipeline import (
     validate_logs,
 )
 from rotorfit.plan import Plan
-from rotorfit.plan_file import load_plan, plan_text
+from rotorfit.plan_file import PLAN_MARK, load_plan, plan_text
 from rotorfit.planning import plan_flight
 from rotorfit.preflight import preflight, refuse
 from rotorfit.recorder import record
+from rotorfit.sources.mcap import MAGIC
 from rotorfit.space import space_of_room
 from rotorfit.validation import Validation, to_mapping
 from rotorfit.vehicle import Linear, load_vehicle
@@ -134,7 +135,10 @@ def demo(directory: Path, progress: Progress | None = None) -> Demo:
     say = progress or (lambda _fraction, _text: None)
     directory.mkdir(parents=True, exist_ok=True)
     model, paper, report = directory / "model.json", directory / "paper.json", directory / "report.html"
-    for path, mark in ((model, MODEL_MARK), (paper, MODEL_MARK), (report, REPORT_MARK)):
+    marks = {model: MODEL_MARK, paper: MODEL_MARK, report: REPORT_MARK}
+    for name in FLIGHTS:
+        marks |= {directory / f"{name}.toml": PLAN_MARK, directory / f"{name}.mcap": MAGIC.lower()}
+    for path, mark in marks.items():
         check_destination(path, mark)
     plans, recordings = _planned_and_flown(directory, lambda fraction, text: say(0.6 * fraction, text))
     logs = {name: LogSpan(str(path), WHOLE) for name, path in recordings.items()}

@@ -1,74 +1,36 @@
-"""Texts of cards: of a built-in one, and the draft that the names and values of a log give."""
+"""Texts of cards: of a built-in one, and the draft that names, values and the motion of a log give."""
 
 import json
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from difflib import get_close_matches
-from importlib import resources
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from rotorfit.card import Channel, builtin_cards, column, fitting_cards
-from rotorfit.clock import degrees_for_radians, increasing, stamps_of
-from rotorfit.columns import (
-    clock_of,
-    clocks_of,
-    is_series,
-    name_without_unit,
-    sample_count,
-    shape_text,
-    source_of,
-    unit_of_name,
-)
-from rotorfit.errors import CardError
+from rotorfit.answers import Answer, Answers, answers_of
+from rotorfit.card import Channel, builtin_card_text, card_from_mapping
+from rotorfit.columns import shape_text, source_of
+from rotorfit.errors import CardError, FlightError
+from rotorfit.flight import flight_from_log
 from rotorfit.frames import AXES
-from rotorfit.log import Log, Table
+from rotorfit.log import Log
+from rotorfit.proposal import proposal
+from rotorfit.recognition import Recognised, commands_in, pose_in, reference_in, windows_in
 
-_COMMAND_FAMILIES = (
-    ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
-    ("(?:u|input|ctrl|control)", "(?:v_?)?"),
-    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position that was asked for
-)
-_TURN_RATE = "yaw|yaw_?rate|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
-_FORWARD, _LEFT, _UP = (
-    "lin_?x|linear_x|vf|pitch|theta|forward",
-    "lin_?y|linear_y|vl|roll|phi|left",
-    "lin_?z|linear_z|ve|climb|up",
-)
-_PLACE = "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|state|odom|drone|body)_?)*"
-_POSE = {axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|u)" for axis in "xyz"}
-_POSE |= {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap)"}
-_POSE |= {f"q{part}": f"{_PLACE}(?:orientation|rotation|quaternion|quat|q)_?{part}" for part in "wxyz"}
+NED_FORMATS = ("ulog", "dataflash", "dataflash_text")
+"""Logs of autopilots, whose world is north, east, down."""
 
-
-@dataclass(frozen=True)
-class _Stream:
-    """What was recognised of the commands or of the pose: quantity to channel, and its clock."""
-
-    channels: Mapping[str, Channel]
-    time: Channel | None
-
-
-def builtin_card_text(name: str) -> str:
-    """The TOML text of a built-in card.
-
-    Raises:
-        CardError: There is none of that name; the nearest is named.
-    """
-    known = builtin_cards()
-    if name not in known:
-        nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-        raise CardError(f"no built-in card {name!r}; nearest: {nearest!r} (`rotorfit cards` lists them)")
-    return resources.files("rotorfit").joinpath("cards", f"{name}.toml").read_text(encoding="utf-8")
+_LEADS = {
+    "heading": {"x": "forward", "y": "left", "z": "up", "yaw": "counter-clockwise"},
+    "world": {"x": "along x (east)", "y": "along y (north)", "z": "up", "yaw": "counter-clockwise"},
+}
 
 
 def draft_card(log: Log) -> str:
-    """The TOML text of a card for a log, guessed from names and values, for the user to correct.
+    """The TOML text of a card for a log, guessed from names, values and the motion, for the user to correct.
 
     Where a built-in card fits, it is that card. Else the draft loads as a card if all the essentials were found, and
-    says on top which were not.
+    says on top which were not. Where the motion tells which way a command leads, the line says so, with axis and sign
+    corrected.
 
     Args:
         log: As recorded.
@@ -76,29 +38,99 @@ def draft_card(log: Log) -> str:
     Returns:
         Text of the card, with what to check in comments; the names of all columns stand at its end.
     """
-    for name in fitting_cards(log):
-        text = builtin_card_text(name)
-        return f"# A copy of the built-in card {name}, whose columns are all in {log.path.name}.\n{text}"
-    commands, pose = _recognised(log, _commands_in), _recognised(log, _pose_in)
+    try:
+        proposed = proposal(log)
+    except CardError:
+        proposed = None
+    if proposed and proposed.name:
+        text = builtin_card_text(proposed.name)
+        return f"# A copy of the built-in card {proposed.name}, whose columns are all in {log.path.name}.\n{text}"
+    commands, pose = commands_in(log), pose_in(log)
+    text = _text(log, commands, pose, "heading", {})
+    told, why = _told(log, text)
+    if told is None:
+        return _text(log, commands, pose, "heading", {}, f"The motion was not asked: {why}." if why else "")
+    moved, said = _by_motion(commands, told)
+    turned = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
+    return _text(log, moved, pose, told.frame or "heading", said, f"Signs were checked against the motion.{turned}")
+
+
+def _told(log: Log, text: str) -> tuple[Answers | None, str]:
+    """What the motion says of the commands of a draft, or why it cannot be asked."""
+    try:
+        card = card_from_mapping(tomllib.loads(text), "drafted")
+    except CardError:
+        return None, ""  # incomplete: said on top
+    try:
+        told = answers_of(flight_from_log(log, card))
+    except (CardError, FlightError) as error:
+        return None, str(error)
+    return (told, "") if told.of else (None, "no command moves for long enough")
+
+
+def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[str, str]]:
+    """Commands by the axes and with the signs that the motion tells, and what to say behind each."""
+    sure = {name: answer for name, answer in told.of.items() if answer.axis}
+    wanted = {name: answer.axis or name for name, answer in sure.items()}
+    moved = {name: wanted.get(name, name) for name in commands.channels}
+    if len(set(moved.values())) < len(moved):  # two commands on one axis: names decide
+        moved = {name: name for name in moved}
+    channels, said = {}, {}
+    for name, channel in commands.channels.items():
+        axis, answer = moved[name], told.of.get(name)
+        turned = answer is not None and name in sure and answer.sign < 0 and answer.axis == axis
+        channels[axis] = replace(channel, scale=-channel.scale) if turned else channel
+        said[axis] = _remark(name, axis, answer, told.frame or "heading")
+    return replace(commands, channels=channels), said
+
+
+def _remark(name: str, axis: str, answer: Answer | None, frame: str) -> str:
+    """What the motion says of one command."""
+    if answer is None:
+        return "does not move in this log: EDIT, sign unknown"
+    figures = (
+        f"{answer.certainty:.0f} standard errors, {100 * answer.explained:.0f} % explained, {answer.lag:.1f} s late"
+    )
+    if answer.axis is None:
+        return f"EDIT: the motion does not tell the sign ({figures})"
+    if answer.axis != axis:
+        return f"EDIT: the motion follows it along {answer.axis} ({figures})"
+    renamed = f", though it looks like {name}" if name != axis else ""
+    return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
+
+
+def _text(
+    log: Log,
+    commands: Recognised,
+    pose: Recognised,
+    frame: str,
+    said: Mapping[str, str],
+    checked: str = "",
+) -> str:
+    """The draft."""
     whole = {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
     columns = [(table, name) for table in log.tables.values() for name in table.columns]
+    reference = reference_in(log, commands)
     body = [
         f"name = {_quoted(log.path.stem)}",
-        'frame = "ENU"  # of the pose; "NED" where z points down',
+        _frame_line(log),
         "",
         "[command]",
-        'frame = "heading"  # "world" where x and y do not turn with the vehicle',
+        f'frame = "{frame}"  # "world" where x and y do not turn with the vehicle',
         "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
         _line("time", commands.time),
-        *(_line(axis, commands.channels.get(axis)) for axis in AXES),
+        *(_line(axis, commands.channels.get(axis), said.get(axis, "")) for axis in AXES),
         '# x = { from = "...", scale = -1, meaning = "tilt", full_scale = "tilt" }  # all that a command can say;',
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
+        *(["# Motive has y up: the axes are turned in a ring"] * (log.format == "motive")),
         _line("time", pose.time),
         *(_line(axis, pose.channels.get(axis)) for axis in "xyz"),
         _quaternion_line(pose) if whole else _line("yaw", pose.channels.get("yaw")),
         "",
+        *(["[reference]", *(_line(axis, channel) for axis, channel in reference.items()), ""] if reference else []),
+        *(line for source, says in windows_in(log) for line in _window_lines(source, says)),
         "# [limits]  # of the vehicle's settings during the flight",
         '# tilt = { value = 10, unit = "deg" }',
         '# vertical_speed = { value = 1, unit = "m/s" }',
@@ -107,7 +139,18 @@ def draft_card(log: Log) -> str:
         f"# All columns of {log.path.name}; a row of a matrix is NAME[0], NAME[1] and so on:",
         *(f"#   {source_of(log, table, name)}{shape_text(table.columns[name])}" for table, name in columns),
     ]
-    return "\n".join([*_heading(log, commands, pose, whole), *body]) + "\n"
+    return "\n".join([*_heading(log, commands, pose, whole), *([f"# {checked}"] if checked else []), *body]) + "\n"
+
+
+def _frame_line(log: Log) -> str:
+    """The frame of the pose, by the format."""
+    if log.format in NED_FORMATS:
+        return 'frame = "NED"  # as autopilots have it; "ENU" where z points up'
+    return 'frame = "ENU"  # of the pose; "NED" where z points down'
+
+
+def _window_lines(source: str, says: str) -> list[str]:
+    return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.split("\n"), ""]
 
 
 def write_draft(log: Log, path: Path) -> None:
@@ -123,7 +166,7 @@ def write_draft(log: Log, path: Path) -> None:
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it") from None
 
 
-def _heading(log: Log, commands: _Stream, pose: _Stream, whole: bool) -> list[str]:
+def _heading(log: Log, commands: Recognised, pose: Recognised, whole: bool) -> list[str]:
     """What a reader of the draft must know first."""
     found = {
         "[command] time": commands.time is not None,
@@ -143,75 +186,21 @@ def _heading(log: Log, commands: _Stream, pose: _Stream, whole: bool) -> list[st
     ]
 
 
-def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> _Stream:
-    """The stream of the table in which most is recognised; between equals, of the one with more samples."""
-    best: tuple[Table, dict[str, str], int] | None = None
-    for table in log.tables.values():
-        names = names_in(log, table)
-        count = table.columns[next(iter(names.values()))].size if names else 0
-        if names and (best is None or (len(names), count) > (len(best[1]), best[2])):
-            best = table, names, count
-    if best is None:  # a file of matrices: at least its clock
-        only = list(log.tables.values())[:1] if len(log.tables) == 1 else []
-        return _Stream({}, clock_of(log, only[0], sample_count(only[0])) if only else None)
-    table, names, count = best
-    time = clock_of(log, table, count)
-    channels = {what: Channel(source_of(log, table, name), unit=unit_of_name(name)) for what, name in names.items()}
-    if time is not None and "yaw" in channels and names_in is _pose_in and channels["yaw"].unit is None:
-        stamps, yaw = stamps_of(log, time), column(log, channels["yaw"])
-        clean = increasing(stamps)[: len(yaw)] & np.isfinite(yaw[: len(stamps)])
-        if degrees_for_radians(stamps[: len(yaw)][clean], yaw[: len(stamps)][clean]):
-            channels["yaw"] = replace(channels["yaw"], unit="deg")
-    return _Stream(channels, time)
-
-
-def _commands_in(log: Log, table: Table) -> dict[str, str]:
-    """Axis to column of the family of names (cmd_x, ux, vx_ref ...) that covers most axes, or of a Twist."""
-    twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
-    twist |= {"yaw": "(?:twist_)?angular_z"}
-    families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
-    if len(log.tables) > 1 and not _named(table, _POSE).keys() & {"x", "y", "z"}:
-        families.append(_named(table, twist))
-    return max(families, key=len)
-
-
-def _family(word: str, speed: str) -> dict[str, str]:
-    """Patterns of the axes' names before or after a word that says command."""
-    axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
-    return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
-
-
-def _pose_in(log: Log, table: Table) -> dict[str, str]:
-    """Quantity to column of a pose; none from a topic that is named as a command or a set-point."""
-    asked = len(log.tables) > 1 and re.search("cmd|command|setpoint|target|goal|desired", table.name.lower())
-    return {} if asked else _named(table, _POSE)
-
-
-def _named(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:
-    """Quantity to the shortest name that fits its pattern; columns as long as a clock go before others."""
-    found: dict[str, str] = {}
-    series = [name for name, values in table.columns.items() if is_series(values)]
-    for name in sorted(series, key=lambda name: (not clocks_of(table, table.columns[name].size), len(name))):
-        plain = name_without_unit(name)
-        for quantity, pattern in patterns.items():
-            if quantity not in found and re.fullmatch(pattern, plain):
-                found[quantity] = name
-    return found
-
-
 def _quoted(text: object) -> str:
     return json.dumps(str(text), ensure_ascii=False)
 
 
-def _line(key: str, channel: Channel | None) -> str:
+def _line(key: str, channel: Channel | None, said: str = "") -> str:
     if channel is None:
         return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
-    if channel.unit is None:
-        return f"{key} = {_quoted(channel.source)}"
-    return f'{key} = {{ from = {_quoted(channel.source)}, unit = "{channel.unit}" }}  # unit guessed'
+    parts = [f"from = {_quoted(channel.source)}"]
+    parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1) + [f'unit = "{channel.unit}"'] * bool(channel.unit)
+    remarks = ["unit guessed"] * bool(channel.unit) + [said] * bool(said)
+    value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
+    return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
 
 
-def _quaternion_line(pose: _Stream) -> str:
+def _quaternion_line(pose: Recognised) -> str:
     names = [str(pose.channels[f"q{part}"].source) for part in "wxyz"]
     prefix = names[0].removesuffix(".w")
     if names == [f"{prefix}.{part}" for part in "wxyz"]:

@@ -124,8 +124,8 @@ def paper_sines(axis: str, amplitude: float = 1.0) -> Sines:
     return Sines((size, size), (1.3, 1.0), (np.pi / 2,) * 2 if axis == "y" else (0.0, 0.0))
 
 
-DESIGNS = ("two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal")
-"""Names of the designs; the first six are made here, `ident` is `ident_reference`."""
+DESIGNS = ("two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a")
+"""Names of the designs; the first six are made here, `ident` is `ident_reference`, the last two are of `optimal`."""
 
 LINES = 12
 """Most frequencies of a multisine."""

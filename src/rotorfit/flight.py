@@ -9,12 +9,13 @@ from rotorfit.card import Card
 from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, heading_from_world
+from rotorfit.ground import airborne
 from rotorfit.joined import bound
 from rotorfit.log import Log
 from rotorfit.one_clock import Clocks, on_one_clock
 from rotorfit.stamping import with_sound_stamps
-from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of, velocities_of
-from rotorfit.velocity import Velocity, in_the_world, with_travel
+from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
+from rotorfit.velocity import Velocity, in_the_world, velocities_of, with_travel
 
 __all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "Velocity", "flight_from_log"]
 
@@ -115,6 +116,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses, velocities = poses_of(log, card), velocities_of(log, card)
+    commands = airborne(commands, poses, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
     begin, finish = origin + round(start * 1e9), origin + round(stop * 1e9)

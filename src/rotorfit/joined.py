@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-from rotorfit.card import Card, Channel, fits
+from rotorfit.card import Card, Channel, card_for, fits
 from rotorfit.errors import CardError
 from rotorfit.log import Log, Table
 
@@ -57,18 +57,18 @@ def joined(logs: Sequence[Log]) -> Log:
 
 
 def bound(card: Card, log: Log) -> Card:
-    """The card with the table of every column that it names without one, for a flight in several files.
+    """The card with the names of this log, and the table of every column named without one in several files.
 
     The columns that a section names without a table are in one table: the only one that holds them all, or of several
     the one that the section names elsewhere. So `time` in `[command]` and in `[pose]` may mean two files.
 
     Args:
         card: As written.
-        log: Joined; a card for any other log stays as it is.
+        log: Of one file, or joined.
     """
+    card = card_for(log, card)
     if not log.file_of:
         return card
-    window = {"when": card.window} if card.window else {}
     attitude, velocity = dict(card.attitude), dict(card.velocity)
     command = _section(log, {"time": card.command_time, **card.command})
     pose = _section(log, {"time": card.pose_time, **card.pose})
@@ -85,7 +85,8 @@ def bound(card: Card, log: Log) -> Card:
         attitude_time=attitude.pop("time", None),
         attitude=attitude,
         reference=_section(log, card.reference),
-        window=_section(log, window).get("when"),
+        window=tuple(replace(part, channel=_section(log, {"when": part.channel})["when"]) for part in card.window),
+        resets=tuple(_section(log, {str(i): one for i, one in enumerate(card.resets)}).values()),
     )
 
 

@@ -154,6 +154,10 @@ def optimal_signal(
     )
 
 
+AGAINST = 0.1
+"""How often the part of a signal changes that works against the feedback, a multiple of the command's period [s]."""
+
+
 def optimal_excitations(
     belief: Belief,
     room: Mapping[str, AxisLimits],
@@ -163,7 +167,7 @@ def optimal_excitations(
     criterion: Criterion = "d",
     seed: int = 0,
     progress: Progress | None = None,
-    step: float = 0.1,
+    step: Mapping[str, float] | float = 0.1,
 ) -> tuple[Excitation, ...]:
     """Designs several axes that are flown together, ready for a plan without a ramp.
 
@@ -179,7 +183,7 @@ def optimal_excitations(
         criterion: As `optimal_signal` has it.
         seed: Of the searches.
         progress: Called with a fraction and a text; raising in it cancels.
-        step: How long a command holds at least, a multiple of the period of the plan's commands [s].
+        step: How long a command holds at least, of all axes or of each, a multiple of `AGAINST` [s].
 
     Raises:
         PlanError: Limits without room, or a duration that is too short.
@@ -188,13 +192,14 @@ def optimal_excitations(
     for place, (axis, limits) in enumerate(room.items()):
         a = AXES.index(axis)
         dynamics = Dynamics(truth.gamma[2 * a], truth.gamma[2 * a + 1], truth.delay[a])
+        held = step if isinstance(step, float) else step[axis]
         part = None if progress is None else functools.partial(_told, progress, place, len(room))
         signal = optimal_signal(
             dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
-            step=step, pose_rate=truth.pose_rate * (1 - truth.stale_share),
+            step=held, pose_rate=truth.pose_rate * (1 - truth.stale_share),
         ).signal  # fmt: skip
         if feedback is not None and axis in feedback.axes:
-            signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
+            signal = against_feedback(signal, axis, dynamics, feedback, duration, AGAINST)
         out.append(Excitation(axis, "command", start, duration, signal))
     return tuple(out)
 

@@ -8,17 +8,17 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, card_of, fits, load_card, tables_of
+from rotorfit.card import Card, card_from_mapping, fits, load_card, tables_of
 from rotorfit.doctor import findings_of_flight
-from rotorfit.errors import LogError, ModelError, RotorfitError
+from rotorfit.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit, Method, fit, with_delay_profiles
-from rotorfit.flight import Flight, flight_from_log
+from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
 from rotorfit.held import without_held
 from rotorfit.influence import with_influence
-from rotorfit.joined import bound, flights_of, parts_of
+from rotorfit.joined import flights_of
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
@@ -26,6 +26,8 @@ from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
+from rotorfit.proposal import card_of, proposal
+from rotorfit.settings import disagreement
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate
@@ -75,36 +77,70 @@ def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     return _flown(log, _read(log, chosen), chosen)[2]
 
 
-def load_flights(logs: Sequence[LogSpan], card: str | Card | None = None) -> tuple[Flight, ...]:
-    """Reads logs and applies a card to each; logs that only together hold what it names are one flight."""
+def load_flights(
+    logs: Sequence[LogSpan], card: str | Card | None = None, otherwise: Card | None = None
+) -> tuple[Flight, ...]:
+    """Reads logs and applies a card to each; logs that only together hold what it names are one flight.
+
+    Args:
+        logs: With their spans.
+        card: Name, file or card, for all of them.
+        otherwise: Where there is no such card: for the logs that carry none themselves.
+    """
     chosen = load_card(card) if isinstance(card, str) else card
-    return tuple(flight for _, _, flight in _all_flown(logs, chosen))
-
-
-def _read(log: LogSpan, card: Card | None) -> Log:
-    """A log, of a card only the tables that it names; of several files all, since joining may rename them."""
-    return read(log.path, tables_of(card) if card and len(parts_of(log.path)) == 1 else None)
+    return tuple(flight for _, _, flight in _all_flown(logs, chosen, otherwise))
 
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
     """A log, the card that was applied, and what came of them."""
-    card = bound(card or card_of(raw), raw)
-    return raw, card, flight_from_log(raw, card, log.span)
+    if card is not None:
+        flight = flight_from_log(raw, card, log.span)
+        return raw, flight.card, flight
+    proposed = proposal(raw)
+    flight = flight_from_log(raw, proposed.card, log.span)
+    if proposed.rivals:
+        note = Note("card_proposed", f"read with the card {proposed.name}, {proposed.why}", len(proposed.rivals))
+        flight = replace(flight, notes=(note, *flight.notes))
+    return raw, flight.card, flight
 
 
-def _all_flown(logs: Sequence[LogSpan], card: Card | None) -> list[tuple[Log, Card, Flight]]:
+def _read(log: LogSpan, card: Card | None) -> Log:
+    """A log, with the tables that a card reads; with all where there is none."""
+    return read(log.path, tables_of(card) if card else None)
+
+
+def _carried(raw: Log, otherwise: Card) -> Card:
+    """The card that a log carries, else the other one.
+
+    Raises:
+        CardError: The log's card gives the commands another meaning, or other limits.
+    """
+    if "card" not in raw.attached:
+        return otherwise
+    card = card_of(raw)
+    if trouble := disagreement(card, otherwise, ("the log's card", "the model's")):
+        raise CardError(f"{raw.path}: {trouble}; convert the model (rotorfit convert), or name a card with --card")
+    return card
+
+
+def _all_flown(
+    logs: Sequence[LogSpan], card: Card | None, otherwise: Card | None = None
+) -> list[tuple[Log, Card, Flight]]:
     """Every flight in some logs, in the order of its first log."""
     flown: dict[int, tuple[Log, Card, Flight]] = {}
     parts: dict[int, Log] = {}
     for number, log in enumerate(logs):
-        raw = _read(log, card)
-        if card is None or len(logs) == 1 or raw.file_of or fits(raw, card):
-            flown[number] = _flown(log, raw, card)  # at once, so that no two logs need be held
+        raw, applied = _read(log, card or otherwise), card
+        if card is None and otherwise:
+            applied = _carried(raw, otherwise)
+            raw = raw if applied is otherwise else _read(log, applied)
+        if applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
+            flown[number] = _flown(log, raw, applied)  # at once, so that no two logs need be held
         else:
-            parts[number] = raw
-    places = list(parts)
-    for place, raw in flights_of(list(parts.values()), card):
-        flown[places[place]] = _flown(logs[places[place]], raw, card)
+            parts[number] = read(log.path)
+    places, shared = list(parts), card or otherwise
+    for place, raw in flights_of(list(parts.values()), shared):
+        flown[places[place]] = _flown(logs[places[place]], raw, shared)
     return [flown[number] for number in sorted(flown)]
 
 
@@ -165,8 +201,9 @@ def validate_logs(
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
 ) -> tuple[Validation, tuple[Flight, ...]]:
-    """Reads logs with the model's own card unless another is given, and scores the model on them."""
-    flights = tuple(without_held(load_flights(logs, card or card_from_mapping(model.card.raw, "the model's card"))))
+    """Reads logs with the card given, or that which they carry, or the model's own, and scores the model on them."""
+    own = card_from_mapping(model.card.raw, "the model's card")
+    flights = tuple(without_held(load_flights(logs, card, own)))
     return validate(model, flights, horizons, progress), flights
 
 
@@ -271,7 +308,7 @@ def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]
     flights, left_out = [], []
     for source in model.flights:
         try:
-            flight = load_flight(LogSpan(source.path, source.span), model.card)
+            (flight,) = load_flights([LogSpan(source.path, source.span)], None, model.card)
         except RotorfitError as error:
             left_out.append(f"training flight left out: {error}")
             continue

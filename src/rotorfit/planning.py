@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,9 +34,21 @@ LARGEST = (3.0, 3.0, 3.0, 4.0)
 """Largest acceleration that a signal asks for [m/s^2, rad/s^2]: a tilt of 17 degrees, where its tangent is still 3 %
 from linear."""
 
-FAST, FASTEST, SLOWEST = 1.5, 10.0, 4.0
-"""The band ends at 1.5 over the delay: there a delay turns the phase by 1.5 radian. And between these bounds [rad/s]:
-above, the noise of the poses drowns the answer, and a real attitude loop no longer follows."""
+FAST, FASTEST, SLOWEST = 0.7, 5.0, 2.5
+"""The band ends at 0.7 over the delay, and between these bounds [rad/s].
+
+Faster signals would tell more of the model's vehicle, but the wrong thing of a real one: what the model calls a delay
+is in part an attitude loop, which follows slow commands whole and fast ones no longer.
+"""
+
+HARD = ("doublets", "3211", "prbs", "optimal", "optimal_a")
+"""Designs of hard steps, whose harmonics lie above any band."""
+
+HARD_NOTE = (
+    "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
+    "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine and chirp have no "
+    "such part"
+)
 
 CENTRING = Feedback(AXES, (0.3, 0.3, 0.6, 0.6), (0.5, 0.5, 1.0, 1.0))
 """Soft feedback on excited axes."""
@@ -52,6 +64,9 @@ RESERVE = 0.85
 
 YAW_REACH, YAW_RATE = np.pi / 2, 1.5
 """How far and how fast an optimal design turns [rad, rad/s]."""
+
+OPTIMAL: Mapping[str, Literal["d", "a"]] = {"optimal": "d", "optimal_a": "a"}
+"""Designs that are searched for, and by which criterion, see `optimal`."""
 
 NEARLY = 0.95
 """Share of the full amplitude from which on an open loop is good enough."""
@@ -151,14 +166,16 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
     belief, length = wanted.belief, wanted.duration - 2 * QUIET
     plan = Plan(
         f"{wanted.design} on {', '.join(wanted.axes)}", wanted.design, wanted.card.raw, RATE, wanted.duration,
-        0.0 if wanted.design == "optimal" else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
+        0.0 if wanted.design in OPTIMAL else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
     )  # fmt: skip
-    if wanted.design == "optimal":
+    if wanted.design in OPTIMAL:
         hover = predicted_path(plan, belief, seed=wanted.seed)
         if not hover.fits:
             return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
+        limits, criterion = _limits(wanted, hover), OPTIMAL[wanted.design]
+        steps = {axis: max(0.1, round(np.pi / fastest(belief, axis), 1)) for axis in wanted.axes}
         excitations = optimal_excitations(
-            belief, _limits(wanted, hover), QUIET, length, loop, seed=wanted.seed, progress=part_of(progress, 0, 2)
+            belief, limits, QUIET, length, loop, criterion, wanted.seed, part_of(progress, 0, 2), steps
         )
         progress = part_of(progress, 1, 2)
     else:
@@ -248,13 +265,13 @@ def full_amplitude(card: Card, belief: Belief, axis: str) -> float:
 def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[float, float]:
     """Lowest and highest frequency worth exciting on an axis [rad/s].
 
-    The delay is told by what is fast, up to somewhat above one over the delay. The damping is told by what is as slow
+    The delay is told by what is fast, up to `fastest`. The damping is told by what is as slow
     as it, but slow content costs room and speed, and the whole signal would have to shrink for it: the band begins
     where a sine of the full amplitude fills a quarter of the way to the nearest wall, or reaches the speed limit.
     """
     a = AXES.index(axis)
-    gain, damping, delay = abs(belief.truth.gamma[2 * a]), belief.truth.gamma[2 * a + 1], belief.truth.delay[a]
-    high = float(np.clip(FAST / max(delay, 1e-3), SLOWEST, FASTEST))
+    gain, damping = abs(belief.truth.gamma[2 * a]), belief.truth.gamma[2 * a + 1]
+    high = fastest(belief, axis)
     if axis == "yaw":
         reach, speed = YAW_REACH, YAW_RATE
     else:
@@ -266,20 +283,25 @@ def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[
     return float(min(max(fills, races, damping / 2), high / 3)), high
 
 
+def fastest(belief: Belief, axis: str) -> float:
+    """Highest frequency that signals of an axis hold much of [rad/s]."""
+    return float(np.clip(FAST / max(belief.truth.delay[AXES.index(axis)], 1e-3), SLOWEST, FASTEST))
+
+
 def _best(choices: Mapping[str, _Choice], belief: Belief, amplitude: float | None, progress: Progress | None) -> Plan:
     """The loop whose standard errors are least, with its prediction, and why."""
     possible = {word: choice for word, choice in choices.items() if min(choice.factors.values()) > 0}
     if not possible:
         raise PlanError(
             f"plan {next(iter(choices.values())).plan.name}: no amplitude stays inside for 19 of 20 vehicles that are "
-            "believed possible, even the hover drifts out; give a larger box, a shorter duration, or no --open-loop"
+            "believed possible, even the hover drifts out; give a larger box or a shorter duration"
         )
     if amplitude is not None and len(possible) == 2:
         plan = possible["open"].plan
         possible.pop("centred" if predicted_path(plan, belief, seed=plan.seed).fits else "open")
     word = min(possible, key=lambda each: mean_error(possible[each].plan, belief))
     chosen = possible[word]
-    notes = []
+    notes = [HARD_NOTE] if chosen.plan.design in HARD else []
     if word == "centred":
         notes.append(_centring_note(chosen, possible.get("open"), belief, amplitude))
     if amplitude is None and not 0.995 <= min(chosen.factors.values()) <= max(chosen.factors.values()) <= 1.005:

@@ -8,7 +8,7 @@ block diagonal.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -145,6 +145,11 @@ def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequ
         gamma[:, 0], np.log(gamma[:, 1]), np.array(truth.delay)[places], np.array(truth.trim)[None, places],
         np.zeros((rec.starts.size, K)), np.log(levels),
     )  # fmt: skip
+    at_rest, start = score([rec], point), slice(point.n - point.start.size, point.n)
+    # The damping is told by the speed at the start, too: by a quarter more where a flight begins fast. The position is
+    # linear in that speed, so one step finds it.
+    speed = np.asarray(np.linalg.solve(at_rest.information[start, start], at_rest.gradient[start]), float)
+    point = replace(point, start=speed.reshape(point.start.shape))
     full = score([rec], point).information[: point.n, : point.n]
     covariance = inverted(full, free_of([rec], [True] * K)[: point.n])[: 3 * K, : 3 * K]
     scale = np.concatenate([np.ones(K), gamma[:, 1], np.ones(K)])  # the likelihood has the logarithm of the damping

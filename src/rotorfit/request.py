@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorfit.belief import Belief, belief_from_card, belief_from_model
-from rotorfit.card import Card, load_card
+from rotorfit.card import Card, card_from_mapping, load_card
 from rotorfit.errors import PlanError
 from rotorfit.frames import AXES
 from rotorfit.model_file import load
@@ -15,6 +15,7 @@ from rotorfit.plan import Plan, Space
 from rotorfit.plan_file import plan_mapping
 from rotorfit.planning import TOGETHER, plan_flight, plan_flights
 from rotorfit.space import CLIMB, ROOM, SPEED, space_of_box, space_of_room
+from rotorfit.vehicle import load_vehicle
 
 Progress = Callable[[float, str], None]
 
@@ -86,10 +87,18 @@ def _believed(request: Request) -> tuple[Card, Belief]:
     if (request.card is None) == (request.after is None):
         raise PlanError("give --card with the limits of the vehicle, or --after with a model of it, and not both")
     if request.card is not None:
-        card = load_card(request.card)
+        card = _card(request.card)
         return card, belief_from_card(card)
     model = load(str(request.after))
     return model.card, belief_from_model(model, str(request.after))
+
+
+def _card(name: str) -> Card:
+    """A card by name or file; `sim:VEHICLE` is that of a simulated vehicle."""
+    link, colon, vehicle = name.partition(":")
+    if link == "sim" and colon:
+        return card_from_mapping(load_vehicle(vehicle).card(), name)
+    return load_card(name)
 
 
 def _space(request: Request) -> Space:

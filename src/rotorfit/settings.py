@@ -206,20 +206,22 @@ PEOPLE: Mapping[str, tuple[str, float]] = {
 """Unit in which people give a limit, and the factor from SI."""
 
 
-def disagreement(one: Card, other: Card) -> str:
+def disagreement(one: Card, other: Card, whose: tuple[str, str] = ("the plan's card", "the vehicle's")) -> str:
     """Where two cards take the same command for different things; empty where they agree as far as both tell.
 
     Args:
-        one: Of a plan.
-        other: Of the vehicle as it is set.
+        one: Of a plan, or of a log.
+        other: Of the vehicle as it is set, or of a model.
+        whose: What the two are called.
     """
+    first, second = whose
     for axis in one.command:
         mine, theirs = meaning_of(one, axis), meaning_of(other, axis)
         if mine.asked and theirs.asked and mine.asked != theirs.asked:
-            return f"a command on {axis} asks for {mine.asked} by the plan's card, for {theirs.asked} by the vehicle's"
+            return f"a command on {axis} asks for {mine.asked} by {first}, for {theirs.asked} by {second}"
         if bool(mine.limit) != bool(theirs.limit):
-            return f"a command on {axis} is a fraction of a limit by only one of the plan's card and the vehicle's"
+            return f"a command on {axis} is a fraction of a limit by only one of {first} and {second}"
         reached, reaches = expectation(mine), expectation(theirs)
         if reached is not None and reaches is not None and abs(reached - reaches) > 0.01 * abs(reaches):
-            return f"a command of 1 on {axis} reaches {reached:.3g} by the plan's card, {reaches:.3g} by the vehicle's"
+            return f"a command of 1 on {axis} reaches {reached:.3g} by {first}, {reaches:.3g} by {second}"
     return ""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorfit.beside import drawn, held_beside, is_beside, sampled, told
 from rotorfit.card import Card, Channel, column, split_source
 from rotorfit.clock import (
     GAP_PERIODS,
@@ -25,11 +26,13 @@ from rotorfit.clock import (
 from rotorfit.errors import CardError, FlightError
 from rotorfit.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.log import Log
+from rotorfit.window import conditions, idle_ends, resets
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
 
-_NEVER = np.int64(2**62)
+NEVER = np.int64(2**62)
+"""Stands for the end of what acts until something else comes [ns]."""
 
 
 @dataclass(frozen=True)
@@ -81,17 +84,17 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
         CardError: A column is not there, or its length does not go with its stamps.
         FlightError: No commands, a clock that runs backwards or lacks its unit, a window that is never open.
     """
-    stamps, series, notes = _read(log, card.command_time, card.command, "command")
-    silent = [axis for axis, values in series.items() if not np.any(np.isfinite(values))]
-    if silent and len(silent) < len(series):
-        text = f"the command of {', '.join(silent)} is never a number: taken as not commanded"
-        notes = (*notes, Note("axis_never_commanded", text, len(stamps)))
-        series = {axis: values for axis, values in series.items() if axis not in silent}
+    stamps, series, notes = read_series(log, card.command_time, card.command, "command")
+    series, silent = _commanded(series)
     values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
-    stream = _in_order(_numbers(Stream("command", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    stream = _inside_window(stream, log, card)
+    stream = Stream("command", stamps, values, np.full(len(stamps), NEVER), (*notes, *silent))
+    if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
+        # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
+        stream = closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
+    stream = _inside_window(in_order(numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
-    return _held(_without_garbage_start(stream), log, card), tuple(series), origin
+    stream = _without_idle_ends(_without_garbage_start(stream))
+    return _held(stream, log, card), tuple(series), origin
 
 
 def poses_of(log: Log, card: Card) -> Stream:
@@ -108,21 +111,19 @@ def poses_of(log: Log, card: Card) -> Stream:
         CardError: A column is not there, or its length does not go with its stamps.
         FlightError: No poses, one that never changes, a clock that runs backwards, yaw in degrees taken for radians.
     """
-    stamps, series, notes = _read(log, card.pose_time, card.pose, "pose")
+    stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
     x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
-    if "yaw" in series:
-        yaw = series["yaw"]
-    else:
-        parts = [series[f"q{part}"] for part in "wxyz"]
-        lost = np.sum(np.square(parts), axis=0) < 1e-6  # mocap bridges write zeros while the body is out of sight
-        yaw = np.where(lost, np.nan, yaw_from_quaternion(*parts))
+    yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
+    drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
+    own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
+    own[3] = own[3] and "qw" not in drawn_
     if card.frame == "NED":
-        x, y, z, yaw = y, x, -z, np.pi / 2 - yaw
+        x, y, z, yaw, own = y, x, -z, np.pi / 2 - yaw, [own[1], own[0], *own[2:]]
     values = np.stack([x, y, z, yaw], axis=1)
-    stream = _in_order(_numbers(Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    if not (card.velocity_only and coarse(stream.values)):  # a heading in whole degrees repeats itself in truth
-        why = "repeat the pose before with a fresh stamp: dropped"
-        stream = _kept(stream, fresh(stream.values), "stale_poses", why)
+    stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
+    seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
+    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees repeats itself in truth
+        stream = kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
@@ -131,40 +132,6 @@ def poses_of(log: Log, card: Card) -> Stream:
             f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
         )
     return stream
-
-
-def velocities_of(log: Log, card: Card) -> Stream | None:
-    """Takes the vehicle's own velocity from a log as the card says and repairs it.
-
-    Args:
-        log: As recorded.
-        card: Which column is what.
-
-    Returns:
-        Velocities in the card's own frame, z up, NaN for axes that the card does not name [m/s, rad/s]; None where
-        nothing needs them: a pose of every axis, and no word that the velocity is independent of it.
-
-    Raises:
-        CardError: A column is not there, or nothing tells its time.
-        FlightError: No velocities, one that never changes, or a clock that runs backwards.
-    """
-    wanted = AXES if card.velocity_independent else card.velocity_only
-    channels = {axis: channel for axis, channel in card.velocity.items() if axis in wanted}
-    if not channels:
-        return None
-    time = card.velocity_time or _clock_of(log, card, next(iter(channels.values())), "velocity")
-    stamps, series, notes = _read(log, time, channels, "velocity")
-    values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
-    stream = _in_order(_numbers(Stream("velocity", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
-    if not np.any(np.ptp(stream.values, axis=0)):
-        raise FlightError(f"{log.path}: the velocity never changes; is [velocity] of the card the flown vehicle?")
-    if not coarse(stream.values):
-        why = "repeat the one before with a fresh stamp: dropped"
-        stream = _kept(stream, fresh(stream.values), "stale_velocities", why)
-    values = np.where([axis in channels for axis in AXES], stream.values, np.nan)
-    if card.frame == "NED" and card.velocity_frame == "world":
-        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], -values[:, 3]], axis=1)
-    return replace(stream, values=values)
 
 
 def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
@@ -183,7 +150,8 @@ def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mas
     """
     stamps = stamps_of(log, time)
     rows = np.zeros(len(stamps), dtype=np.bool_)
-    for channel in channels.values():
+    own = [channel for channel in channels.values() if not is_beside(time, channel)]
+    for channel in own or channels.values():
         if isinstance(channel.source, str):  # a constant is no sample
             there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
             rows[: len(there)] |= there
@@ -211,12 +179,37 @@ def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> 
     return drift(header[rows], recorded[rows])
 
 
-def _read(
+def read_series(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
-    """Stamps and series of one length; the last surplus sample goes, because dropping the first would forge a delay."""
+    """Stamps and series of one length, and what stands in other tables brought onto the stamps."""
+    stamps, series, notes = _own(log, time, channels, what)
+    others = {name: channel for name, channel in channels.items() if is_beside(time, channel)}
+    if not others:
+        return stamps, series, notes
+    if what == "command":
+        series |= {axis: held_beside(log, time, channel, stamps) for axis, channel in others.items()}
+    else:
+        turned = {name[1]: sampled(log, time, channel) for name, channel in others.items() if name.startswith("q")}
+        found = {axis: sampled(log, time, channel) for axis, channel in others.items() if axis in AXES}
+        if turned:
+            found["yaw"] = turned["w"][0], _heading(*(turned[part][1] for part in "wxyz"))
+        if "yaw" in found:
+            found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
+        series |= {axis: drawn(clock, values, stamps) for axis, (clock, values) in found.items()}
+    names = ", ".join(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
+    how = "held" if what == "command" else "drawn between samples"
+    text = f"{names} of {len(stamps)} {what}s come from another table than its time: {how}"
+    return stamps, series, (*notes, Note(f"joined_{what}", text, len(stamps)))
+
+
+def _own(
+    log: Log, time: Channel, channels: Mapping[str, Channel], what: str
+) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
+    """Stamps and series of one table; the last surplus sample goes, because dropping the first would forge a delay."""
     stamps = stamps_of(log, time)
-    series = {name: column(log, channel, len(stamps)) for name, channel in channels.items()}
+    own = {name: channel for name, channel in channels.items() if not is_beside(time, channel)}
+    series = {name: column(log, channel, len(stamps)) for name, channel in own.items()}
     counts = {"time": len(stamps)} | {name: len(values) for name, values in series.items()}
     shared, longest = min(counts.values()), max(counts.values())
     if shared == 0:
@@ -233,8 +226,31 @@ def _read(
     return stamps[:shared], {name: values[:shared] for name, values in series.items()}, (note,)
 
 
-def _kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
-    """The samples to keep, and a note where some go."""
+def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, ...]]:
+    """Without axes that are seldom or never commanded while the others are: NaN is how autopilots say so."""
+    notes: list[Note] = []
+    for axis in list(series):
+        others = [values for name, values in series.items() if name != axis]
+        rest = np.all(np.isfinite(others), axis=0) if others else np.zeros(0, dtype=np.bool_)
+        missing = int(np.sum(rest & ~np.isfinite(series[axis]))) if others else 0
+        if missing > np.sum(rest) / 2 or (others and not np.any(np.isfinite(series[axis]))):
+            series = {name: values for name, values in series.items() if name != axis}
+            text = f"the command of {axis} is never a number: taken as not commanded"
+            if missing and missing < np.sum(rest):
+                text = f"the command of {axis} is a number in {np.sum(rest) - missing} of {np.sum(rest)} commands"
+                text += " of the other axes: taken as not commanded"
+            notes.append(Note("axis_never_commanded", text, missing or len(rest)))
+    return series, tuple(notes)
+
+
+def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
+    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is out of sight."""
+    lost = np.sum(np.square([w, x, y, z]), axis=0) < 1e-6
+    return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
+
+
+def kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
+    """The samples to keep, shape (N,), and a note where some go: `COUNT of N WHATs WHY`."""
     lost = int(np.sum(~keep))
     if not lost:
         return stream
@@ -248,10 +264,10 @@ def _kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
     )
 
 
-def _numbers(stream: Stream, log: Log) -> Stream:
+def numbers(stream: Stream, log: Log) -> Stream:
     """Without samples that hold NaN or have no stamp: they count as absent."""
     stamped = stream.stamps != MISSING_STAMP
-    stream = _kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
+    stream = kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
     finite = np.isfinite(stream.values)
     if not np.any(np.all(finite, axis=1)):
         never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
@@ -260,14 +276,14 @@ def _numbers(stream: Stream, log: Log) -> Stream:
             f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
         )
     whole = np.all(finite, axis=1)
-    kept, absent = _kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
+    numbers, absent = kept(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
     if not absent:
         return stream
     text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
-    return replace(kept, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
+    return replace(numbers, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
-def _in_order(stream: Stream, log: Log) -> Stream:
+def in_order(stream: Stream, log: Log) -> Stream:
     """Without samples that are not later than all before them."""
     steps = np.diff(stream.stamps)
     keep = increasing(stream.stamps)
@@ -283,27 +299,35 @@ def _in_order(stream: Stream, log: Log) -> Stream:
             f"{log.path}: the clock of the {stream.what}s stands still; is `time` of [{stream.what}] the right column "
             "(a header that nobody filled? try log_time)?"
         )
-    stream = _kept(stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped")
-    return _kept(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
+    stream = kept(stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped")
+    return kept(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
 
 
 def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     """Commands while the card's window is open; the last one before it closes acts no longer than that."""
-    if card.window is None:
+    stamps = stream.stamps
+    for why, open_ in conditions(log, card, stamps):
+        if not np.any(open_[np.isin(stamps, stream.stamps)]):
+            raise FlightError(f"{log.path}: the window is never open: during all the commands that are left {why}")
+        stream = closed(stream, stamps[~open_])
+        stream = kept(
+            stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped"
+        )
+    steps = resets(log, card, stamps)
+    if not steps.size:
         return stream
-    values = _window_values(log, card, card.window, stream.stamps)
-    open_ = np.nan_to_num(values) != 0
-    if not np.any(open_):
-        raise FlightError(f"{log.path}: window {card.window.source} is never open during the commands")
-    closing = np.append(stream.stamps[~open_], _NEVER)
+    note = Note(
+        "pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size
+    )
+    margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
+    return replace(closed(stream, steps - margin), notes=(*stream.notes, note))
+
+
+def closed(stream: Stream, stamps: Stamps) -> Stream:
+    """A stream whose samples act no longer than to the next of these stamps, shape (M,) [ns]."""
+    closing = np.append(np.sort(stamps), NEVER)
     until = closing[np.searchsorted(closing, stream.stamps, side="right")]
-    why = f"lie where {card.window.source} is zero: dropped"
-    return _kept(replace(stream, until=until), open_, "commands_outside_window", why)
-
-
-def _window_values(log: Log, card: Card, window: Channel, stamps: Stamps) -> Array:
-    """The window's column held onto the commands' stamps; NaN before its first value."""
-    return _held_onto(log, card, window, stamps, "window")
+    return replace(stream, until=np.minimum(stream.until, until))
 
 
 def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
@@ -324,38 +348,14 @@ def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
         return None
     values = np.full((stamps.size, len(AXES)), np.nan)
     for axis, channel in card.reference.items():
-        values[:, AXES.index(axis)] = _held_onto(log, card, channel, stamps, "reference")
+        if not isinstance(channel.source, str):
+            values[:, AXES.index(axis)] = column(log, channel)[0]
+            continue
+        clock, series = told(log, card, channel, "reference")
+        values[:, AXES.index(axis)] = held(clock, series, stamps)
     if card.frame == "NED":
         values = np.stack([values[:, 1], values[:, 0], -values[:, 2], np.pi / 2 - values[:, 3]], axis=1)
     return values
-
-
-def _held_onto(log: Log, card: Card, channel: Channel, stamps: Stamps, what: str) -> Array:
-    """A column held onto the commands' stamps; NaN before its first value."""
-    values = column(log, channel)
-    if not isinstance(channel.source, str):
-        return np.full(stamps.size, values[0])
-    clock = stamps_of(log, _clock_of(log, card, channel, what))
-    shared = min(len(clock), len(values))
-    return held(clock[:shared], values[:shared], stamps)
-
-
-def _clock_of(log: Log, card: Card, channel: Channel, what: str) -> Channel:
-    """Where the stamps of a column are that the card gives no clock.
-
-    They are those of the commands or of the poses where it stands in their table with as many values, else the column
-    of its own table that is named as the commands' clock, else `log_time` (messages of autopilots without one).
-    """
-    count = len(column(log, channel))
-    table, (_, name) = split_source(channel.source)[0], split_source(card.command_time.source)
-    own = replace(card.command_time, source=f"{table}:{name}" if table else name)
-    if table in log.tables and name not in log.tables[table].columns and "log_time" in log.tables[table].columns:
-        own = Channel(f"{table}:log_time")
-    beside = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
-    for time in [*beside, own]:
-        if abs(len(stamps_of(log, time)) - count) <= 1:
-            return time
-    raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({count} values)")
 
 
 def _without_garbage_start(stream: Stream) -> Stream:
@@ -377,7 +377,14 @@ def _without_garbage_start(stream: Stream) -> Stream:
     keep[0] = not np.any(garbage)
     culprits = ", ".join(f"{axis} = {value:.3g}" for axis, value, bad in zip(AXES, first, garbage, strict=True) if bad)
     why = f"(the first, {culprits}) lie far beyond all others and never recur: dropped"
-    return _kept(stream, keep, "garbage_first_command", why)
+    return kept(stream, keep, "garbage_first_command", why)
+
+
+def _without_idle_ends(stream: Stream) -> Stream:
+    """Without the first and the last commands while a controller that changes them all the time did not run."""
+    idle = idle_ends(stream.stamps, stream.values)
+    stream = closed(stream, stream.stamps[idle])
+    return kept(stream, ~idle, "idle_commands", "stand still at the ends though they change all the time else: dropped")
 
 
 def _held(stream: Stream, log: Log, card: Card) -> Stream:

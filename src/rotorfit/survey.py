@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, card_of, fitting_cards, load_card
+from rotorfit.card import Card, fitting_cards, load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum
@@ -18,6 +18,7 @@ from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
 from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
+from rotorfit.proposal import proposal
 from rotorfit.sources import read
 from rotorfit.sources.content import one_line
 from rotorfit.stream import recorder_clock, sample_rows
@@ -112,6 +113,7 @@ class Survey:
         card: What the card that was applied calls itself; None where none was given and not exactly one fits.
         flight: What it makes of the log; None where no card fits or there is no usable flight.
         problem: Why there is no card or no flight, one line.
+        why: What speaks for that card; None where it was given.
         recording: Of a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
         events: What it noted: seconds since the first one, and the text.
     """
@@ -125,6 +127,7 @@ class Survey:
     card: str | None
     flight: FlightSurvey | None
     problem: str | None
+    why: str | None = None
     recording: Mapping[str, str] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()
 
@@ -139,9 +142,11 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     Raises:
         CardError: The card that was given does not fit.
     """
-    flight, problem = None, None
+    flight, problem, why = None, None, None
     try:
-        card = card or card_of(log)
+        if card is None:
+            proposed = proposal(log)
+            card, why = proposed.card, proposed.why
     except CardError as err:
         problem = str(err)
     if card is not None:
@@ -160,6 +165,7 @@ def survey(log: Log, card: Card | None = None) -> Survey:
         card=None if card is None else card.name,
         flight=flight,
         problem=problem,
+        why=why,
         recording=_recording(log),
         events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
     )

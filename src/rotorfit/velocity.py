@@ -4,12 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorfit.beside import told
 from rotorfit.card import Card
-from rotorfit.clock import grain
+from rotorfit.clock import coarse, fresh, grain
 from rotorfit.errors import FlightError
 from rotorfit.frames import AXES, Array, world_from_heading
 from rotorfit.log import Log
-from rotorfit.stream import Note, Stream
+from rotorfit.stream import NEVER, Note, Stream, in_order, kept, numbers, read_series
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,47 @@ class Velocity:
         """What lies between two times [s]."""
         inside = (self.time >= low) & (self.time <= high)
         return replace(self, time=self.time[inside], value=self.value[inside])
+
+
+def velocities_of(log: Log, card: Card) -> Stream | None:
+    """Takes the vehicle's own velocity from a log as the card says and repairs it.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+
+    Returns:
+        Velocities in the card's own frame, z up, NaN for axes that the card does not name [m/s, rad/s]; None where
+        nothing needs them: a pose of every axis, and no word that the velocity is independent of it.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+        FlightError: No velocities, one that never changes, or a clock that runs backwards.
+    """
+    wanted = AXES if card.velocity_independent else card.velocity_only
+    channels = {axis: channel for axis, channel in card.velocity.items() if axis in wanted}
+    if not channels:
+        return None
+    notes: tuple[Note, ...] = ()
+    if card.velocity_time is not None:
+        stamps, series, notes = read_series(log, card.velocity_time, channels, "velocity")
+    else:
+        parts = {axis: told(log, card, channel, "velocity") for axis, channel in channels.items()}
+        shared = min(len(clock) for clock, _ in parts.values())
+        stamps = next(iter(parts.values()))[0][:shared]
+        series = {axis: values[:shared] for axis, (_, values) in parts.items()}
+    values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
+    stream = Stream("velocity", stamps, values, np.full(len(stamps), NEVER), notes)
+    stream = in_order(numbers(stream, log), log)
+    if not np.any(np.ptp(stream.values, axis=0)):
+        raise FlightError(f"{log.path}: the velocity never changes; is [velocity] of the card the flown vehicle?")
+    if not coarse(stream.values):
+        why = "repeat the one before with a fresh stamp: dropped"
+        stream = kept(stream, fresh(stream.values), "stale_velocities", why)
+    values = np.where([axis in channels for axis in AXES], stream.values, np.nan)
+    if card.frame == "NED" and card.velocity_frame == "world":
+        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], -values[:, 3]], axis=1)
+    return replace(stream, values=values)
 
 
 def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorfit.card import Card, card_of, column
+from rotorfit.card import Card, card_for, column
 from rotorfit.clock import stamps_of
 from rotorfit.errors import CardError, LinkError
 from rotorfit.frames import Array, Indices, yaw_from_quaternion
 from rotorfit.links.link import Action
 from rotorfit.log import Log, Sample
+from rotorfit.proposal import card_of
 from rotorfit.sources import read
 
 
@@ -35,6 +36,7 @@ def open_link(address: str, card: Card) -> "ReplayLink":
         own = card_of(log)
     except CardError:
         own = card
+    own = card_for(log, own)
     samples = _poses(log, own)
     if not samples:
         raise LinkError(f"--link replay:{address}: the log holds no poses")

@@ -188,7 +188,11 @@ def _node() -> Any:
     """
     rospy = _rospy()
     master = os.environ.get("ROS_MASTER_URI", "")
-    if not importlib.import_module("rosgraph").is_master_online():
+    try:
+        online = importlib.import_module("rosgraph").is_master_online()
+    except ValueError as error:
+        raise LinkError(f"ros1: {error}; set ROS_MASTER_URI to one such as http://localhost:11311") from error
+    if not online:
         raise LinkError(f"ros1: no master at {master or 'ROS_MASTER_URI (not set)'}; start roscore, or set it")
     if not rospy.core.is_initialized():
         # signals stay with `fly`, whose Ctrl-C means hover first

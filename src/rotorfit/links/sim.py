@@ -45,7 +45,9 @@ def open_link(address: str, card: Card, start: Four, seed: int, flying: bool) ->
     name, *options = address.split(",")
     vehicle = load_vehicle(name or VEHICLE)
     if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name)):
-        raise LinkError(f"sim: the plan's card is not one of {vehicle.name}: {trouble}; plan for its own card")
+        raise LinkError(
+            f"sim: the plan's card is not one of {vehicle.name}: {trouble}; plan with --card sim:{name or VEHICLE}"
+        )
     return SimLink(FlightRoom(vehicle, Conditions(_wind(options, address)), seed, start, flying))
 
 
@@ -58,7 +60,9 @@ class SimLink:
         self._room = room
         pilot = room.vehicle.autopilot
         lands = f", and lands after {pilot.land_after:g} s" if math.isfinite(pilot.land_after) else ""
-        self.fail_safe = f"Simulated: the vehicle hovers {pilot.command_timeout:g} s after the last command{lands}."
+        self.fail_safe = (
+            f"Simulated: the vehicle goes on as last told for {pilot.command_timeout:g} s, then hovers{lands}."
+        )
 
     @property
     def now(self) -> int:

@@ -49,7 +49,8 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     Args:
         path: A file, or the folder of a ROS 2 bag; or several of one flight, `A+B`.
         tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
-            like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) are always read whole.
+            like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) and several files of one flight
+            are always read whole.
 
     Returns:
         The log as recorded; what was lost or recovered is in its notes.
@@ -59,7 +60,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     """
     parts = parts_of(path)
     if len(parts) > 1:
-        return joined([read(part, tables) for part in parts])
+        return joined([read(part) for part in parts])
     path = Path(path)
     try:
         head = _head(path)

@@ -32,6 +32,8 @@ def survey_view(survey: "Survey") -> View:
     if survey.flight:
         yield ""
         yield title(f"Flight by the card {survey.card}")
+        if survey.why:
+            yield indented(f"Proposed: {survey.why}")
         yield from _flight_view(survey.flight)
         for finding in survey.flight.findings:
             yield ""

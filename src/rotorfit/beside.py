@@ -1,0 +1,133 @@
+"""Columns of other tables brought onto the stamps of a stream: held, as commands are, or drawn between two samples."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.card import Card, Channel, column, split_source
+from rotorfit.clock import (
+    GAP_PERIODS,
+    GAP_TOLERANCE,
+    MISSING_STAMP,
+    Mask,
+    Stamps,
+    held,
+    increasing,
+    median_period,
+    stamps_of,
+)
+from rotorfit.errors import CardError
+from rotorfit.frames import Array
+from rotorfit.log import Log
+
+TOGETHER = 0.1
+"""Share of a median period by which a command of another table may be later and still belong to the same instant:
+autopilots write the messages of one step of their controller one after the other."""
+
+
+def is_beside(time: Channel, channel: Channel) -> bool:
+    """Whether a channel stands in another table than the clock of its stream."""
+    table = split_source(channel.source)[0]
+    return isinstance(channel.source, str) and bool(table) and table != split_source(time.source)[0]
+
+
+def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:
+    """Stamps of a column in another table than its stream's clock.
+
+    They are the column of its own table that is named as the clock of the stream, else `log_time`, else
+    `header.stamp`.
+
+    Args:
+        log: As recorded.
+        time: Clock of the stream.
+        channel: The column.
+
+    Raises:
+        CardError: Its table has none of them.
+    """
+    table, (_, name) = split_source(channel.source)[0], split_source(time.source)
+    there = log.tables[table].columns if table in log.tables else {}
+    if name in there:
+        return stamps_of(log, replace(time, source=f"{table}:{name}", others=()))
+    for other in ("log_time", "header.stamp"):
+        if other in there:
+            return stamps_of(log, Channel(f"{table}:{other}"))
+    raise CardError(f"{log.path}: nothing tells the time of {channel.source}: {table} has no column {name!r}")
+
+
+def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
+    """Stamps and values of a column in another table, increasing and without what is no number.
+
+    Raises:
+        CardError: The column is not there, nothing tells its time, or the two do not go together.
+    """
+    clock = own_clock(log, time, channel)
+    values = column(log, channel, len(clock))
+    if abs(len(clock) - len(values)) > 1:
+        raise CardError(f"{log.path}: {channel.source} has {len(values)} values and its clock {len(clock)}")
+    shared = min(len(clock), len(values))
+    clock, values = clock[:shared], values[:shared]
+    good = (clock != MISSING_STAMP) & np.isfinite(values)
+    clock, values = clock[good], values[good]
+    ordered = increasing(clock)
+    return clock[ordered], values[ordered]
+
+
+def held_beside(log: Log, time: Channel, channel: Channel, stamps: Stamps) -> Array:
+    """A command of another table held onto stamps, shape (N,); NaN before its first and where it had stopped coming."""
+    clock, values = sampled(log, time, channel)
+    clock = clock - round(TOGETHER * (median_period(clock) or 0))
+    return np.where(_reached(clock, stamps), held(clock, values, stamps), np.nan)
+
+
+def drawn(clock: Stamps, values: Array, stamps: Stamps) -> Array:
+    """A quantity that moves steadily, between the samples before and after each stamp, shape (N,).
+
+    NaN where they are further apart than a gap, and outside of all samples.
+
+    Args:
+        clock: Increasing, shape (M,) [ns].
+        values: Shape (M,).
+        stamps: Where it is wanted, shape (N,) [ns].
+    """
+    if len(clock) < 2:
+        return np.full(len(stamps), np.nan)
+    origin = clock[0]
+    between = np.interp((stamps - origin) / 1e9, (clock - origin) / 1e9, values, left=np.nan, right=np.nan)
+    index = np.clip(np.searchsorted(clock, stamps, side="right"), 1, len(clock) - 1)
+    near = clock[index] - clock[index - 1] <= _limit(clock)
+    return np.where(near | (stamps == clock[index]) | (stamps == clock[index - 1]), between, np.nan)
+
+
+def told(log: Log, card: Card, channel: Channel, what: str) -> tuple[Stamps, Array]:
+    """Stamps and values of a state that may stand in any table, each of shape (N,), NaN where it was told as such.
+
+    Its clock is that of the commands or of the poses where it stands in their table with as many values, else its own.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+        channel: The state.
+        what: What it is, for the error's text.
+
+    Raises:
+        CardError: The column is not there, or nothing tells its time.
+    """
+    table, values = split_source(channel.source)[0], column(log, channel)
+    times = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
+    clocks = [stamps_of(log, time) for time in times] or [own_clock(log, card.command_time, channel)]
+    clock = next((clock for clock in clocks if abs(len(clock) - len(values)) <= 1), None)
+    if clock is None:
+        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
+    shared = min(len(clock), len(values))
+    return clock[:shared], values[:shared]
+
+
+def _limit(clock: Stamps) -> float:
+    return (GAP_PERIODS + GAP_TOLERANCE) * (median_period(clock) or 0)
+
+
+def _reached(clock: Stamps, stamps: Stamps) -> Mask:
+    """Whether each stamp lies at most a gap behind a sample."""
+    index = np.searchsorted(clock, stamps, side="right") - 1
+    return (index >= 0) & (stamps - clock[np.maximum(index, 0)] <= _limit(clock))
