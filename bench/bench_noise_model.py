@@ -23,7 +23,8 @@ from peers.flights import Case, real_cases
 from rotorfit.estimate import alone, free_of
 from rotorfit.forecast import StartErrors, predict_flight, start_errors
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import START_LEVELS, Point, inverted, restriction, score
+from rotorfit.levels import START_LEVELS
+from rotorfit.likelihood import Point, inverted, restriction, score
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.model import COEFFICIENTS
 from rotorfit.modes import dynamics_of, start_point

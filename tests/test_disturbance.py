@@ -337,7 +337,7 @@ def test_a_half_turn_of_the_heading_leaves_each_axis_to_itself() -> None:
 
 
 def test_long_records_stay_finite_at_the_corners_of_the_searched_levels() -> None:
-    from rotorfit.likelihood import LEVEL_RANGE
+    from rotorfit.levels import LEVEL_RANGE
 
     time = np.arange(1, 2001) / 30
     y = np.sin(time)[:, None]

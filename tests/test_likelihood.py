@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import minimize
 
 from flights import flown, steps
+from rotorfit.levels import LEVEL_RANGE
 from rotorfit.likelihood import (
     DAMPING_RANGE,
-    LEVEL_RANGE,
     Point,
     degrees_of_freedom,
     inverted,

@@ -10,7 +10,8 @@ import pytest
 from flights import flown, steps
 from rotorfit.estimate import free_of
 from rotorfit.excitation import two_sines
-from rotorfit.likelihood import START_LEVELS, Point, restriction, score
+from rotorfit.levels import START_LEVELS
+from rotorfit.likelihood import Point, restriction, score
 from rotorfit.maximum import climb, limited, maximise, pressed
 from rotorfit.modes import STARTS, start_point
 from rotorfit.paper_vehicle import Truth

@@ -10,7 +10,8 @@ from other_laws import DELAY, LAG, TRUTH, B, G, flown_by
 from rotorfit.errors import ModelError
 from rotorfit.fit import fit
 from rotorfit.frames import Array
-from rotorfit.likelihood import START_LEVELS, Point, response, restriction, score
+from rotorfit.levels import START_LEVELS
+from rotorfit.likelihood import Point, response, restriction, score
 from rotorfit.model import Axis, simulate, state_space
 from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.paper_vehicle import Truth

@@ -205,7 +205,7 @@ def belief_from_model(model: Model, where: str) -> Belief:
         if values[a, 2] < 0:
             notes.append(f"the model's delay of {axis} is negative: planned with 0")
             values[a, 2] = 0.0
-        if one.noise:
+        if set(LEVELS) <= set(one.noise):
             levels[axis] = tuple(one.noise[name] for name in LEVELS)
             wind[a], time[a] = _wind(levels[axis], values[a, 1])
             noise[a] = np.sqrt(levels[axis][1])

@@ -29,7 +29,7 @@ from rotorfit.disturbance import (
     update_covariance,
 )
 from rotorfit.frames import Array, Indices, Mask, world_from_heading
-from rotorfit.likelihood import response, segments
+from rotorfit.likelihood import fused, response, segments
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.prior import redrawn
 from rotorfit.record import BLOCK_RATE, Record
@@ -125,6 +125,8 @@ def coloured(rec: Record, innovations: Array, levels: Array) -> Array:
         World positions less the first of each segment, as a record has them, shape (B, R, K).
     """
     common, values = (rec.steps, rec.step, rec.count, rec.fresh), np.exp(levels)
+    if rec.rate is not None:
+        return fused(rec, innovations, values, coloured=True)[0]
     if len(rec.axes) == 1:
         out = colour_axis(*common, np.ascontiguousarray(innovations[:, :, 0]), values[0])[:, :, None]
     else:

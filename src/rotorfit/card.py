@@ -85,9 +85,12 @@ class Card:
         command_time: Stamp of the commands.
         command: Axis name to channel, for the commanded axes only.
         pose_time: Stamp of the poses.
-        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`.
+        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`. x and y together, or z, are left out where
+            there is only their velocity.
         velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
         velocity_time: Its stamp; None for that of the table it stands in.
+        velocity_independent: Whether the velocity is a measurement of its own, beside the pose: neither came from the
+            other.
         attitude: Optional onboard heading: `yaw`, or the four of `qw`, `qx`, `qy`, `qz`.
         attitude_time: Its stamp; None likewise.
         clock: Of a flight in several files: `own`, each file has its own, or `one`, all have the same.
@@ -111,6 +114,7 @@ class Card:
     pose: Mapping[str, Channel]
     velocity: Mapping[str, Channel] = field(default_factory=dict)
     velocity_frame: Literal["heading", "world"] = "world"
+    velocity_independent: bool = False
     reference: Mapping[str, Channel] = field(default_factory=dict)
     window: tuple[Condition, ...] = ()
     resets: tuple[Channel, ...] = ()
@@ -124,6 +128,11 @@ class Card:
     fail_safe: str = ""
     over: tuple[str, ...] = ()
 
+    @property
+    def velocity_only(self) -> tuple[str, ...]:
+        """The axes of which there is a velocity and no pose, in the order of `AXES`."""
+        return tuple(axis for axis in ("x", "y", "z") if axis not in self.pose)
+
 
 _MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
 _LENGTH, _SPEED, _ANGLE, _RATE = ("m", "cm", "mm"), ("m/s", "cm/s"), ("rad", "deg"), ("rad/s", "deg/s")
@@ -135,7 +144,7 @@ _LIMITS = tuple(LIMIT_UNITS)
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "command": ("frame", "hold", "time", *AXES),
     "pose": ("time", *AXES, "quaternion", "resets"),
-    "velocity": ("frame", "time", *AXES),
+    "velocity": ("frame", "time", "independent", *AXES),
     "attitude": ("time", "yaw", "quaternion"),
     "reference": AXES,
     "window": ("when", "equals", "above", "opens", "closes", "optional"),
@@ -226,9 +235,10 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         command_time=_recorded(command, "time", _STAMP, in_command),
         command=commands,
         pose_time=_recorded(pose, "time", _STAMP, in_pose),
-        pose=_pose(pose, in_pose),
+        pose=_pose(pose, velocity, in_pose),
         velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
         velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
+        velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
         reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
         window=_window(raw.get("window", []), place),
         resets=_resets(pose.get("resets", []), in_pose),
@@ -477,6 +487,12 @@ def _positive(value: Any, place: str) -> float:
     return float(value)
 
 
+def _yes_or_no(value: Any, place: str) -> bool:
+    if not isinstance(value, bool):
+        raise CardError(f"{place}: must be true or false, not {value!r}")
+    return value
+
+
 def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
     for option in known:
         if value == option:
@@ -561,12 +577,18 @@ def _resets(value: Any, place: str) -> tuple[Channel, ...]:
     return tuple(_recorded({"resets": name}, "resets", (), place) for name in names)
 
 
-def _pose(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
-    """x, y, z, and yaw or qw, qx, qy, qz."""
+def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """x, y, z, and yaw or qw, qx, qy, qz; x with y, or z, may be missing where there is their velocity."""
     heading = _heading(section, place)
     missing = [axis for axis in ("x", "y", "z") if axis not in section]
-    if missing:
-        raise CardError(f"{place}: {missing[0]} is missing; name its column, or a constant where it was not measured")
+    unknown = [axis for axis in missing if axis not in velocity]
+    if unknown:
+        raise CardError(
+            f"{place}: {unknown[0]} is missing; name its column, or a constant where it was not measured, or its "
+            "velocity in [velocity]"
+        )
+    if ("x" in section) != ("y" in section):
+        raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
     return _channels(section, _POSE_UNITS, place) | heading
 
 

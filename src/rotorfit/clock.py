@@ -30,6 +30,9 @@ GAP_TOLERANCE = 0.01
 SPIN = 20.0
 """Fastest turn that is believed [rad/s]: no velocity-commanded multirotor reaches it."""
 
+COARSE = 4.0
+"""Typical change of a column in its smallest changes, below which it is taken to be rounded to a few values."""
+
 _NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -144,6 +147,26 @@ def fresh(values: Array) -> Mask:
     keep = np.ones(len(values), dtype=np.bool_)
     keep[1:] = np.any(values[1:] != values[:-1], axis=1)
     return keep
+
+
+def grain(values: Array) -> Array:
+    """To what the columns of values (N, K) are rounded, shape (K,); 0 where that is fine against how they change.
+
+    It is coarse where a typical change is less than `COARSE` of the smallest ones.
+    """
+    out = np.zeros(values.shape[1])
+    for k, step in enumerate(np.abs(np.diff(values, axis=0)).T):
+        changes = step[step > 0]
+        if changes.size:
+            small = float(np.quantile(changes, 0.05))
+            out[k] = small if np.median(changes) < COARSE * small else 0.0
+    return out
+
+
+def coarse(values: Array) -> bool:
+    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are the truth."""
+    moving = np.ptp(values, axis=0) > 0
+    return bool(np.all(grain(values[:, moving]) > 0))
 
 
 def held(clock: Stamps, values: Array, at: Stamps) -> Array:

@@ -52,19 +52,29 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
         model: As fitted to the stamps on one clock.
         flights: That it was fitted to.
     """
-    told_by_answer = any(flight.clocks and flight.clocks.includes_delay for flight in flights)
-    half = {axis: clock_half_width(flights, axis) for axis in AXES}
-    if not told_by_answer and not any(half.values()):
+    wider = with_delay_error(model, {axis: clock_half_width(flights, axis) for axis in AXES}, (AXES,))
+    if not any(flight.clocks and flight.clocks.includes_delay for flight in flights):
+        return wider
+    return replace(wider, axes={name: _without_delay(axis) for name, axis in model.axes.items()})
+
+
+def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:
+    """The model with a further, independent error of its delays, in quadrature.
+
+    Args:
+        model: As fitted.
+        half: Axis to half the 95 % interval of that error [s].
+        shared: Groups of axes whose delays it moves alike.
+    """
+    if not any(half.values()):
         return model
-    axes = {
-        name: _without_delay(axis) if told_by_answer else _widened(axis, half[name])
-        for name, axis in model.axes.items()
-    }
+    axes = {name: _widened(axis, half.get(name, 0.0)) for name, axis in model.axes.items()}
     covariance = model.covariance.copy()
     delays = [(i, name.split(".")[0]) for i, name in enumerate(model.covariance_names) if name.endswith(".delay")]
     for i, one in delays:
-        for j, other in delays:  # one clock moves the delays of all axes alike
-            covariance[i, j] += half[one] * half[other] / NORMAL**2
+        for j, other in delays:
+            if any(one in group and other in group for group in shared):
+                covariance[i, j] += half.get(one, 0.0) * half.get(other, 0.0) / NORMAL**2
     return replace(model, axes=axes, covariance=covariance)
 
 

@@ -275,6 +275,22 @@ def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
     return S
 
 
+@numba.njit(cache=True)
+def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
+    """The same of a measured velocity s of one axis."""
+    own = P[axis]
+    S = own[1, 1] + noise
+    for i in range(3):
+        gain[3 * axis + i] = own[1, i] / S
+        gain[3 * (1 - axis) + i] = (P[2, 1, i] if axis == 0 else P[2, i, 1]) / S
+    for i in range(3):
+        for j in range(3):
+            P[0, i, j] -= gain[i] * gain[j] * S
+            P[1, i, j] -= gain[3 + i] * gain[3 + j] * S
+            P[2, i, j] -= gain[i] * gain[3 + j] * S
+    return S
+
+
 @numba.njit(cache=True, fastmath={"contract"})
 def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
     """Passes horizontal columns through one six-state filter that turns with the heading.

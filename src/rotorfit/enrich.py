@@ -134,6 +134,7 @@ def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> P
         trim=np.hstack([point.trim for point in points]),
         start=start,
         levels=np.concatenate([point.levels for point in points]),
+        measured=points[0].measured,
     )
 
 
@@ -196,6 +197,13 @@ def reference_speed(records: Sequence[Record], k: int) -> float:
         ahead = np.arange(SPEED_BLOCKS, rec.count.size)
         whole = np.cumsum(rec.fresh)[ahead] == np.cumsum(rec.fresh)[ahead - SPEED_BLOCKS]
         i = ahead[whole]
+        if rec.rate is not None:
+            speeds = rec.position[rec.rate]
+            if rec.position.shape[1] == 2:
+                speeds = heading_from_world(speeds, rec.block_yaw[rec.rate])
+            own = speeds[:, min(k, speeds.shape[1] - 1)]
+            squares, count = squares + float(own @ own), count + own.size
+            continue
         step: Array = rec.position[i] - rec.position[i - SPEED_BLOCKS]
         if rec.position.shape[1] == 2:
             step = heading_from_world(step, rec.block_yaw[i])

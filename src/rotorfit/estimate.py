@@ -8,11 +8,12 @@ import numpy as np
 
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
-from rotorfit.likelihood import START_LEVELS, Point, response, segments
+from rotorfit.levels import start_levels
+from rotorfit.likelihood import Point, response, segments
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, search, start_point, without_input
 from rotorfit.prior import GaussianPrior
-from rotorfit.record import Record, record
+from rotorfit.record import Record, measured_by, record
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure
 
 EXPLAINS = 0.9
@@ -58,7 +59,7 @@ def alone(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrio
     """One axis by itself. A prior enters once the search has found the optimum that is believed."""
     records = [rec for f in serving if (rec := record(f, (axis,)))]
     if not moves:
-        point = start_point(records, 0.0, 1.0, START_LEVELS[None])
+        point = start_point(records, 0.0, 1.0, start_levels(measured_by(records))[None])
         return Estimate(
             records, maximise(records, replace(point, gain=np.zeros(1)), free_of(records, [False])), 0, (), False
         )
@@ -117,7 +118,7 @@ _JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("sta
 def _joined(points: Sequence[Point]) -> Point:
     """Points of single axes as one of all."""
     parts: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in points], axis) for n, axis in _JOINT_AXES}
-    joint = Point(**parts)
+    joint = Point(**parts, measured=points[0].measured)
     if not any(point.structures for point in points):
         return joint
     extra = np.zeros((max(len(point.extra) for point in points), len(points)))
@@ -229,5 +230,5 @@ def free_of(records: Sequence[Record], moving: Sequence[bool], structures: Seque
         coefficients[2, k] &= structure.delayed
         for e, one in enumerate(structure.extras):
             extra[e, k] = moving[k] and one.estimated
-    others = np.ones((flights + parts + 4) * K, bool)
+    others = np.ones((flights + parts + start_levels(measured_by(records)).size) * K, bool)
     return np.concatenate([coefficients.ravel(), extra.ravel(), others])

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from rotorfit.card import Prior
-from rotorfit.clock_error import check_clocks, with_clock_error
+from rotorfit.clock_error import check_clocks, with_clock_error, with_delay_error
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, together
@@ -15,6 +15,7 @@ from rotorfit.flight import Flight
 from rotorfit.frames import AXES
 from rotorfit.further import structure_of, told_apart
 from rotorfit.held import without_held
+from rotorfit.latency import GROUPS, delay_error, on_the_poses_clock
 from rotorfit.model import (
     STRUCTURE,
     Axis,
@@ -98,6 +99,7 @@ def fit(
     """
     _check(flights, method, structure, prior)
     flights = without_held(flights)
+    flights = [on_the_poses_clock(f, axes) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
     priors = flights[0].card.prior if prior else {}
     wanted = [axis for axis in AXES if axis in axes]
     report = progress or (lambda _fraction, _text: None)
@@ -141,7 +143,8 @@ def fit(
     )
     kept = {axis: e for axis, e in estimates.items() if axis in wanted}
     remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
-    model = with_physics(with_clock_error(model, flights))
+    late = {axis: delay_error(_serving(flights, e.records[0].axes), e) for axis, e in kept.items()}
+    model = with_physics(with_delay_error(with_clock_error(model, flights), late, GROUPS))
     return Fit(model, tuple(flights), paper, kept, remarks, outliers)
 
 
@@ -164,6 +167,21 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
         raise CardError(
             "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
         )
+
+
+def _of_poses(flights: Sequence[Flight], method: Method, axes: Sequence[str]) -> list[Flight]:
+    """The flights without velocities that stand beside poses: only the likelihood can use them.
+
+    Raises:
+        FlightError: The method needs positions of an axis that has none.
+    """
+    lost = [axis for axis in AXES if axis in axes and any(axis in f.velocity_only for f in flights)]
+    if lost and method != "paper":  # the paper's regression needs derivatives only: those of the summed-up velocity
+        raise FlightError(
+            f"{flights[0].path}: the method {method} needs positions, of {', '.join(lost)} there is only a velocity: "
+            "use --method ml, or other --axes"
+        )
+    return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
 
 
 def _likelihood_group(

@@ -15,8 +15,9 @@ from rotorfit.log import Log
 from rotorfit.one_clock import Clocks, on_one_clock
 from rotorfit.stamping import with_sound_stamps
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
+from rotorfit.velocity import Velocity, in_the_world, velocities_of, with_travel
 
-__all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "flight_from_log"]
+__all__ = ["MIN_DURATION", "SLOWEST_POSES", "Flight", "Note", "Segment", "Velocity", "flight_from_log"]
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,15 @@ class Flight:
         command_time: Strictly increasing stamps, shape (M,) [s]. A command holds until the next one.
         command: x, y, z, yaw commands in the heading frame after the card's scale, shape (M, 4); 0 where not commanded.
         pose_time: Strictly increasing stamps of the fresh poses, shape (N,) [s].
-        position: World x, y, z, shape (N, 3) [m].
+        position: World x, y, z, shape (N, 3) [m]; of an axis that has only a velocity, that velocity summed up, for
+            drawings and for the methods that look at nothing else.
         yaw: Unwrapped heading, shape (N,) [rad].
         segments: Where the commands are known, in order, not overlapping.
         notes: Every repair, with its count.
         reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
             the card does not name and before the first value; None where it names none.
         clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
+        velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
     """
 
     path: str
@@ -63,6 +66,12 @@ class Flight:
     notes: tuple[Note, ...] = ()
     reference: Array | None = None
     clocks: Clocks | None = None
+    velocity: Velocity | None = None
+
+    @property
+    def velocity_only(self) -> tuple[str, ...]:
+        """Axes of which there is a velocity and no position."""
+        return self.velocity.alone if self.velocity else ()
 
     @property
     def duration(self) -> float:
@@ -106,7 +115,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     log, stamped = with_sound_stamps(log, card)
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
-    poses = poses_of(log, card)
+    poses, velocities = poses_of(log, card), velocities_of(log, card)
     commands = airborne(commands, poses, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
@@ -121,6 +130,11 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
     notes = (*stamped, *_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
+    position, velocity = poses.values[seen, :3], None
+    if velocities is not None:
+        velocity = in_the_world(velocities, card, origin, pose_time, yaw).between(start, stop)
+        position, told = with_travel(log, position, pose_time, velocity)
+        notes = (*velocities.notes, *notes, *told)
     if card.command_frame == "world":
         command_time, command, note = _in_heading_frame(command_time, command, command_end, pose_time, yaw)
         notes = (*notes, note)
@@ -135,12 +149,13 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         command_time=command_time,
         command=command,
         pose_time=pose_time,
-        position=poses.values[seen, :3],
+        position=position,
         yaw=yaw,
         segments=segments,
         notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
+        velocity=velocity,
     )
 
 

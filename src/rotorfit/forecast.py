@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorfit.derivative import local_polynomial
 from rotorfit.disturbance import distinct_steps
 from rotorfit.flight import Flight, Segment
 from rotorfit.frames import AXES, Array, Indices, Mask, heading_from_world
+from rotorfit.measured import LONGEST_GAP, seen_in
 from rotorfit.prediction import coast, predict
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure, law_of
 
@@ -30,9 +30,6 @@ CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 
 FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""
-
-LONGEST_GAP = 1.0
-"""No score across a hole in the pose of this length [s]."""
 
 LEAST_SCORES = 5
 """Fewer predictions than this give no score."""
@@ -92,6 +89,7 @@ class Predictions:
         predicted: World position and velocity, (S, E, 2, 4); NaN beyond `last`.
         begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
         heading: Heading that the horizontal prediction used, shape (S, E).
+        alone: Axes of which only the velocity is measured: their positions prove nothing.
     """
 
     time: Array
@@ -103,6 +101,7 @@ class Predictions:
     predicted: Array
     begin: Array
     heading: Array
+    alone: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,8 @@ class Horizon:
 
     Attributes:
         velocity_rmse: Over all steps up to the horizon [m/s or rad/s]; None for fewer than five predictions.
-        position_rmse: At the end point, against the measured pose [m or rad]; None likewise.
+        position_rmse: At the end point, against the measured pose [m or rad]; None likewise, and where only the
+            velocity is measured.
         n: Number of predictions.
     """
 
@@ -153,8 +153,8 @@ def _predict_segment(
 ) -> Predictions | None:
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
     begin = segment.start + max(0.0, *(axis.delay for axis in axes))
-    inside = (flight.pose_time >= begin) & (flight.pose_time <= segment.end)
-    t = flight.pose_time[inside]
+    seen = seen_in(flight, begin, segment.end)
+    t, pose = seen.time, seen.pose
     start = np.arange(segment.start + SETTLING, segment.end - EDGE, START_EVERY)
     first = np.searchsorted(t, start, side="right")
     last = np.searchsorted(t, np.minimum(start + longest, segment.end) + EDGE, side="right")
@@ -162,7 +162,6 @@ def _predict_segment(
     start, first, last = start[useful], first[useful], last[useful]
     if not start.size:
         return None
-    pose = np.column_stack([flight.position, flight.yaw])[inside]
     used = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
     reach = np.arange(int((last - first).max()))
     index = np.minimum(first[:, None] + reach, t.size - 1)
@@ -180,12 +179,13 @@ def _predict_segment(
             *distinct_steps(t),
             *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay")),
             np.array([max(axis.damping, LEAST_FILTER_DAMPING) for axis in chosen]),
-            np.array([axis.levels for axis in chosen]),
+            np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0],
             np.array([axis.trim_variance for axis in chosen]),
             first,
             last,
             future,
             *_general_law(chosen, t, pose[:, pair]),
+            *seen.velocity_of(pair),
         )
 
     side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
@@ -194,7 +194,7 @@ def _predict_segment(
     return Predictions(
         time=t,
         pose=pose,
-        reference=local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity,
+        reference=seen.reference,
         start=start,
         first=first,
         last=last,
@@ -205,6 +205,7 @@ def _predict_segment(
             [np.concatenate([plane_begin[:, k : k + 2], side_begin[:, k : k + 2]], axis=-1) for k in (0, 2)], axis=1
         ),
         heading=heading,
+        alone=flight.velocity_only,
     )
 
 
@@ -359,15 +360,18 @@ def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array,
     position = runs[np.arange(first.size), end - first - 1, 0] - part.pose[end - 1]
     for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
         vector[:, :2] = heading_from_world(vector[:, :2], yaw)
+    position[:, np.isin(AXES, part.alone)] = np.nan
     return velocity, measured, position
 
 
 def _horizon(errors: tuple[Array, Array, Array], k: int) -> Horizon:
     velocity, _, position = (e[:, k] for e in errors)
     velocity = velocity[np.isfinite(velocity)]
-    if position.size < LEAST_SCORES or not velocity.size or not np.isfinite(position).all():
+    placed = not np.isnan(position).all()
+    if position.size < LEAST_SCORES or not velocity.size or (placed and not np.isfinite(position).all()):
         return Horizon(None, None, int(position.size))
-    return Horizon(float(np.sqrt(np.mean(velocity**2))), float(np.sqrt(np.mean(position**2))), int(position.size))
+    end = float(np.sqrt(np.mean(position**2))) if placed else None
+    return Horizon(float(np.sqrt(np.mean(velocity**2))), end, int(position.size))
 
 
 def _fit_percent(errors: tuple[Array, Array, Array], k: int) -> float | None:

@@ -14,6 +14,8 @@ import numpy as np
 
 from rotorfit.disturbance import whiten_axis, whiten_plane
 from rotorfit.frames import Array, Indices, Mask
+from rotorfit.fusion import BIAS_VARIANCE, whiten_fused
+from rotorfit.levels import Measured, level_range
 from rotorfit.motion import MEAN, NOTHING, START, motion_response
 from rotorfit.record import DELAY_RANGE, Record
 from rotorfit.response import axis_response, plane_response
@@ -21,12 +23,6 @@ from rotorfit.structure import DAMPING, DELAY, FIRST_ORDER_DELAY, GAIN, TRIM, St
 
 DAMPING_RANGE = (1e-3, 100.0)
 """Damping that is searched [1/s]."""
-
-LEVEL_RANGE = np.log(np.array([[1e-9, 1e4], [1e-12, 1e-2], [0.05, 200.0], [1e-3, 1.0]]))
-"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
-
-START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))
-"""Where the levels start."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +35,12 @@ class Point:
         delay: tau, shape (K,) [s].
         trim: c in the heading frame, shape (F, K).
         start: Velocity at the start of each segment, shape (S, K), over the segments of all flights in turn.
-        levels: log of q, r, alpha, kappa, shape (K, 4).
+        levels: log of q, r, alpha, kappa, shape (K, L): L = 4; or 5, the last being r_v, where position and velocity
+            are measured. Where only a velocity is, r_v is in the place of r.
         structures: Of each axis; none means the default of all.
         extra: Coordinates of the E further parameters, shape (E, K): as many as the axis with the most has; those that
             an axis does not have are not looked at.
+        measured: What the levels are of.
     """
 
     gain: Array
@@ -53,9 +51,10 @@ class Point:
     levels: Array
     structures: tuple[Structure, ...] = ()
     extra: Array = field(default_factory=lambda: np.empty((0, 1)))
+    measured: Measured = "position"
 
     def flat(self) -> Array:
-        """g of all axes, log b, tau, further ones, trims, start velocities, levels: shape (n + 4 K,)."""
+        """g of all axes, log b, tau, further ones, trims, start velocities, levels: shape (n + L K,)."""
         parts = (self.gain, self.log_damping, self.delay, self.extra, self.trim, self.start, self.levels)
         return np.concatenate([part.ravel() for part in parts])
 
@@ -71,7 +70,8 @@ class Point:
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper ends of the searched ranges, in the order of `flat`."""
-        return _bounds(self.gain.size, self.structures, len(self.extra), self.trim.size + self.start.size)
+        others = self.trim.size + self.start.size
+        return _bounds(self.gain.size, self.structures, len(self.extra), others, self.measured)
 
     def moved(self, step: Array) -> "Point":
         """The point plus a step in the order of `flat`, kept inside the searched ranges."""
@@ -91,8 +91,8 @@ class Point:
         ends = np.cumsum([K, K, K, self.extra.size, self.trim.size, self.start.size])
         gain, log_damping, delay, extra, trim, start, levels = np.split(values, ends)
         return Point(
-            gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, 4),
-            self.structures, extra.reshape(self.extra.shape),
+            gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, -1),
+            self.structures, extra.reshape(self.extra.shape), self.measured,
         )  # fmt: skip
 
     def place(self, name: str, k: int) -> int:
@@ -117,7 +117,7 @@ class Point:
 
 
 @functools.cache
-def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int) -> tuple[Array, Array]:
+def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int, measured: Measured) -> tuple[Array, Array]:
     """Bounds of a point of K axes, E further parameters, and so many trims and start velocities."""
     extra = np.tile(np.array([-np.inf, np.inf]), (E, K, 1))
     for k, structure in enumerate(structures):
@@ -131,7 +131,7 @@ def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int) -> t
                 np.full(K, DELAY_RANGE[end]),
                 extra[:, :, end].ravel(),
                 np.full(others, sign * np.inf),
-                np.tile(LEVEL_RANGE[:, end], K),
+                np.tile(level_range(measured)[:, end], K),
             ]
         )
         for end, sign in ((0, -1.0), (1, 1.0))
@@ -162,7 +162,7 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
     if laws is not None:
         return _general_response(rec, point, laws, point.trim[flight], start)
     common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
-    weight, segment = 1.0 / rec.count, np.cumsum(rec.fresh) - 1
+    weight, segment = rec.weight, np.cumsum(rec.fresh) - 1
     damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
     if K == 1:
         out = axis_response(
@@ -170,7 +170,7 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
         )
     else:
         out = plane_response(*common, rec.command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
-    gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(out, 5, axis=1)
+    gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(rec.observed(out), 5, axis=1)
     mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
     mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
     damping_columns = damping_columns * damping[None, :, None]
@@ -183,8 +183,9 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
     what, whose, scale = _columns(point.structures, len(point.extra))
     out = motion_response(
         rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time, rec.command,
-        1.0 / rec.count, rec.yaw, laws, what, whose, start,
+        rec.weight, rec.yaw, laws, what, whose, start,
     )  # fmt: skip
+    out = rec.observed(out)
     values = np.ones(what.size - 1)
     for j in np.flatnonzero(scale):
         values[j - 1] = laws[whose[j], what[j]]
@@ -216,23 +217,38 @@ def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indice
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
     """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, variances (B, K)."""
     values = np.exp(levels)
+    if rec.rate is not None:
+        return fused(rec, columns, values)
     if len(rec.axes) == 2:
         return whiten_plane(rec.steps, rec.step, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
     rows, variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
     return rows[:, :, None], variance[:, None]
 
 
+def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
+    """The filter of a record that holds velocities; see `whiten_fused`. `levels` (K, L) are no logarithms here."""
+    assert rec.rate is not None
+    assert rec.rounding is not None
+    noise = levels[:, [1, 1 if rec.measured == "velocity" else 4]]
+    noise[:, 1] += rec.rounding
+    bias = 0.0 if rec.measured == "velocity" else BIAS_VARIANCE
+    columns = np.ascontiguousarray(columns)
+    return whiten_fused(  # type: ignore[no-any-return]
+        rec.steps, rec.step, rec.count, rec.fresh, rec.rate, rec.block_yaw, columns, levels, noise, bias, coloured
+    )
+
+
 @dataclass(frozen=True)
 class Score:
-    """The likelihood at a point, over the n coefficients, trims and start velocities and the 4 K levels.
+    """The likelihood at a point, over the n coefficients, trims and start velocities and the L K levels.
 
     Attributes:
         log_likelihood: Of all flights together.
         adjustment: Of the restricted likelihood: less half the log determinant of the coefficients' information.
-        gradient: Shape (n + 4 K,); the levels' part is that of both together.
+        gradient: Shape (n + L K,); the levels' part is that of both together.
         information: Expected; block diagonal between the coefficients with the trims and the levels.
-        slopes: Derivative of the coefficients' information, at the reference, by each level, shape (4 K, n, n).
-        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each level, (n, 4 K).
+        slopes: Derivative of the coefficients' information, at the reference, by each level, shape (L K, n, n).
+        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each level, (n, L K).
         innovations: Per flight, standardised, heading frame, shape (B, K).
     """
 
@@ -269,7 +285,7 @@ class Restriction:
 
 
 def restriction(records: Sequence[Record], point: Point, free: Mask) -> Restriction:
-    """The restriction with a point as its reference; `free` covers all parameters, shape (n + 4 K,)."""
+    """The restriction with a point as its reference; `free` covers all parameters, shape (n + L K,)."""
     columns = (response(rec, point, j, point.start[at])[1] for j, (rec, at) in enumerate(_flights(records)))
     return Restriction(free[: point.n], tuple(columns))
 
@@ -292,11 +308,12 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
     B 49 (1987), pp. 1-39.
     """
-    K, n, F = point.gain.size, point.n, len(records)
+    K, n, F, L = point.gain.size, point.n, len(records), point.levels.size
+    scaled = K == 1 and point.measured == "position"
     first_trim = point.coefficients
     width = first_trim + 2 * K
-    information, gradient = np.zeros((n + 4 * K, n + 4 * K)), np.zeros(n + 4 * K)
-    projected, slopes, cross = np.zeros((n, n)), np.zeros((4 * K, n, n)), np.zeros((n, 4 * K))
+    information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
+    projected, slopes, cross = np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L))
     log_likelihood, innovations = 0.0, []
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
@@ -318,9 +335,9 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         if restricted is None:
             continue
         columns = np.concatenate([residual, *fixed], axis=1)
-        d_innovation, d_log_variance = np.empty((4 * K, e.size)), np.empty((4 * K, e.size))
-        for i in range(4 * K):
-            if K == 1 and i == 0:
+        d_innovation, d_log_variance = np.empty((L, e.size)), np.empty((L, e.size))
+        for i in range(L):
+            if scaled and i == 0:
                 continue
             levels = point.levels.copy()
             levels.ravel()[i] += LEVEL_STEP
@@ -331,14 +348,14 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
                 slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
                 turned = moved[part, 1:].T @ moved[part, 0] - product[1 + width :, 0]
                 cross[where, i] += turned / LEVEL_STEP
-        if K == 1:
+        if scaled:
             # q and r together only scale every variance but that of the unknown start: one filter pass saved.
             later = ~rec.fresh
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
             projected[np.ix_(where, where)] += product[1 + width :, 1 + width :]
-            if K == 1:  # minus the gradient, of which the second level's share is taken off below
+            if scaled:  # minus the gradient, of which the second level's share is taken off below
                 cross[where, 0] -= product[1 + width :, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
@@ -347,7 +364,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
     adjustment = 0.0
     if restricted is not None:
-        if K == 1:
+        if scaled:
             slopes[0] = -projected - slopes[1]
             cross[:, 0] -= cross[:, 1]
         gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
@@ -390,7 +407,7 @@ def degrees_of_freedom(score_: Score, free: Mask, direction: Array) -> float:
 
     Args:
         score_: With the levels' part.
-        free: True for the parameters that were fitted, shape (n + 4 K,).
+        free: True for the parameters that were fitted, shape (n + L K,).
         direction: Of the combination, shape (n,).
 
     Source: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114, as used for restricted likelihood by
@@ -411,7 +428,7 @@ def level_share(score_: Score, free: Mask, direction: Array) -> float:
 
     Args:
         score_: With the levels' part.
-        free: True for the parameters that were fitted, shape (n + 4 K,).
+        free: True for the parameters that were fitted, shape (n + L K,).
         direction: Of the combination, shape (n,).
 
     Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997: the term Phi (Q - P Phi P) Phi.

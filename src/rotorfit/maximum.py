@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import LEVEL_RANGE, START_LEVELS, Point, Restriction, Score, inverted, restriction, score
+from rotorfit.levels import START_LEVELS, level_range
+from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
 from rotorfit.prior import GaussianPrior, with_prior
 from rotorfit.record import Record
 
@@ -33,7 +34,7 @@ class Optimum:
     Attributes:
         point: Where.
         score: What it is worth.
-        free: True for the parameters that could move, shape (3 K + F K + 4 K,).
+        free: True for the parameters that could move, shape (n + L K,).
         restricted: What the levels account for; None where levels were held.
         inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
         gain: Expected gain in log-likelihood of one more step: how far from the top.
@@ -66,7 +67,7 @@ def maximise(
     Args:
         records: The flights.
         point: Where to start.
-        free: True for the parameters that may move, shape (3 K + F K + 4 K,).
+        free: True for the parameters that may move, shape (n + L K,).
         inverse: Inverse information to start with, where one is known.
         restricted: What the levels account for; by default what is free, with the start as reference.
         tolerance: Expected gain in log-likelihood below which to stop.
@@ -90,7 +91,7 @@ def maximise(
         gain = 0.5 * float(step @ best.gradient)
         if gain < tolerance or passes >= most:
             break
-        step = limited(step, point.gain.size, point.extra.size)
+        step = limited(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
         trial, result, tried = _line_search(records, point, best, step, restricted, prior)
         passes += tried
@@ -123,7 +124,7 @@ def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float 
     levels[fast, 0] += 3 * change[:, 2] + change[:, 3]  # the velocity's variance is 2 q / (kappa alpha^3)
     again = maximise(
         records,
-        replace(first.point, levels=np.maximum(levels, LEVEL_RANGE[:, 0])),
+        replace(first.point, levels=np.maximum(levels, level_range(first.point.measured)[:, 0])),
         free,
         tolerance=tolerance,
         most=most,
@@ -172,10 +173,10 @@ def pressed(point: Point, gradient: Array) -> Mask:
     return ((value <= low + EDGE) & (gradient < 0)) | ((value >= high - EDGE) & (gradient > 0))
 
 
-def limited(step: Array, K: int, extra: int = 0) -> Array:
+def limited(step: Array, K: int, extra: int = 0, levels: int = 4) -> Array:
     """Shortens a step that moves log b or a further one by more than 1.5, the delay by 0.08 s, or a level by more
-    than e^2.
+    than e^2; so many of `step` are levels.
     """
     further = step[3 * K : 3 * K + extra]
-    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (further, 1.5), (step[-4 * K :], 2.0))
+    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (further, 1.5), (step[-levels:], 2.0))
     return step / max(*(float(np.abs(part).max(initial=0.0)) / most for part, most in parts), 1.0)

@@ -140,7 +140,8 @@ class Axis:
         ci95: Coefficient name to 95 % interval; an open end is None.
         status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `diverged` or `too_short`.
         trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
-        noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance.
+        noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;
+            `velocity_variance` beside or in place of that of the pose, where a velocity was measured.
         predictor: What simulation uses; None where the axis is not excited.
         combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; of other structures
             further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`.

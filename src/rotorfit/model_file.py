@@ -14,6 +14,7 @@ from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note
 from rotorfit.frames import AXES
+from rotorfit.levels import LEVELS_OF
 from rotorfit.model import STRUCTURE, Axis, Candidate, Combination, Mode, Model, Plain, Predictor, Source
 from rotorfit.settings import Conversion, Figure, Quantity
 from rotorfit.structure import structure_named
@@ -122,9 +123,7 @@ def from_mapping(raw: Any, where: str) -> Model:
 
 
 def _axis(raw: Mapping[str, Any]) -> Axis:
-    from rotorfit.disturbance import LEVELS  # on use: numba takes longer than naming a model may
-
-    if raw["noise"] and set(raw["noise"]) != {*LEVELS, "trim_variance"}:
+    if raw["noise"] and set(raw["noise"]) not in [{*levels, "trim_variance"} for levels in LEVELS_OF.values()]:
         raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
     return Axis(
         **{

@@ -14,9 +14,10 @@ import numpy as np
 from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.frames import AXES, Array, Mask
-from rotorfit.likelihood import START_LEVELS, Point, inverted
+from rotorfit.levels import start_levels
+from rotorfit.likelihood import Point, inverted
 from rotorfit.maximum import Optimum, climb, maximise
-from rotorfit.record import BLOCK_RATE, Record
+from rotorfit.record import BLOCK_RATE, Record, measured_by
 from rotorfit.structure import FIRST_ORDER_DELAY
 
 STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
@@ -72,12 +73,17 @@ def start_point(records: Sequence[Record], delay: float, damping: float, levels:
         trim=np.zeros((len(records), K)),
         start=np.concatenate([_start_velocity(rec) for rec in records]),
         levels=levels,
+        measured=measured_by(records),
     )
 
 
 def _start_velocity(rec: Record) -> Array:
     """Mean velocity over the first blocks of each segment, shape (S, K)."""
     first = np.flatnonzero(rec.fresh)
+    if rec.rate is not None:
+        rates = np.flatnonzero(rec.rate)
+        at = np.searchsorted(rates, first)[:, None] + np.arange(START_BLOCKS)
+        return rec.position[rates[np.minimum(at, rates.size - 1)]].mean(axis=1)  # type: ignore[no-any-return]
     last = np.minimum(first + START_BLOCKS, np.append(first[1:], rec.count.size) - 1)
     elapsed = np.maximum(rec.block_time[last] - rec.block_time[first], 1e-3)
     return (rec.position[last] - rec.position[first]) / elapsed[:, None]  # type: ignore[no-any-return]
@@ -95,9 +101,9 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
         free: True for the parameters that may move.
     """
     K = len(records[0].axes)
-    levels = np.tile(START_LEVELS, (K, 1))
+    levels = np.tile(start_levels(measured_by(records)), (K, 1))
     held_levels = free.copy()
-    held_levels[-4 * K :] = False
+    held_levels[-levels.size :] = False
     optima: list[Optimum] = []
     starts: list[int] = []
     for number, (delay, damping) in enumerate(STARTS):
@@ -243,6 +249,7 @@ def between(flight: Flight, low: float, high: float) -> Flight:
         pose_time=flight.pose_time[poses],
         position=flight.position[poses],
         yaw=flight.yaw[poses],
+        velocity=flight.velocity and flight.velocity.between(low, high),
         segments=tuple(
             Segment(max(part.start, low), min(part.end, high))
             for part in flight.segments
@@ -254,8 +261,16 @@ def between(flight: Flight, low: float, high: float) -> Flight:
 def thinned(flight: Flight) -> Flight:
     """The flight with its poses thinned to about the rate of the blocks: enough to judge."""
     every = max(1, int(flight.pose_time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
+    velocity = flight.velocity
+    if velocity is not None:
+        often = max(1, int(velocity.time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
+        velocity = replace(velocity, time=velocity.time[::often], value=velocity.value[::often])
     return replace(
-        flight, pose_time=flight.pose_time[::every], position=flight.position[::every], yaw=flight.yaw[::every]
+        flight,
+        pose_time=flight.pose_time[::every],
+        position=flight.position[::every],
+        yaw=flight.yaw[::every],
+        velocity=velocity,
     )
 
 
@@ -275,7 +290,7 @@ def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, Dynamics]
             input=float(point.gain[k]),
             damping=float(np.exp(point.log_damping[k])),
             delay=float(point.delay[k]),
-            levels=tuple(float(level) for level in np.exp(point.levels[k])),  # type: ignore[arg-type]
+            levels=tuple(float(level) for level in np.exp(point.levels[k, :4])),  # type: ignore[arg-type]
             trim_variance=float(variance[k]),
             structure=point.structures[k] if point.structures else FIRST_ORDER_DELAY,
             extra=point.extra_values(k),

@@ -15,7 +15,8 @@ from rotorfit.equation import state_variable_filter
 from rotorfit.filtered import CUT_OFF
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask
-from rotorfit.likelihood import DAMPING_RANGE, START_LEVELS, Point, response, segments
+from rotorfit.levels import START_LEVELS
+from rotorfit.likelihood import DAMPING_RANGE, Point, response, segments
 from rotorfit.model import Predictor
 from rotorfit.modes import start_point
 from rotorfit.problem import coefficients, problem_of, unfit

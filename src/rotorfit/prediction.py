@@ -15,6 +15,7 @@ from rotorfit.disturbance import (
     start_covariance,
     step_tables,
     update_covariance,
+    update_rate,
 )
 from rotorfit.frames import Array
 from rotorfit.motion import MEAN, START, advance, demands, lag_series, longest_step
@@ -179,6 +180,9 @@ def predict(
     future_yaw: Array,
     law: Any = None,
     origin: Any = None,
+    velocity: Any = None,
+    tracked: Any = None,
+    alone: Any = None,
 ) -> Any:
     """Predicts one segment from many starts.
 
@@ -204,6 +208,10 @@ def predict(
             for the default law.
         origin: With a general law, the world velocity at the first pose about which the driven response is taken,
             shape (2,): what the data add to it and to the trim is estimated linearly.
+        velocity: World velocities at the stamps, shape (N, 2), for the axes of which nothing else is measured; None
+            where both have poses.
+        tracked: With velocities, whether what tracks each axis was measured at a stamp, shape (N, 2).
+        alone: With velocities, whether they track the axis, shape (2,); its level r is then that of a velocity.
 
     Returns:
         Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's
@@ -267,11 +275,23 @@ def predict(
                 rotate(state[j], c, sn)
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
-            variance = update_covariance(P, a, levels[a, 1], step_gain)
+            if velocity is None:
+                at, variance = 3 * a, update_covariance(P, a, levels[a, 1], step_gain)
+            else:
+                if not tracked[i, a]:
+                    continue
+                if alone[a]:
+                    at, variance = 3 * a + 1, update_rate(P, a, levels[a, 1], step_gain)
+                else:
+                    at, variance = 3 * a, update_covariance(P, a, levels[a, 1], step_gain)
             for j in range(5):
                 x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
                 y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
-                e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, 3 * a]
+                if velocity is not None:  # noqa: SIM102  numba leaves out what None decides, one test at a time
+                    if alone[a]:
+                        x = v[j, 0] if j else velocity[i, 0] - v[0, 0]
+                        y = v[j, 1] if j else velocity[i, 1] - v[0, 1]
+                e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, at]
                 for m in range(6):
                     state[j, m] += step_gain[m] * e[j]
             for j in range(4):

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight
-from rotorfit.likelihood import DAMPING_RANGE, START_LEVELS
+from rotorfit.levels import LEVELS_OF, start_levels
+from rotorfit.likelihood import DAMPING_RANGE
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Axis, Predictor
 from rotorfit.modes import start_point, trim_variance
-from rotorfit.record import Record, record
+from rotorfit.record import Record, measured_by, record
 
 
 def settled(
@@ -44,7 +44,7 @@ def _settled(
     records = [rec for flight in flights if (rec := record(flight, group))]
     chosen = [points.get(axis, Predictor(0.0, 1.0, 0.0)) for axis in group]
     start = replace(
-        start_point(records, 0.0, 1.0, np.tile(START_LEVELS, (len(group), 1))),
+        start_point(records, 0.0, 1.0, np.tile(start_levels(measured_by(records)), (len(group), 1))),
         gain=np.array([point.input for point in chosen]),
         log_damping=np.log(np.clip([point.damping for point in chosen], *DAMPING_RANGE)),
         delay=np.array([point.delay for point in chosen]),
@@ -71,6 +71,6 @@ def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str
 def noise_of(optimum: Optimum, k: int) -> dict[str, float]:
     """Disturbance levels of an axis, by name, and the mean square of the flights' trims."""
     levels = np.exp(optimum.point.levels[k])
-    return {name: float(v) for name, v in zip(LEVELS, levels, strict=True)} | {
+    return {name: float(v) for name, v in zip(LEVELS_OF[optimum.point.measured], levels, strict=True)} | {
         "trim_variance": float(trim_variance(optimum)[k])
     }

@@ -14,6 +14,7 @@ from rotorfit.clock import (
     ClockDrift,
     Mask,
     Stamps,
+    coarse,
     degrees_for_radians,
     drift,
     fresh,
@@ -30,7 +31,8 @@ from rotorfit.window import conditions, idle_ends, resets
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
 
-_NEVER = np.int64(2**62)
+NEVER = np.int64(2**62)
+"""Stands for the end of what acts until something else comes [ns]."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,10 @@ class Note:
 
 @dataclass(frozen=True)
 class Stream:
-    """Commands or poses on their own clock, with what was repaired.
+    """Commands, poses or velocities on their own clock, with what was repaired.
 
     Attributes:
-        what: `command` or `pose`.
+        what: `command`, `pose` or `velocity`.
         stamps: Shape (N,) [ns].
         values: Shape (N, 4): x, y, z, yaw.
         until: Until when a command acts if no other follows, shape (N,) [ns].
@@ -82,14 +84,14 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
         CardError: A column is not there, or its length does not go with its stamps.
         FlightError: No commands, a clock that runs backwards or lacks its unit, a window that is never open.
     """
-    stamps, series, notes = _read(log, card.command_time, card.command, "command")
+    stamps, series, notes = read_series(log, card.command_time, card.command, "command")
     series, silent = _commanded(series)
     values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
-    stream = Stream("command", stamps, values, np.full(len(stamps), _NEVER), (*notes, *silent))
+    stream = Stream("command", stamps, values, np.full(len(stamps), NEVER), (*notes, *silent))
     if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
         # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
         stream = closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
-    stream = _inside_window(_in_order(_numbers(stream, log), log), log, card)
+    stream = _inside_window(in_order(numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
     stream = _without_idle_ends(_without_garbage_start(stream))
     return _held(stream, log, card), tuple(series), origin
@@ -103,14 +105,14 @@ def poses_of(log: Log, card: Card) -> Stream:
         card: Which column is what.
 
     Returns:
-        The fresh poses, world frame, z up [m, rad]; yaw still wrapped.
+        The fresh poses, world frame, z up [m, rad]; yaw still wrapped; 0 for axes of which there is only a velocity.
 
     Raises:
         CardError: A column is not there, or its length does not go with its stamps.
         FlightError: No poses, one that never changes, a clock that runs backwards, yaw in degrees taken for radians.
     """
-    stamps, series, notes = _read(log, card.pose_time, card.pose, "pose")
-    x, y, z = series["x"], series["y"], series["z"]
+    stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
+    x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
     yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
     drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
     own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
@@ -118,9 +120,10 @@ def poses_of(log: Log, card: Card) -> Stream:
     if card.frame == "NED":
         x, y, z, yaw, own = y, x, -z, np.pi / 2 - yaw, [own[1], own[0], *own[2:]]
     values = np.stack([x, y, z, yaw], axis=1)
-    stream = _in_order(_numbers(Stream("pose", stamps, values, np.full(len(stamps), _NEVER), notes), log), log)
+    stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
     seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
-    stream = kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
+    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees repeats itself in truth
+        stream = kept(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
     if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
@@ -176,7 +179,7 @@ def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> 
     return drift(header[rows], recorded[rows])
 
 
-def _read(
+def read_series(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
     """Stamps and series of one length, and what stands in other tables brought onto the stamps."""
@@ -261,7 +264,7 @@ def kept(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
     )
 
 
-def _numbers(stream: Stream, log: Log) -> Stream:
+def numbers(stream: Stream, log: Log) -> Stream:
     """Without samples that hold NaN or have no stamp: they count as absent."""
     stamped = stream.stamps != MISSING_STAMP
     stream = kept(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
@@ -280,7 +283,7 @@ def _numbers(stream: Stream, log: Log) -> Stream:
     return replace(numbers, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
-def _in_order(stream: Stream, log: Log) -> Stream:
+def in_order(stream: Stream, log: Log) -> Stream:
     """Without samples that are not later than all before them."""
     steps = np.diff(stream.stamps)
     keep = increasing(stream.stamps)
@@ -322,7 +325,7 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
 
 def closed(stream: Stream, stamps: Stamps) -> Stream:
     """A stream whose samples act no longer than to the next of these stamps, shape (M,) [ns]."""
-    closing = np.append(np.sort(stamps), _NEVER)
+    closing = np.append(np.sort(stamps), NEVER)
     until = closing[np.searchsorted(closing, stream.stamps, side="right")]
     return replace(stream, until=np.minimum(stream.until, until))
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.disturbance import LEVELS
 from rotorfit.errors import FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight
@@ -24,6 +23,7 @@ from rotorfit.forecast import (
 )
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.held import without_held
+from rotorfit.levels import LEVELS_OF
 from rotorfit.likelihood import Point, response, whiten
 from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
@@ -80,18 +80,33 @@ class Validation:
     findings: tuple[Finding, ...] = ()
 
 
-def dynamics_from_model(model: Model) -> dict[str, Dynamics]:
-    """What prediction needs of the axes of a model; those without a predictor but with known noise are tracked only."""
-    out = {}
+def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str, Dynamics]:
+    """What prediction needs of the axes of a model; those with known noise and no predictor are tracked only.
+
+    Args:
+        model: The model.
+        flight: What is predicted; None for one with a position of every axis.
+
+    Raises:
+        FlightError: An axis has a position where the model knows the noise of a velocity only, or the other way round.
+    """
+    out, alone = {}, flight.velocity_only if flight else ()
     for name, axis in model.axes.items():
         if not axis.noise or (name == "yaw" and axis.predictor is None):
             continue
         point = axis.predictor
+        levels = LEVELS_OF["velocity" if name in alone else "position"]
+        if not set(levels) <= set(axis.noise):
+            here, there = ("velocity", "position") if name in alone else ("position", "velocity")
+            raise FlightError(
+                f"{flight.path if flight else 'the flight'}: {name} is measured by its {here}, and the model knows the "
+                f"noise of its {there} only: use the card that it was fitted with, or fit again"
+            )
         out[name] = Dynamics(
             input=point.input if point else 0.0,
             damping=point.damping if point else 1.0,
             delay=point.delay if point else 0.0,
-            levels=tuple(axis.noise[level] for level in LEVELS),  # type: ignore[arg-type]
+            levels=tuple(axis.noise[level] for level in levels),  # type: ignore[arg-type]
             trim_variance=axis.noise["trim_variance"],
             structure=structure_named(axis.structure) if point else FIRST_ORDER_DELAY,
             extra=point.extra if point else {},
@@ -151,7 +166,7 @@ def _score_flight(
     model: Model, flight: Flight, horizons: Sequence[float]
 ) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
     """Scores of the model and of both baselines on one flight, and the errors behind them."""
-    dynamics = dynamics_from_model(model)
+    dynamics = dynamics_from_model(model, flight)
     parts = predict_flight(flight, dynamics, max(horizons))
     paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
     paper_damping = np.array([b if (b := model.paper[2 * k + 1]) is not None else np.nan for k in range(4)])
@@ -268,6 +283,8 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
         flight: Any flight of the vehicle.
         own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
     """
+    if not flight.velocity_only:  # beside poses a velocity says nothing of its own about the model
+        flight = replace(flight, velocity=None)
     known = [axis for axis in AXES if model.axes[axis].predictor]
     plane = ("x", "y")
     rec = record(flight, plane) if any(axis in known for axis in plane) else None
@@ -285,7 +302,10 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
     if rec is None:
         return {}
     points = [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in group]
-    levels = np.log([[model.axes[axis].noise[level] for level in LEVELS] for axis in group])
+    names = LEVELS_OF[rec.measured]
+    if not all(set(names) <= set(model.axes[axis].noise) for axis in group):
+        return {}
+    levels = np.log([[model.axes[axis].noise[level] for level in names] for axis in group])
     start = replace(
         start_point([rec], 0.0, 1.0, levels),
         gain=np.array([point.input for point in points]),

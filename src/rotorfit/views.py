@@ -11,8 +11,9 @@ import numpy as np
 
 from rotorfit.derivative import local_polynomial
 from rotorfit.flight import Flight
-from rotorfit.forecast import LONGEST_GAP, START_EVERY, Predictions, coast_prediction, predict_flight
+from rotorfit.forecast import START_EVERY, Predictions, coast_prediction, predict_flight
 from rotorfit.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.measured import LONGEST_GAP
 from rotorfit.model import STRUCTURE, Model
 from rotorfit.regression import modelled_acceleration, motion_from_flight
 from rotorfit.validation import dynamics_from_model
@@ -158,7 +159,7 @@ def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[st
     t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
     lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
     told = {"measured": np.ones(4, bool), "model": known}
-    parts = predict_flight(flight, dynamics_from_model(model), 2 * START_EVERY) if known.any() else ()
+    parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
     paper = np.array([np.nan if g is None else g for g in model.paper])
     if with_paper and np.isfinite(paper).any():
         coasted = [coast_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
