@@ -142,6 +142,7 @@ RIVER = (
     "report",
     "demo",
     "terminal",
+    "studio",
     "__init__",
     "cli",
     "__main__",

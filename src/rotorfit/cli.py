@@ -490,6 +490,27 @@ def formats(as_json: bool) -> None:
     return show(formats_view(FORMATS))
 
 
+@main.command()
+@click.argument("folder", metavar="[FOLDER]", type=_file(file_okay=False), required=False)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="To listen on; default: a free one."
+)
+@_json
+def studio(folder: Path | None, port: int, as_json: bool) -> None:
+    """Open a local web page: drop logs, check the card, fit, compare, download.
+
+    The session is kept in FOLDER (default: your own state folder) and goes on there. Only this machine reaches it.
+    """
+    from rotorfit.studio import studio as serve
+
+    def ready(address: str, kept: Path) -> None:
+        if as_json:
+            return _print_json({"address": address, "workspace": str(kept)})
+        return click.echo(f"Open {address}\nThe session is kept in {kept}. Ctrl-C ends the studio.")
+
+    serve(folder, port, ready)
+
+
 def _print_json(result: Any) -> None:
     click.echo(json.dumps(result, indent=1, allow_nan=False))
 

@@ -154,6 +154,27 @@ def flight_view(
     return FlightView(flight.path, role, flight.duration, tuple(charts), missing, drawn)
 
 
+def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
+    """What was commanded and what the vehicle did, side by side, so that a wrong sign or axis can be seen.
+
+    Returns:
+        Stamps of the poses, shape (N,) [s]; the commands that act then, shape (N, 4), NaN where none is known or the
+        axis is not commanded; the measured velocities, heading frame, shape (N, 4) [m/s, rad/s].
+    """
+    t = flight.pose_time
+    command = np.column_stack([_held(flight, t, k) for k in range(len(AXES))])
+    command[:, [axis not in flight.axes for axis in AXES]] = np.nan
+    return t, command, _measured(flight)
+
+
+def _measured(flight: Flight) -> Array:
+    """Velocities at the poses, heading frame, shape (N, 4)."""
+    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
+    velocity = local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity
+    velocity[:, :2] = heading_from_world(velocity[:, :2], flight.yaw)
+    return velocity
+
+
 def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[str, str], Array]:
     """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
     t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)

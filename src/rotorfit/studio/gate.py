@@ -1,0 +1,126 @@
+"""The gate: what a request must show before anything behind it sees it. What is not plainly the user's own is refused.
+
+The studio listens on the loopback interface only, but every web page that the user has open can send requests there.
+So a request needs the secret of this run, must name this server as its host (against DNS rebinding), and must not come
+from another page.
+"""
+
+from hmac import compare_digest
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+HOSTS = ("127.0.0.1", "localhost")
+"""Names by which the studio may be addressed."""
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the studio's own page may load: its own files."""
+
+SANDBOX = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+"""For pages that speak of what was uploaded: a world of their own, without the studio's cookie, without a network."""
+
+_SAFE = ("GET", "HEAD")
+
+
+class Gate:
+    """Lets through what carries the token, names this host, and comes from the studio's own page or no page at all.
+
+    Args:
+        app: What stands behind.
+        token: The secret of this run.
+        port: That the studio listens on.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self._app, self._token = app, token.encode()
+        self._cookie = cookie_name(port)
+        self._hosts = {f"{host}:{port}" for host in HOSTS} | (set(HOSTS) if port == 80 else set())
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers itself what is refused."""
+        if scope["type"] == "lifespan":
+            return await self._app(scope, receive, send)
+        if scope["type"] != "http":  # no websockets here
+            return None
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal:
+            return await _guarded(refusal, scope, receive, send)
+        return await _guarded(self._app, scope, receive, send)
+
+    def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
+        if [value.lower() for value in headers.getlist("host")] not in [[host] for host in self._hosts]:
+            return refused(403, "this is not the address of the studio; open the one that it printed")
+        given = self._carried(scope, headers)
+        if given is None:
+            return refused(401, "the key of this run is missing or old; open the address that the studio printed")
+        if not self._from_here(scope, headers, given):
+            return refused(403, "requests of other web pages are refused")
+        return None
+
+    def _carried(self, scope: Scope, headers: Headers) -> str | None:
+        """How a request carries the token: `link`, `cookie` or `header`; None where it does not."""
+        query = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        if scope["path"] == "/" and scope["method"] == "GET" and len(query) == 1 and self._is_token(query[0]):
+            return "link"
+        kind, _, given = headers.get("authorization", "").partition(" ")
+        if kind.lower() == "bearer" and self._is_token(given):
+            return "header"
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+        except CookieError:
+            return None
+        return "cookie" if cookie is not None and self._is_token(cookie.value) else None
+
+    def _is_token(self, given: str) -> bool:
+        return compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
+
+    def _from_here(self, scope: Scope, headers: Headers, carried: str) -> bool:
+        """Whether a request comes from the studio's own page, from the user's address bar, or from a program."""
+        if carried == "link":
+            return True
+        origins, sites = headers.getlist("origin"), headers.getlist("sec-fetch-site")
+        if any(origin not in {f"http://{host}" for host in self._hosts} for origin in origins):
+            return False
+        if scope["method"] in _SAFE:
+            return set(sites) <= {"same-origin", "none"}
+        if set(sites) - {"same-origin"}:
+            return False
+        return bool(origins or sites) or carried == "header"  # a browser always names one; a program has the header
+
+
+def cookie_name(port: int) -> str:
+    """Name of the cookie: cookies know no ports, so that two studios would take each other's."""
+    return f"rotorfit-studio-{port}"
+
+
+def refused(status: int, line: str) -> Response:
+    """One line of JSON: what the user can do."""
+    return JSONResponse({"error": line}, status)
+
+
+async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> None:
+    """Every answer with the headers that keep a browser careful; a policy of its own is kept."""
+
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers.setdefault("content-security-policy", POLICY)
+            headers.setdefault("cache-control", "no-store")
+            headers["x-content-type-options"] = "nosniff"
+            headers["referrer-policy"] = "no-referrer"
+            headers["cross-origin-resource-policy"] = "same-origin"
+            headers["cross-origin-opener-policy"] = "same-origin"
+            headers.setdefault("x-frame-options", "DENY")
+        await send(message)
+
+    await app(scope, receive, sent)

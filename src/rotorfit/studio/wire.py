@@ -1,0 +1,250 @@
+"""The wire: nouns as the plain JSON that the page draws. Nothing is computed here that the library does not compute."""
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from rotorfit import __version__
+from rotorfit.clock import rate, stamps_of
+from rotorfit.columns import clock_of, sample_count, series_of, source_of
+from rotorfit.errors import CardError
+from rotorfit.evidence import coefficient_rows, horizon_charts, profile_charts, scores_of
+from rotorfit.flight import Flight
+from rotorfit.forecast import HORIZONS
+from rotorfit.frames import AXES, Array
+from rotorfit.log import Log
+from rotorfit.model import Model, with_findings
+from rotorfit.pipeline import Comparison
+from rotorfit.report.rows import pooled_rows, residual_rows, score_rows
+from rotorfit.report.verdict import verdict_of
+from rotorfit.report.words import rounded, term_of
+from rotorfit.studio.card_lines import QUANTITIES, card_from_text, parsed
+from rotorfit.studio.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
+from rotorfit.summary import summary_of_model
+from rotorfit.survey import excitation
+from rotorfit.validation import Validation
+from rotorfit.views import Chart, FlightView, flight_view
+
+MOST_POINTS = 6000
+"""Points of a line of a result: what stands in a file; the report holds more."""
+
+
+def session_mapping(session: Session, running: Running | None) -> dict[str, Any]:
+    """What every page shows of a session."""
+    return {
+        **asdict(session),
+        "running": None if running is None else asdict(running),
+        "problem": problem_of(session.card),
+        "raw": raw_of(session.card),
+    }
+
+
+def constants_mapping() -> dict[str, Any]:
+    """What does not change while the studio runs."""
+    from rotorfit.card import LIMIT_UNITS, builtin_cards
+    from rotorfit.structure import STRUCTURES
+
+    return {
+        "version": __version__,
+        "axes": AXES,
+        "quantities": [
+            {"section": section, "key": key, "words": words, "units": units}
+            for section, key, words, units in QUANTITIES
+        ],
+        "limits": LIMIT_UNITS,
+        "cards": {name: card.name for name, card in builtin_cards().items()},
+        "structures": ["auto", *STRUCTURES],
+        "methods": ["ml", "robust", "paper", "svf", "weak", "iv", "oe"],
+        "largest_log": LARGEST_LOG,
+        "most_logs": MOST_LOGS,
+    }
+
+
+def problem_of(card: str) -> str | None:
+    """What is wrong with a card's text whatever the log, one line; None where nothing is."""
+    if not card:
+        return None
+    try:
+        card_from_text(card)
+    except CardError as error:
+        return str(error)
+    return None
+
+
+def raw_of(card: str) -> dict[str, Any] | None:
+    """The keys of a card's text; None where it cannot be parsed."""
+    try:
+        return parsed(card)
+    except CardError:
+        return None
+
+
+def log_mapping(log: Log) -> dict[str, Any]:
+    """Tables, columns, clocks, what was lost."""
+    tables = []
+    for table in log.tables.values():
+        count = sample_count(table)
+        clock = clock_of(log, table, count)
+        regular = None if clock is None else asdict(rate(stamps_of(log, clock)))
+        columns = [{"name": name, "source": source_of(log, table, name)} for name in series_of(table)]
+        tables.append(
+            {
+                "name": table.name,
+                "count": count,
+                "clock": None if clock is None else str(clock.source).removeprefix(f"{table.name}:"),
+                "rate": regular,
+                "columns": columns,
+            }
+        )
+    return {
+        "format": log.format,
+        "sha256": log.sha256,
+        "tables": tables,
+        "skipped": log.skipped,
+        "notes": log.notes,
+        "recording": {key: text for key, text in log.attached.items() if key not in ("plan", "card")},
+        "carries_card": "card" in log.attached,
+    }
+
+
+def flight_mapping(flight: Flight) -> dict[str, Any]:
+    """What a card makes of a log."""
+    return {
+        "span": flight.span,
+        "duration": flight.duration,
+        "axes": flight.axes,
+        "poses": int(flight.pose_time.size),
+        "commands": int(flight.command_time.size),
+        "segments": [(part.start, part.end) for part in flight.segments],
+        "notes": [note.text for note in flight.notes],
+        "excitation": [asdict(one) for one in excitation(flight)],
+    }
+
+
+def result_mapping(
+    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight]
+) -> dict[str, Any]:
+    """What the page shows of a fit."""
+    model = with_findings(model, (*model.findings, *validation.findings))
+    scores = scores_of(validation, flights)
+    verdict = verdict_of(model, scores)
+    with_paper = model.method != "paper"
+    return {
+        "headline": verdict.headline,
+        "summary": summary_of_model(model),
+        "lights": [asdict(light) for light in verdict.lights],
+        "coefficients": _coefficients(model),
+        "findings": [asdict(finding) for finding in model.findings],
+        "pooled": pooled_rows(scores),
+        "scores": score_rows(validation) if len(validation.flights) > 1 else [],
+        "residuals": residual_rows([flight.path for flight in flights], validation.residuals),
+        "horizons": [chart_mapping(chart) for chart in horizon_charts(scores, validation.paired)],
+        "profiles": [chart_mapping(chart) for chart in profile_charts(model)],
+        "flights": [
+            _view_mapping(flight_view(model, flight, role, MOST_POINTS, with_paper and role == "validation"))
+            for role, some in (("validation", flights), ("training", training))
+            for flight in some
+        ],
+        "notes": [
+            {"path": source.path, "span": source.span, "texts": [note.text for note in source.notes]}
+            for source in model.flights
+        ],
+    }
+
+
+def _coefficients(model: Model) -> list[dict[str, Any]]:
+    """Rows of the table, with texts that have as many digits as the intervals earn."""
+    rows = []
+    for row in coefficient_rows(model):
+        width = None if row.low is None or row.high is None else (row.high - row.low) / 4
+        scale = row.stderr or width
+        ends = ["open" if end is None else rounded(end, scale) for end in (row.low, row.high)]
+        rows.append(
+            {
+                "axis": row.axis,
+                "name": term_of(row.name),
+                "combination": row.name in model.axes[row.axis].combinations,
+                "value": rounded(row.value, scale),
+                "interval": "—" if row.low is None and row.high is None else f"{ends[0]} to {ends[1]}",
+                "unit": row.unit,
+                "status": row.status.replace("_", " "),
+                "paper": rounded(row.paper, scale),
+                "numbers": [row.value, row.low, row.high, row.paper],
+            }
+        )
+    return rows
+
+
+def _view_mapping(view: FlightView) -> dict[str, Any]:
+    """The velocity charts of a flight; those of the acceleration stand in the report."""
+    return {
+        "path": view.path,
+        "role": view.role,
+        "duration": view.duration,
+        "missing": view.missing,
+        "drawn": view.drawn,
+        "charts": [chart_mapping(chart) for chart in view.charts if chart.kind == "velocity"],
+    }
+
+
+def chart_mapping(chart: Chart) -> dict[str, Any]:
+    """A chart with its numbers as base64 of little-endian float32."""
+    return {
+        "kind": chart.kind,
+        "axis": chart.axis,
+        "title": chart.title,
+        "x_label": chart.x_label,
+        "y_label": chart.y_label,
+        "x": _numbers(chart.x),
+        "lines": [{"name": line.name, "role": line.role, "y": _numbers(line.y)} for line in chart.lines],
+        "reading": chart.reading,
+        "summary": chart.summary,
+        "levels": chart.levels,
+        "span": None if chart.span is None else [end if np.isfinite(end) else None for end in chart.span],
+        "y_range": chart.y_range,
+        "y_log": chart.y_log,
+    }
+
+
+def _numbers(values: Array) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def compared_mapping(comparison: Comparison, fits: Sequence[str], whole: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors of several models and of the baselines, flight by flight, and whether the differences are real."""
+    columns = {
+        **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
+        **{name: comparison.validations[0].baselines[name] for name in ("paper", "hold")},
+    }
+    rows = []
+    for number, flight in enumerate(comparison.validations[0].flights):
+        for axis in AXES:
+            for horizon in (f"{h:g}" for h in HORIZONS):
+                cells = [scores[number].axes[axis].horizons.get(horizon) for scores in columns.values()]
+                if any(cell is not None and cell.velocity_rmse is not None for cell in cells[: len(fits)]):
+                    rows.append(
+                        {
+                            "path": flight.path,
+                            "span": flight.span,
+                            "axis": axis,
+                            "horizon": float(horizon),
+                            "velocity": [None if cell is None else cell.velocity_rmse for cell in cells],
+                            "position": [None if cell is None else cell.position_rmse for cell in cells],
+                            "fitted": _fitted(number, (each.flights for each in comparison.validations)),
+                            "n": max((cell.n for cell in cells if cell is not None), default=0),
+                        }
+                    )
+    named = {f"model {number}": f"fit {fit}" for number, fit in enumerate(fits, 1)}
+    paired = [
+        {**test, "first": named[test["first"]], "second": named.get(test["second"], test["second"])}
+        for test in whole["paired"]
+    ]
+    return {"columns": list(columns), "rows": rows, "paired": paired, "notes": whole["notes"]}
+
+
+def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:
+    """Which models were fitted to part of this stretch, so that their scores prove nothing."""
+    return [flights[number].fitted for flights in models]
