@@ -1,0 +1,189 @@
+// Step 2: which column is what, with its sign and unit; and at once what the flight looks like then.
+
+import {get} from "./api.js";
+import {fill, findingList, h, labelled, later, notice, options, seconds} from "./dom.js";
+import {Together, WindowPlot} from "./plot.js";
+
+const MEANINGS = [["", "not said"], ["tilt", "tilt"], ["velocity", "velocity"], ["vertical_speed", "vertical speed"], ["yaw_rate", "yaw rate"]];
+const FULL = [["", "in its unit"], ["tilt", "of the tilt limit"], ["vertical_speed", "of the vertical speed limit"], ["yaw_rate", "of the yaw rate limit"], ["speed", "of the speed limit"]];
+const LIMIT_WORDS = {tilt: "tilt", vertical_speed: "vertical speed", yaw_rate: "yaw rate", speed: "speed"};
+
+export function cardPanel(place, studio) {
+  const log = h("select", {onchange: () => studio.look(log.value)}), start = h("select", {onchange: () => begin()});
+  const table = h("div", {className: "card-table"}), limits = h("div", {className: "limits"}), problem = h("p", {className: "notice error", hidden: true});
+  const text = h("textarea", {spellcheck: false, rows: 22, "aria-label": "The card as TOML", oninput: () => typed()});
+  const names = h("datalist", {id: "card-columns"});
+  const flight = h("div", {className: "flight"}), findings = h("div", {className: "found"}), about = h("p", {className: "muted"});
+  const top = h("div", {className: "bar"}, labelled("Seen on", log, "field row"), labelled("Start anew from", start, "field row"),
+    h("a", {className: "button", href: "/api/card.toml", download: "card.toml"}, "Download card"));
+  fill(place, h("h1", {id: "card-title"}, "Card"),
+    h("p", {className: "lead"}, "Which column is what. After its sign, + must mean forward, left, up, and counter-clockwise seen from above."),
+    top, problem,
+    h("div", {className: "split"},
+      h("div", {}, h("div", {className: "panel"}, table, h("h2", {}, "Limits of the vehicle"), limits, names),
+        h("details", {className: "panel", open: true}, h("summary", {}, h("h2", {}, "As text (TOML)")), text)),
+      h("div", {className: "sticky"}, h("div", {className: "panel"}, h("h2", {}, "What it makes of the log"), about, flight), h("div", {className: "panel"}, h("h2", {}, "Findings"), findings))),
+    h("p", {className: "next"}, h("a", {className: "button primary", href: "#ranges"}, "Next: ranges")));
+  let drawnCard = -1, drawnLogs = "", seenOn = "", columnsOf = null;
+
+  const change = (body, seen = studio.session.card_revision) => studio.change("PUT", "/api/card", {...body, seen});
+  const edit = edits => change({edits});
+  let typedOn = null; // the revision that the text was typed on; null where it is the server's
+  const saved = later(500, async () => {
+    const mine = text.value, answer = await change({text: mine}, typedOn);
+    typedOn = saved.waiting() ? studio.session.card_revision : null;
+    if (answer !== null || studio.session.card === mine) return;
+    draw(studio, true);
+    notice("warning", "Your text of the card was not kept.", {words: "Put my text in its place", run: () => change({text: mine})});
+  });
+  const typed = () => { typedOn ??= studio.session.card_revision; saved(); };
+
+  function begin() {
+    const [kind, name] = start.value.split("|");
+    start.value = "";
+    if (kind === "draft") change({draft: name});
+    if (kind === "builtin") change({builtin: name});
+  }
+
+  // The table
+
+  function rows(session) {
+    const raw = session.raw;
+    if (!raw) { fill(table, h("p", {className: "empty"}, "The text cannot be read as TOML: correct it below.")); fill(limits); return; }
+    const of = (section, key) => (raw[section] || {})[key];
+    const frames = h("div", {className: "bar"},
+      labelled("Frame of the pose", choice(["ENU", "NED"], raw.frame || "ENU", value => edit([{section: "", key: "frame", value}])), "field row"),
+      labelled("Commands act in the", choice(["heading", "world"], of("command", "frame") || "heading", value => edit([{section: "command", key: "frame", value}])), "field row"),
+      labelled("Hold [s]", figure(of("command", "hold"), "three periods", value => edit([{section: "command", key: "hold", value}])), "field row"));
+    const groups = ["command", "pose", "velocity"].map(section => {
+      const lines = studio.constants.quantities.filter(one => one.section === section).map(one => row(one, of(section, one.key), of("pose", "yaw") !== undefined));
+      const words = {command: "Commands", pose: "Pose", velocity: "Onboard velocity, where there is one"}[section];
+      return section === "velocity" ? h("details", {open: Boolean(raw.velocity)}, h("summary", {}, h("h2", {}, words)), lines) : [h("h2", {}, words), lines];
+    });
+    fill(table, frames, groups);
+    fill(limits, Object.entries(studio.constants.limits).map(([key, units]) => limit(key, units, of("limits", key))));
+  }
+
+  function row({section, key, words, units}, value) {
+    const listed = Array.isArray(value) && key !== "quaternion";
+    const parts = value !== null && typeof value === "object" && !Array.isArray(value) ? value : {from: value};
+    const set = more => {
+      const next = {...parts, ...more};
+      for (const name of Object.keys(next)) if (next[name] === "" || next[name] === null || next[name] === undefined || (name === "scale" && next[name] === 1) || (name === "offset" && next[name] === 0)) delete next[name];
+      const bare = Object.keys(next).length === 1 && next.from !== undefined ? next.from : next;
+      edit([{section, key, value: next.from === undefined ? null : bare}]);
+    };
+    const shown = listed ? `${value.length} names, see the text` : parts.from === undefined ? "" : Array.isArray(parts.from) ? parts.from.join(", ") : String(parts.from);
+    const column = h("input", {className: "column", list: key === "quaternion" ? null : "card-columns", autocomplete: "off", spellcheck: false, placeholder: section === "velocity" || key === "quaternion" ? "none" : "type to search", disabled: listed,
+      onchange: () => set({from: source(column.value, key)})});
+    column.value = shown;
+    const label = h("div", {className: "quantity"}, labelled(words, column));
+    if (listed || parts.from === undefined || key === "quaternion") return h("div", {className: "row"}, label);
+    const scale = typeof parts.scale === "number" ? parts.scale : 1;
+    const sign = h("button", {type: "button", className: `sign ${scale < 0 ? "turned" : ""}`, "aria-pressed": String(scale < 0), "aria-label": `Turn the sign of ${words}`, title: "Turn the sign", onclick: () => set({scale: -scale})}, scale < 0 ? "−" : "+");
+    const factor = figure(scale === 1 ? undefined : scale, "1", value => set({scale: value ?? 1}));
+    factor.setAttribute("aria-label", `Factor of ${words}`);
+    const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), units.length && !(section === "command" && key !== "time") ? value => value || units[0] : value => value || "no unit");
+    unit.setAttribute("aria-label", `Unit of ${words}`);
+    const further = section === "command" && key !== "time" ? h("div", {className: "further"},
+      meaning("Means", MEANINGS, parts.meaning, value => set({meaning: value})), meaning("As a share", FULL, parts.full_scale, value => set({full_scale: value}))) : null;
+    return h("div", {className: "row"}, label, key === "time" ? h("span", {}) : sign, key === "time" ? h("span", {}) : factor, unit, further);
+  }
+
+  function meaning(words, pairs, value, set) {
+    const select = h("select", {onchange: () => set(select.value)});
+    options(select, pairs, value || "");
+    return labelled(words, select, "field row small");
+  }
+
+  function choice(values, value, set, words = one => one) {
+    const select = h("select", {onchange: () => set(select.value)});
+    return options(select, values.map(one => [one, words(one)]), value);
+  }
+
+  function figure(value, blank, set) {
+    const input = h("input", {type: "number", step: "any", className: "figure", placeholder: blank, onchange: () => set(input.value === "" ? null : Number(input.value))});
+    input.value = value === undefined ? "" : String(value);
+    return input;
+  }
+
+  function limit(key, units, value) {
+    const parts = value !== null && typeof value === "object" ? value : value === undefined ? {} : {value};
+    const set = more => { const next = {unit: units[1] || units[0], ...parts, ...more}; edit([{section: "limits", key, value: next.value === null || next.value === undefined ? null : next}]); };
+    const input = figure(parts.value, "not known", number => set({value: number}));
+    const unit = choice(units, parts.unit || units[0], one => set({unit: one}));
+    unit.setAttribute("aria-label", `Unit of the limit of ${LIMIT_WORDS[key]}`);
+    return h("div", {className: "limit"}, labelled(LIMIT_WORDS[key], input), parts.value === undefined ? null : unit);
+  }
+
+  // The flight
+
+  async function look(one, session) {
+    const key = `${one ? one.id : ""}/${session.card_revision}`;
+    if (key === seenOn) return;
+    seenOn = key;
+    if (!one || !session.card) { fill(flight); fill(findings); about.textContent = one ? "There is no card yet." : "There is no log yet."; return; }
+    if (columnsOf !== one.id) {
+      columnsOf = one.id;
+      get(`/api/logs/${one.id}`).then(found => fill(names, found.tables.flatMap(part => part.columns.map(column => h("option", {value: column.source}))))).catch(() => { columnsOf = null; });
+    }
+    about.textContent = "Reading the flight …";
+    about.className = "muted";
+    try {
+      const found = await get(`/api/logs/${one.id}/flight`);
+      if (seenOn !== key) return;
+      about.textContent = `${seconds(found.duration)} s of flight, ${found.poses} poses, ${found.commands} commands. Where a command rises, its velocity must rise soon after.`;
+      motion(one, found);
+      fill(findings, h("p", {className: "muted"}, "Looking for trouble …"));
+      const told = await get(`/api/logs/${one.id}/findings`);
+      if (seenOn === key) fill(findings, findingList(told, "Nothing wrong was found."));
+    } catch (error) {
+      if (seenOn !== key) return;
+      about.textContent = error.message;
+      about.className = "notice error";
+      fill(flight);
+      fill(findings, h("p", {className: "muted"}, "They come with a card that fits the log."));
+    }
+  }
+
+  function motion(one, found) {
+    const together = new Together();
+    const figures = found.axes.map(axis => {
+      const canvas = h("div", {});
+      requestAnimationFrame(() => new WindowPlot(canvas, {
+        path: `/api/logs/${one.id}/motion?axis=${axis}`, together, height: 150, label: `Command and velocity ${axis}`,
+        lines: [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}],
+      }));
+      return h("figure", {}, h("figcaption", {}, h("strong", {}, axis), h("span", {className: "muted"}, ` ${{x: "forward", y: "left", z: "up", yaw: "turn"}[axis]}: velocity [${axis === "yaw" ? "rad/s" : "m/s"}, left], command [right]`)), canvas);
+    });
+    fill(flight, h("div", {className: "bar"}, together.tools()), h("div", {className: "motions"}, figures),
+      found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} repairs`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null);
+  }
+
+  function draw({session, constants}, forced = false) {
+    const one = studio.log(), logs = JSON.stringify([session.uploads.map(each => [each.id, each.name]), one && one.id]);
+    if (logs !== drawnLogs) {
+      drawnLogs = logs;
+      options(log, session.uploads.map(each => [each.id, each.name]), one && one.id);
+      options(start, [["", "choose"], ...session.uploads.map(each => [`draft|${each.id}`, `a draft for ${each.name}`]), ...Object.entries(constants.cards).map(([name, words]) => [`builtin|${name}`, `${name}: ${words}`])], "");
+    }
+    if (forced || drawnCard !== session.card_revision) {
+      const focused = document.activeElement, again = focused && table.contains(focused) ? focused.id || focused.getAttribute("aria-label") : null;
+      drawnCard = session.card_revision;
+      if (forced || (typedOn === null && text.value !== session.card)) text.value = session.card;
+      problem.textContent = session.problem || "";
+      problem.hidden = !session.problem;
+      rows(session);
+      if (again) [...table.querySelectorAll("[aria-label]")].find(each => each.getAttribute("aria-label") === again)?.focus();
+    }
+    look(one, session);
+  }
+  return {draw};
+}
+
+function source(value, key) { // a constant is a number; a quaternion may be four names
+  const plain = value.trim();
+  if (!plain) return null;
+  if (key === "quaternion" && plain.includes(",")) return plain.split(",").map(part => part.trim());
+  return /^[-+]?\d+(\.\d*)?(e[-+]?\d+)?$/i.test(plain) ? Number(plain) : plain;
+}

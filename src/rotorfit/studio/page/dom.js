@@ -1,0 +1,68 @@
+// Elements from plain values. Text only ever becomes text: nothing here makes markup of a string.
+
+export function h(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name in element && typeof value !== "string") element[name] = value;
+    else element.setAttribute(name === "className" ? "class" : name, value === true ? "" : String(value));
+  }
+  element.append(...children.flat(Infinity).filter(child => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+export function fill(element, ...children) {
+  element.replaceChildren(...children.flat(Infinity).filter(child => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+export function options(select, pairs, chosen) {
+  fill(select, pairs.map(([value, words]) => h("option", {value, selected: value === chosen}, words)));
+  return select;
+}
+
+let labels = 0;
+export function labelled(words, control, className = "field") {
+  control.id = control.id || `control-${++labels}`;
+  return h("div", {className}, h("label", {for: control.id}, words), control);
+}
+
+export function notice(kind, text, action = null) {
+  const place = document.getElementById("notices");
+  for (const old of [...place.children]) if (old.dataset.text === text) old.remove();
+  const element = h("div", {className: `notice ${kind}`, "data-text": text}, h("p", {}, text));
+  if (action) element.append(h("button", {type: "button", onclick: () => { element.remove(); action.run(); }}, action.words));
+  element.append(h("button", {type: "button", className: "close", "aria-label": "Dismiss", onclick: () => element.remove()}, "×"));
+  place.append(element);
+  if (kind === "info") setTimeout(() => element.remove(), 6000);
+  return element;
+}
+
+export function later(milliseconds, run) { // the last call wins
+  let timer = 0;
+  const call = (...values) => { clearTimeout(timer); timer = setTimeout(() => { timer = 0; run(...values); }, milliseconds); };
+  call.waiting = () => timer !== 0;
+  return call;
+}
+
+export function bytes(count) {
+  const units = ["B", "kB", "MB", "GB"];
+  let power = 0;
+  while (count >= 1000 && power < 3) { count /= 1000; power += 1; }
+  return `${count.toFixed(count < 10 && power ? 1 : 0)} ${units[power]}`;
+}
+
+export function whole(count) { return Math.round(count).toLocaleString("en").replaceAll(",", "\u202f"); }
+
+export function seconds(value) { return value === null || value === undefined ? "" : `${Number(value.toFixed(2))}`; }
+
+export function findingList(findings, empty) {
+  if (!findings.length) return h("p", {className: "muted"}, empty);
+  return h("ul", {className: "findings"}, findings.map(one => h("li", {className: `finding ${one.severity}`},
+    h("p", {className: "what"}, h("span", {className: "badge"}, one.severity), " ",
+      h("strong", {}, one.code.replaceAll("_", " ")), one.axis ? h("span", {className: "muted"}, ` · ${one.axis}`) : null),
+    h("p", {}, `${one.evidence}.`),
+    h("p", {className: "muted"}, `Effect: ${one.effect}.`),
+    h("p", {className: "muted"}, `Try: ${one.remedy}.`))));
+}

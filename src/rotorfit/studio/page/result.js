@@ -1,0 +1,98 @@
+// What came of a fit: verdict, coefficients, proof, findings, and the files to keep.
+
+import {fill, findingList, h} from "./dom.js";
+import {DrawnChart} from "./plot.js";
+
+const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
+const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
+const LIGHT = {green: "use it", yellow: "with care", red: "do not use", grey: "no model"};
+
+export function resultView(fit, found) {
+  const file = name => `/api/fits/${fit.id}/${name}`;
+  const validation = found.flights.filter(one => one.role === "validation"), training = found.flights.filter(one => one.role === "training");
+  return [
+    h("article", {className: "panel verdict"},
+      h("h2", {className: "headline"}, found.headline),
+      h("div", {className: "lights"}, found.lights.map(light => h("div", {className: `light ${light.colour}`},
+        h("h3", {}, light.axis, h("span", {className: "word"}, light.word || LIGHT[light.colour])),
+        light.error ? h("p", {className: "error-figure"}, h("strong", {}, light.error), " off, 1 s ahead") : null,
+        light.sentences.map(line => h("p", {}, line)),
+        light.reasons.length ? h("details", {}, h("summary", {}, `${light.reasons.length} ${light.reasons.length === 1 ? "reason" : "reasons"} for care`), h("ul", {}, light.reasons.map(line => h("li", {}, line)))) : null))),
+      h("p", {className: "muted"}, found.summary),
+      h("div", {className: "bar downloads"},
+        h("a", {className: "button primary", href: `${file("report.html")}`, target: "_blank", rel: "noopener"}, "Open the report"),
+        h("a", {className: "button", href: `${file("model.json")}?download`, download: `model-${fit.id}.json`}, "Download model"),
+        h("a", {className: "button", href: `${file("report.html")}?download`, download: `report-${fit.id}.html`}, "Download report"),
+        validation.length ? h("a", {className: "button", href: `${file("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null)),
+    h("article", {className: "panel"}, h("h2", {}, "Coefficients"), coefficients(found.coefficients)),
+    validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
+      h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => flight(one, `${fit.id}-v${i}`))) : null,
+    found.horizons.length ? h("article", {className: "panel"}, h("h2", {}, "How far ahead"), h("p", {className: "muted"}, found.horizons[0].reading),
+      h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
+    h("article", {className: "panel"}, h("h2", {}, "Findings"), findingList(found.findings, "Nothing to tell.")),
+    h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Training flights")), lazily(() => training.map((one, i) => flight(one, `${fit.id}-t${i}`)))),
+    found.profiles.length ? h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Why this delay")), lazily(() => [h("p", {className: "muted"}, found.profiles[0].reading), h("div", {className: "multiples"}, found.profiles.map(chart => small(chart)))])) : null,
+    found.residuals.length ? h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "What the residuals say")), grid(RESIDUALS, found.residuals, 2)) : null,
+    h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Repairs of the logs")), found.notes.map(one => [h("h3", {}, `${one.path}, ${one.span.map(v => v.toFixed(2)).join(" to ")} s`), h("ul", {}, one.texts.map(text => h("li", {}, text)))])),
+  ];
+}
+
+function lazily(make) { // charts have no width before they are shown
+  const place = h("div", {});
+  const seen = new IntersectionObserver(entries => { if (entries.some(one => one.isIntersecting)) { seen.disconnect(); fill(place, make()); } });
+  seen.observe(place);
+  place.append(h("p", {className: "muted"}, "…"));
+  return place;
+}
+
+function coefficients(rows) {
+  const axes = [...new Set(rows.map(row => row.axis))];
+  return h("div", {className: "scroll"}, h("table", {className: "coefficients"},
+    h("thead", {}, h("tr", {}, ["Axis", "Coefficient", "Estimate", "95 % interval", "", "Unit", "Status", "Paper"].map((head, i) => h("th", {className: [2, 7].includes(i) ? "number" : ""}, head)))),
+    axes.map(axis => h("tbody", {}, rows.filter(row => row.axis === axis).map((row, i) => h("tr", {className: row.combination ? "combination" : ""},
+      h("th", {}, i ? "" : axis), h("td", {}, row.name), h("td", {className: "number strong"}, row.value), h("td", {}, row.interval), h("td", {className: "bar-cell"}, interval(row)),
+      h("td", {className: "muted"}, row.unit), h("td", {className: `status ${row.status === "ok" ? "ok" : "missing"}`}, row.combination && row.status === "ok" ? "" : row.status), h("td", {className: "number muted"}, row.paper)))))));
+}
+
+function interval({numbers: [value, low, high, paper]}) { // a picture of the interval, its estimate, and the paper's value
+  const known = [value, low, high].filter(one => one !== null);
+  if (known.length < 2) return null;
+  let [from, to] = [Math.min(...known), Math.max(...known)];
+  const pad = 1.2 * (to - from) || 1;
+  if (paper !== null) { const near = Math.max(from - 2 * pad, Math.min(to + 2 * pad, paper)); from = Math.min(from, near); to = Math.max(to, near); }
+  from -= 0.15 * pad; to += 0.15 * pad;
+  const at = one => 4 + 112 * Math.max(0, Math.min(1, (one - from) / (to - from)));
+  const svg = (tag, attributes) => { const one = document.createElementNS("http://www.w3.org/2000/svg", tag); for (const [name, set] of Object.entries(attributes)) one.setAttribute(name, set); return one; };
+  const picture = svg("svg", {viewBox: "0 0 120 18", width: 120, height: 18, "aria-hidden": "true"});
+  picture.append(svg("line", {x1: low === null ? 1 : at(low), x2: high === null ? 119 : at(high), y1: 9, y2: 9, class: "range"}));
+  if (paper !== null) { const x = at(paper); picture.append(svg("path", {d: `M${x} 4.5 L${x + 4.5} 9 L${x} 13.5 L${x - 4.5} 9 Z`, class: "diamond"})); }
+  if (value !== null) picture.append(svg("circle", {cx: at(value), cy: 9, r: 3.6, class: "estimate"}));
+  return picture;
+}
+
+function flight(view, key) {
+  const group = new Set();
+  return h("div", {className: "flight"}, h("h3", {}, view.path, h("span", {className: "muted"}, ` · ${view.duration.toFixed(1)} s`)),
+    view.missing.length ? h("p", {className: "muted"}, `No model of ${view.missing.join(", ")}.`) : null,
+    h("div", {className: "motions"}, view.charts.map(chart => {
+      const canvas = h("div", {});
+      requestAnimationFrame(() => new DrawnChart(canvas, chart, {height: 180, key, group}));
+      return h("figure", {}, h("figcaption", {}, h("strong", {}, chart.title), h("span", {className: "muted"}, ` [${chart.y_label}]`)), canvas, h("p", {className: "seen"}, chart.summary));
+    })), h("p", {className: "seen"}, `${view.drawn} Drag to zoom, double-click shows all.`));
+}
+
+function small(chart) {
+  const canvas = h("div", {});
+  requestAnimationFrame(() => new DrawnChart(canvas, chart, {height: 180}));
+  return h("figure", {}, h("figcaption", {}, h("strong", {}, chart.title), h("span", {className: "muted"}, ` ${chart.y_label}`)), canvas);
+}
+
+function scores(found) {
+  const pooled = found.pooled.length ? grid(SCORES, found.pooled, 3) : null;
+  return [pooled, found.scores.length ? h("details", {}, h("summary", {}, "Flight by flight"), grid(SCORES, found.scores, 3)) : null];
+}
+
+export function grid(heads, rows, left) {
+  return h("div", {className: "scroll"}, h("table", {}, h("thead", {}, h("tr", {}, heads.map((head, i) => h("th", {className: i >= left ? "number" : ""}, head)))),
+    h("tbody", {}, rows.map(row => h("tr", {}, row.map((cell, i) => h("td", {className: i >= left ? "number" : ""}, cell)))))));
+}
