@@ -8,7 +8,7 @@ from rotorfit.card import builtin_card_text
 from rotorfit.errors import RotorfitError
 from rotorfit.frames import AXES, Array
 from rotorfit.structure import STRUCTURES
-from rotorfit.studio.card_lines import with_value
+from rotorfit.studio.card_lines import card_from_text, with_value
 from rotorfit.studio.workspace import Range, Role, Session, Upload
 
 METHODS = ("ml", "robust", "paper", "svf", "weak", "iv", "oe")
@@ -100,12 +100,14 @@ def fit_request(
         return {"kind": "compare", "models": list(dict.fromkeys(map(str, models))), **spans}, words
     if not session.card:
         raise RequestError("there is no card yet; draft one on the page Card")
+    card_from_text(session.card)
     if not spans["train"]:
         raise RequestError("mark a stretch for training first, on the page Ranges")
     method, structure = _one_of(body, "method", METHODS, "ml"), _one_of(
         body, "structure", ("auto", *STRUCTURES), "first_order_delay"
     )  # fmt: skip
-    axes = [axis for axis in AXES if axis in body.get("axes", AXES)]
+    wanted = body.get("axes", AXES)
+    axes = [axis for axis in AXES if isinstance(wanted, list | tuple) and axis in wanted]
     if not axes:
         raise RequestError("choose at least one axis to fit")
     uncertainty = bool(body.get("uncertainty")) and method in ("ml", "robust")

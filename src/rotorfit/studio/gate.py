@@ -50,7 +50,7 @@ class Gate:
         if scope["type"] == "lifespan":
             return await self._app(scope, receive, send)
         if scope["type"] != "http":  # no websockets here
-            return None
+            return await send({"type": "websocket.close", "code": 1008})
         headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
         if refusal:

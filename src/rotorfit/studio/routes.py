@@ -278,7 +278,9 @@ def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]
         try:
             asked = json.loads(body) if body else {}
         except (ValueError, RecursionError):
-            return refused(400, "the request is not JSON")
+            asked = None
+        if not isinstance(asked, dict):
+            return refused(400, "the request is no JSON object")
         return _json(await run_in_threadpool(change, request, asked) or {})
 
     return endpoint

@@ -9,6 +9,7 @@ does: it does not outlive the studio.
 
 import json
 import os
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,8 @@ FITTING, PROVING = 0.75, 0.93
 
 UNPROVEN = Validation((), {"hold": (), "paper": ()}, {"model": (), "hold": (), "paper": ()})
 """Scores on no flight at all."""
+
+_PLACE = re.compile(r"logs/\d+/")
 
 
 def run(workspace: Path, fit_id: str, progress: Progress) -> str:
@@ -74,7 +77,7 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
         written(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
     progress(PROVING, "drawing")
     result = result_mapping(fitted.model, fitted.flights, validation, flights)
-    written(folder / "result.json", json.dumps(result, allow_nan=False))
+    _write_result(folder, result)
     progress(PROVING + 0.02, "writing the report")
     write_report(fitted.model, fitted.flights, validation, flights, folder / "report.html")
     return str(result["headline"])
@@ -87,15 +90,20 @@ def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     spans = [f"{path}@{'' if a is None else a}:{'' if b is None else b}" for path, a, b in request["validate"]]
     comparison = compare_logs([*paths, *spans], progress=progress)
     result = compared_mapping(comparison, request["models"], comparison_mapping(comparison))
-    written(folder / "result.json", json.dumps(result, allow_nan=False))
+    _write_result(folder, result)
     return f"{len(paths)} models on {len(spans)} stretches"
+
+
+def _write_result(folder: Path, result: dict[str, Any]) -> None:
+    """Writes what the page shows, which calls logs by their names."""
+    written(folder / "result.json", _PLACE.sub("", json.dumps(result, allow_nan=False)))
 
 
 def main(workspace: str, fit_id: str) -> int:
     """Runs and reports; a known error is one line, a bug keeps its trace on the standard error."""
     Thread(target=_end_with_the_studio, daemon=True).start()
     try:
-        text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=text))
+        text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_PLACE.sub("", text)))
     except RotorfitError as error:
         _say(error=" ".join(str(error).split()))
         return 1

@@ -228,8 +228,16 @@ class Workspace:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def add_log(self, upload: Upload) -> Upload:
-        """Keeps a log that was received: the first is for training, those after it are for validation."""
+        """Keeps a log that was received: the first is for training, those after it are for validation.
+
+        Raises:
+            WorkspaceError: The session is full.
+        """
         with self._lock:
+            if len(self._session.uploads) >= MOST_LOGS or upload.size > self.room():
+                raise WorkspaceError(
+                    f"{upload.name}: other uploads have filled the session meanwhile; remove one first"
+                )
             taken = any(part.role == "train" for one in self._session.uploads for part in one.ranges)
             upload = replace(upload, ranges=(Range("validate" if taken else "train"),))
             self._changed(uploads=(*self._session.uploads, upload))

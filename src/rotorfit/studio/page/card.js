@@ -14,7 +14,7 @@ export function cardPanel(place, studio) {
   const text = h("textarea", {spellcheck: false, rows: 22, "aria-label": "The card as TOML", oninput: () => typed()});
   const names = h("datalist", {id: "card-columns"});
   const flight = h("div", {className: "flight"}), findings = h("div", {className: "found"}), about = h("p", {className: "muted"});
-  const top = h("div", {className: "bar"}, labelled("Seen on", log, "field row"), labelled("Start anew from", start, "field row"),
+  const top = h("div", {className: "bar"}, labelled("Seen on", log, "field inline"), labelled("Start anew from", start, "field inline"),
     h("a", {className: "button", href: "/api/card.toml", download: "card.toml"}, "Download card"));
   fill(place, h("h1", {id: "card-title"}, "Card"),
     h("p", {className: "lead"}, "Which column is what. After its sign, + must mean forward, left, up, and counter-clockwise seen from above."),
@@ -52,9 +52,9 @@ export function cardPanel(place, studio) {
     if (!raw) { fill(table, h("p", {className: "empty"}, "The text cannot be read as TOML: correct it below.")); fill(limits); return; }
     const of = (section, key) => (raw[section] || {})[key];
     const frames = h("div", {className: "bar"},
-      labelled("Frame of the pose", choice(["ENU", "NED"], raw.frame || "ENU", value => edit([{section: "", key: "frame", value}])), "field row"),
-      labelled("Commands act in the", choice(["heading", "world"], of("command", "frame") || "heading", value => edit([{section: "command", key: "frame", value}])), "field row"),
-      labelled("Hold [s]", figure(of("command", "hold"), "three periods", value => edit([{section: "command", key: "hold", value}])), "field row"));
+      labelled("Frame of the pose", choice(["ENU", "NED"], raw.frame || "ENU", value => edit([{section: "", key: "frame", value}])), "field inline"),
+      labelled("Commands act in the", choice(["heading", "world"], of("command", "frame") || "heading", value => edit([{section: "command", key: "frame", value}])), "field inline"),
+      labelled("Hold [s]", figure(of("command", "hold"), "three periods", value => edit([{section: "command", key: "hold", value}])), "field inline"));
     const groups = ["command", "pose", "velocity"].map(section => {
       const lines = studio.constants.quantities.filter(one => one.section === section).map(one => row(one, of(section, one.key), of("pose", "yaw") !== undefined));
       const words = {command: "Commands", pose: "Pose", velocity: "Onboard velocity, where there is one"}[section];
@@ -83,7 +83,7 @@ export function cardPanel(place, studio) {
     const sign = h("button", {type: "button", className: `sign ${scale < 0 ? "turned" : ""}`, "aria-pressed": String(scale < 0), "aria-label": `Turn the sign of ${words}`, title: "Turn the sign", onclick: () => set({scale: -scale})}, scale < 0 ? "−" : "+");
     const factor = figure(scale === 1 ? undefined : scale, "1", value => set({scale: value ?? 1}));
     factor.setAttribute("aria-label", `Factor of ${words}`);
-    const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), units.length && !(section === "command" && key !== "time") ? value => value || units[0] : value => value || "no unit");
+    const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), value => value || (key === "time" ? "by itself" : section === "command" ? "no unit" : units[0]));
     unit.setAttribute("aria-label", `Unit of ${words}`);
     const further = section === "command" && key !== "time" ? h("div", {className: "further"},
       meaning("Means", MEANINGS, parts.meaning, value => set({meaning: value})), meaning("As a share", FULL, parts.full_scale, value => set({full_scale: value}))) : null;
@@ -93,7 +93,7 @@ export function cardPanel(place, studio) {
   function meaning(words, pairs, value, set) {
     const select = h("select", {onchange: () => set(select.value)});
     options(select, pairs, value || "");
-    return labelled(words, select, "field row small");
+    return labelled(words, select, "field inline small");
   }
 
   function choice(values, value, set, words = one => one) {

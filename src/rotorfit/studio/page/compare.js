@@ -24,7 +24,7 @@ export function comparePanel(place, studio) {
       return row[what].map((one, i) => h("td", {className: `number ${one === best ? "strong" : ""}`}, one === null ? "–" : (factor * one).toPrecision(3), row.fitted[i] ? h("abbr", {title: "fitted to part of this stretch: proves nothing"}, " *") : null));
     };
     const heads = what => found.columns.map(name => h("th", {className: "number", title: what}, name));
-    fill(result, h("article", {className: "panel"}, h("div", {className: "bar"}, h("h2", {}, title(shown)), labelled("Ahead", horizon, "field row")),
+    fill(result, h("article", {className: "panel"}, h("div", {className: "bar"}, h("h2", {}, title(shown)), labelled("Ahead", horizon, "field inline")),
       h("div", {className: "scroll"}, h("table", {}, h("thead", {},
         h("tr", {}, h("th", {colSpan: 2}), h("th", {colSpan: found.columns.length}, "Velocity RMSE [cm/s, yaw deg/s]"), h("th", {colSpan: found.columns.length}, "Position RMSE [cm, yaw deg]"), h("th", {})),
         h("tr", {}, h("th", {}, "Stretch"), h("th", {}, "Axis"), heads("velocity"), heads("position"), h("th", {className: "number"}, "n"))),

@@ -69,9 +69,9 @@ export function logsPanel(place, studio) {
     let found;
     try { found = await get(`/api/logs/${log.id}`); } catch (error) { fill(detail, h("p", {className: "notice error"}, error.message)); return; }
     if (shown !== log.id) return;
-    fill(detail, h("h2", {}, log.name), streams(log, found), h("h3", {}, "Tables"), tables(found),
+    fill(detail, h("article", {className: "panel"}, h("h2", {}, log.name), streams(log, found)), h("article", {className: "panel"}, h("h2", {}, "Tables"), tables(found),
       found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} notes on reading`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null,
-      h("p", {className: "muted hash"}, `SHA-256 ${found.sha256}`),
+      h("p", {className: "muted hash"}, `SHA-256 ${found.sha256}`)),
       h("p", {}, h("a", {className: "button primary", href: "#card"}, "Next: the card")));
   }
 
@@ -102,7 +102,7 @@ export function logsPanel(place, studio) {
     const names = h("datalist", {id: "column-names"}, columns.map(value => h("option", {value})));
     const input = h("input", {list: "column-names", placeholder: "type to search", autocomplete: "off", onchange: () => { if (input.value) { add(input.value); input.value = ""; } }});
     requestAnimationFrame(() => first(columns).forEach(add));
-    return h("div", {}, h("div", {className: "bar"}, labelled("Show a column", input, "field row"), names,
+    return h("div", {}, h("div", {className: "bar"}, labelled("Show a column", input, "field inline"), names,
       h("button", {type: "button", onclick: () => plots.lastChild && plots.lastChild.remove()}, "Remove the last"), together.tools()), plots);
   }
 

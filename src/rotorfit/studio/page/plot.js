@@ -28,6 +28,11 @@ function seriesOf(lines, exact) {
     }))];
 }
 
+function even(_, low, high) { // zero in the middle, so that signs can be compared over two scales
+  const reach = 1.08 * Math.max(Math.abs(low ?? 0), Math.abs(high ?? 0)) || 1;
+  return [-reach, reach];
+}
+
 class Sized { // keeps a chart as wide as its place, and lets it go when that is gone
   constructor(place) {
     this.place = place;
@@ -140,7 +145,7 @@ export class WindowPlot extends Sized {
     const right = this.lines.find(line => line.scale && line.scale !== "y");
     this.chart = new uPlot({
       width: this.place.clientWidth, height: this.height, padding: [8, right ? 2 : 12, 0, 0],
-      scales: {x: {time: false}, y: {}, ...(right ? {[right.scale]: {}} : {})},
+      scales: {x: {time: false}, y: right ? {range: even} : {}, ...(right ? {[right.scale]: {range: even}} : {})},
       cursor: {y: false, drag: {x: true, y: false, setScale: false}, points: {size: 5}},
       legend: {live: true}, series: seriesOf(this.lines, () => this.data.exact), axes: axes(right && right.scale),
       hooks: {
@@ -173,15 +178,24 @@ export class WindowPlot extends Sized {
   dispose() { if (this.asked) this.asked.abort(); this.together.plots.delete(this); super.dispose(); }
 }
 
+export function legend(charts) { // one for several charts
+  const lines = new Map(charts.flatMap(chart => chart.lines).map(line => [line.name, line.role]));
+  return h("div", {className: "legend"}, [...lines].map(([name, role]) => {
+    const sign = h("i", {className: {paper: "dashed", hold: "dotted"}[role]});
+    sign.style.borderColor = `var(--${role})`;
+    return h("span", {}, sign, name);
+  }));
+}
+
 function floats(text) {
   const raw = Uint8Array.from(atob(text), c => c.charCodeAt(0));
   return Array.from(new Float32Array(raw.buffer), v => Number.isNaN(v) ? null : v);
 }
 
 export class DrawnChart extends Sized {
-  constructor(place, chart, {height = 190, key = null, group = null} = {}) {
+  constructor(place, chart, {height = 190, key = null, group = null, legend = true} = {}) {
     super(place);
-    Object.assign(this, {spec: chart, height, key, group});
+    Object.assign(this, {spec: chart, height, key, group, legend});
     this.numbers = [floats(chart.x), ...chart.lines.map(line => floats(line.y))];
     place.classList.add("plot");
     place.setAttribute("role", "img");
@@ -197,7 +211,7 @@ export class DrawnChart extends Sized {
       width: this.place.clientWidth, height: this.height, padding: [8, 12, 0, 0],
       scales: {x: {time: false}, y: {...(spec.y_log ? {distr: 3} : {}), ...(spec.y_range ? {range: () => spec.y_range} : {})}},
       cursor: {y: false, drag: {x: true, y: false}, points: {size: 5}, ...(this.key ? {sync: {key: this.key}} : {})},
-      legend: {live: true},
+      legend: {show: this.legend},
       series: seriesOf(spec.lines, () => true).map((one, i) => i ? one : {label: spec.x_label.split(" [")[0], value: (_, v) => number(v)}),
       axes: axes(),
       hooks: {

@@ -39,7 +39,7 @@ function rangeBlock(first, studio) {
   const quick = (words, ranges) => h("button", {type: "button", onclick: () => put(ranges())}, words);
   const cut = () => span[0] + Math.round(7 * (span[1] - span[0])) / 10;
   const tools = h("div", {className: "bar", hidden: true},
-    labelled("Axis", what, "field row"), labelled("Dragging", drag, "field row"), together.tools(),
+    labelled("Axis", what, "field inline"), labelled("Dragging", drag, "field inline"), together.tools(),
     h("div", {className: "tools"},
       quick("All training", () => [{role: "train", start: null, end: null}]), quick("All validation", () => [{role: "validate", start: null, end: null}]),
       quick("Split 70 : 30", () => [{role: "train", start: null, end: cut()}, {role: "validate", start: cut(), end: null}]), quick("Use nothing", () => [])));

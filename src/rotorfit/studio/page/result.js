@@ -1,7 +1,7 @@
 // What came of a fit: verdict, coefficients, proof, findings, and the files to keep.
 
 import {fill, findingList, h} from "./dom.js";
-import {DrawnChart} from "./plot.js";
+import {DrawnChart, legend} from "./plot.js";
 
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
@@ -28,7 +28,7 @@ export function resultView(fit, found) {
     validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
       h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => flight(one, `${fit.id}-v${i}`))) : null,
     found.horizons.length ? h("article", {className: "panel"}, h("h2", {}, "How far ahead"), h("p", {className: "muted"}, found.horizons[0].reading),
-      h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
+      legend(found.horizons), h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
     h("article", {className: "panel"}, h("h2", {}, "Findings"), findingList(found.findings, "Nothing to tell.")),
     h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Training flights")), lazily(() => training.map((one, i) => flight(one, `${fit.id}-t${i}`)))),
     found.profiles.length ? h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Why this delay")), lazily(() => [h("p", {className: "muted"}, found.profiles[0].reading), h("div", {className: "multiples"}, found.profiles.map(chart => small(chart)))])) : null,
@@ -83,13 +83,14 @@ function flight(view, key) {
 
 function small(chart) {
   const canvas = h("div", {});
-  requestAnimationFrame(() => new DrawnChart(canvas, chart, {height: 180}));
-  return h("figure", {}, h("figcaption", {}, h("strong", {}, chart.title), h("span", {className: "muted"}, ` ${chart.y_label}`)), canvas);
+  requestAnimationFrame(() => new DrawnChart(canvas, chart, {height: 180, legend: false}));
+  return h("figure", {}, h("figcaption", {}, h("strong", {}, chart.title), h("span", {className: "muted"}, ` ${chart.y_label} over ${chart.x_label}`)), canvas);
 }
 
 function scores(found) {
-  const pooled = found.pooled.length ? grid(SCORES, found.pooled, 3) : null;
-  return [pooled, found.scores.length ? h("details", {}, h("summary", {}, "Flight by flight"), grid(SCORES, found.scores, 3)) : null];
+  const known = rows => rows.filter(row => row[3] !== "—");
+  return [grid(SCORES.slice(1), known(found.pooled).map(row => row.slice(1)), 2),
+    found.scores.length ? h("details", {}, h("summary", {}, "Flight by flight"), grid(SCORES, known(found.scores), 3)) : null];
 }
 
 export function grid(heads, rows, left) {

@@ -1,0 +1,70 @@
+"""A studio for the tests: a workspace in a temporary folder, a client that may, small logs of simulated flights."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from starlette.testclient import TestClient
+
+from rotorfit.excitation import two_sines
+from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.studio.gate import cookie_name
+from rotorfit.studio.routes import Studio
+from rotorfit.studio.workspace import Workspace
+
+PORT, TOKEN = 8123, "a-secret-of-this-run"
+HOST = f"127.0.0.1:{PORT}"
+ORIGIN = f"http://{HOST}"
+COOKIE = {"cookie": f"{cookie_name(PORT)}={TOKEN}"}
+PAGE = {**COOKIE, "origin": ORIGIN, "sec-fetch-site": "same-origin"}
+"""What a browser sends from the studio's own page."""
+
+
+@contextmanager
+def opened(folder: Path) -> Iterator[Studio]:
+    """A studio on a folder; whatever runs is ended with it."""
+    workspace = Workspace(folder)
+    studio = Studio(workspace, TOKEN, PORT)
+    try:
+        yield studio
+    finally:
+        studio.runner.close()
+        settled(studio)
+        workspace.close()
+
+
+def client_of(studio: Studio, headers: dict[str, str] | None = None) -> TestClient:
+    """A client with the headers of the studio's own page, or others."""
+    return TestClient(studio.app, base_url=ORIGIN, headers=PAGE if headers is None else headers)
+
+
+@cache
+def bag(seed: int, duration: float = 20.0) -> bytes:
+    """A log of a simulated flight that the card `rotorfit-demo` fits."""
+    with TemporaryDirectory() as folder:
+        write_bag(simulate_flight(Truth(), two_sines, duration, seed), Path(folder) / "log.bag")
+        return (Path(folder) / "log.bag").read_bytes()
+
+
+def added(client: TestClient, name: str = "flight.bag", content: bytes | None = None) -> str:
+    """Id of a log that was uploaded."""
+    answer = client.post("/api/logs", params={"name": name}, content=bag(1) if content is None else content)
+    assert answer.status_code == 201, answer.text
+    return str(answer.json()["id"])
+
+
+def session_of(client: TestClient) -> dict[str, Any]:
+    found: dict[str, Any] = client.get("/api/session").json()
+    return found
+
+
+def settled(studio: Studio, seconds: float = 120.0) -> None:
+    """Waits until nothing runs."""
+    end = time.monotonic() + seconds
+    while studio.runner.running is not None:
+        assert time.monotonic() < end, "the fit does not end"
+        time.sleep(0.05)
