@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.testclient import TestClient
 
-from rotorfit.excitation import two_sines
+from flights import steps
 from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.studio.gate import cookie_name
 from rotorfit.studio.routes import Studio
@@ -46,7 +46,7 @@ def client_of(studio: Studio, headers: dict[str, str] | None = None) -> TestClie
 def bag(seed: int, duration: float = 20.0) -> bytes:
     """A log of a simulated flight that the card `rotorfit-demo` fits."""
     with TemporaryDirectory() as folder:
-        write_bag(simulate_flight(Truth(), two_sines, duration, seed), Path(folder) / "log.bag")
+        write_bag(simulate_flight(Truth(), steps(("x", "y"), 0.15, seed), duration, seed), Path(folder) / "log.bag")
         return (Path(folder) / "log.bag").read_bytes()
 
 

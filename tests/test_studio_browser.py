@@ -1,5 +1,6 @@
 """The studio in a real browser: from a dropped log to a downloaded model; a bad file, two windows, a killed fit."""
 
+import base64
 import json
 import os
 import re
@@ -11,20 +12,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from rotorfit.model_file import load
 from studio_room import bag
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-if CHROMIUM is None:
-    pytest.skip("no chromium here: the studio is not tested in a browser", allow_module_level=True)
-
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
-
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the studio is not tested in a browser")
 FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+expect.set_options(timeout=20_000)
 SOON, WORK = 20_000, 90_000
 """How long to wait for the page, and for a fit [ms]."""
 
@@ -69,7 +68,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 
 
 def opened(context: BrowserContext, address: str) -> Page:
-    """The page, which may not complain: neither of errors nor of its policy. Refusals of the server are no complaint."""
+    """The page, with its complaints: errors and breaches of its policy, but no refusals of the server."""
     page = context.new_page()
     complaints: list[str] = []
     page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -80,7 +79,6 @@ def opened(context: BrowserContext, address: str) -> Page:
         ),
     )
     page.on("dialog", lambda dialog: (complaints.append("a dialog"), dialog.dismiss()))
-    page.on("close", lambda _: None)
     page.goto(address)
     expect(page.locator("html[data-ready]")).to_have_count(1)
     page.complaints = complaints  # type: ignore[attr-defined]
@@ -88,8 +86,6 @@ def opened(context: BrowserContext, address: str) -> Page:
 
 
 def drop(page: Page, name: str, content: bytes) -> None:
-    import base64
-
     page.evaluate(DROP, [name, base64.b64encode(content).decode()])
 
 
@@ -105,16 +101,19 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     drop(page, "proof.bag", bag(2))
     expect(page.locator("#logs .cards li")).to_have_count(2)
     expect(page.locator("#logs .plot canvas").first).to_be_visible()
-    expect(page.locator("#log-detail table")).to_contain_text("Hz")
+    expect(page.locator("#log-detail .scroll table")).to_contain_text("Hz")
 
     step(page, "Card")
     text = page.get_by_label("The card as TOML")
     expect(text).to_have_value(re.compile("command"))
     expect(page.locator("#card .plot canvas")).to_have_count(4)
+    told = page.locator("#card .told").first
+    expect(told).to_have_text("✓ + leads forward")
     page.get_by_label("Turn the sign of command x").click()
     expect(text).to_have_value(re.compile(r"scale = -1"))
-    expect(page.locator("#card .found")).to_contain_text("sign", ignore_case=True)
-    page.get_by_label("Turn the sign of command x").click()
+    expect(told).to_have_text("+ leads backward: turn the sign")
+    told.get_by_role("button").click()
+    expect(told).to_have_text("✓ + leads forward")
     expect(text).not_to_have_value(re.compile(r"scale = -1"))
 
     step(page, "Ranges")
@@ -135,7 +134,7 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
 
     step(page, "Fit")
     for axis in ("z", "yaw"):
-        page.get_by_label(axis, exact=True).uncheck()
+        page.get_by_role("checkbox", name=axis).uncheck()
     page.get_by_role("button", name="Fit", exact=True).click()
     expect(page.locator("#fit .progress")).to_be_visible()
     expect(page.locator("#result .headline")).to_contain_text("plan 1 s ahead", timeout=WORK)

@@ -183,9 +183,10 @@ def test_the_page_holds_no_script_style_or_handler_of_its_own_and_never_makes_ma
     "path",
     [
         "/page/../routes.py", "/page/..%2froutes.py", "/page/%2e%2e/routes.py", "/page/%2fetc%2fpasswd",
-        "/page/index.html", "/page/..%5croutes.py", "/page/", "/page/main.js%00.css", "/api/logs/..", "/api/logs/..%2f..%2fsession.json",
-        "/api/logs/1%2f..%2f..", "/api/fits/1/..%2f..%2f..%2fsession.json", "/api/fits/..%2flogs/model.json",
-        "/api/fits/1/request.json", "/api/fits/1/trace.txt", "/api/fits/1/card.toml", "/session.json", "//etc/passwd",
+        "/page/index.html", "/page/..%5croutes.py", "/page/", "/page/main.js%00.css", "/api/logs/..",
+        "/api/logs/..%2f..%2fsession.json", "/api/logs/1%2f..%2f..", "/api/fits/1/..%2f..%2f..%2fsession.json",
+        "/api/fits/..%2flogs/model.json", "/api/fits/1/request.json", "/api/fits/1/trace.txt",
+        "/api/fits/1/card.toml", "/session.json", "//etc/passwd",
     ],
 )  # fmt: skip
 def test_no_path_leads_out_of_what_is_served(page: TestClient, path: str) -> None:

@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
+from rotorfit.answers import answers_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.draft import draft_card
 from rotorfit.errors import LogError, RotorfitError
@@ -132,12 +133,17 @@ class Studio:
         return self.shelf.computed(("flight", upload.id, card), lambda: flight_mapping(self.shelf.flight(upload, card)))
 
     def findings(self, request: Request) -> Any:
-        """What the data doctor says."""
+        """What the data doctor says, and which way the motion says that each command leads."""
         upload, card = self._upload(request), self._card()
 
         def make() -> Any:
             flight = self.shelf.flight(upload, card)
-            return [asdict(one) for one in findings_of_flight(self.shelf.log(upload), flight.card, flight)]
+            found = findings_of_flight(self.shelf.log(upload), flight.card, flight)
+            told = answers_of(flight).of
+            return {
+                "findings": [asdict(one) for one in found],
+                "answers": {axis: asdict(told[axis]) for axis in flight.axes if axis in told},
+            }
 
         return self.shelf.computed(("findings", upload.id, card), make)
 

@@ -22,6 +22,7 @@ def serve(folder: Path | None, port: int, ready: Callable[[str, Path], None] | N
                 listener.bind(("127.0.0.1", port))
             except OSError as error:
                 raise WorkspaceError(f"port {port}: {error.strerror}; choose another with --port, or none") from None
+            listener.listen()  # from here on the address answers
             own, token = listener.getsockname()[1], secrets.token_urlsafe(32)
             studio = Studio(workspace, token, own)
             if ready:

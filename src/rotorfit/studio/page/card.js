@@ -6,6 +6,7 @@ import {Together, WindowPlot} from "./plot.js";
 
 const MEANINGS = [["", "not said"], ["tilt", "tilt"], ["velocity", "velocity"], ["vertical_speed", "vertical speed"], ["yaw_rate", "yaw rate"]];
 const FULL = [["", "in its unit"], ["tilt", "of the tilt limit"], ["vertical_speed", "of the vertical speed limit"], ["yaw_rate", "of the yaw rate limit"], ["speed", "of the speed limit"]];
+const LEADS = {x: ["forward", "backward"], y: ["left", "right"], z: ["up", "down"], yaw: ["counter-clockwise", "clockwise"]};
 const LIMIT_WORDS = {tilt: "tilt", vertical_speed: "vertical speed", yaw_rate: "yaw rate", speed: "speed"};
 
 export function cardPanel(place, studio) {
@@ -136,7 +137,9 @@ export function cardPanel(place, studio) {
       motion(one, found);
       fill(findings, h("p", {className: "muted"}, "Looking for trouble …"));
       const told = await get(`/api/logs/${one.id}/findings`);
-      if (seenOn === key) fill(findings, findingList(told, "Nothing wrong was found."));
+      if (seenOn !== key) return;
+      fill(findings, findingList(told.findings, "Nothing wrong was found."));
+      for (const place of flight.querySelectorAll("[data-axis]")) fill(place, answer(place.dataset.axis, told.answers[place.dataset.axis]));
     } catch (error) {
       if (seenOn !== key) return;
       about.textContent = error.message;
@@ -154,10 +157,19 @@ export function cardPanel(place, studio) {
         path: `/api/logs/${one.id}/motion?axis=${axis}`, together, height: 150, label: `Command and velocity ${axis}`,
         lines: [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}],
       }));
-      return h("figure", {}, h("figcaption", {}, h("strong", {}, axis), h("span", {className: "muted"}, ` ${{x: "forward", y: "left", z: "up", yaw: "turn"}[axis]}: velocity [${axis === "yaw" ? "rad/s" : "m/s"}, left], command [right]`)), canvas);
+      return h("figure", {}, h("figcaption", {}, h("span", {className: "told", "data-axis": axis}), h("strong", {}, axis), h("span", {className: "muted"}, ` velocity [${axis === "yaw" ? "rad/s" : "m/s"}], command`)), canvas);
     });
     fill(flight, h("div", {className: "bar"}, together.tools()), h("div", {className: "motions"}, figures),
       found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} repairs`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null);
+  }
+
+  function answer(axis, told) { // what the motion says of a command
+    if (!told) return h("span", {className: "muted"}, "the motion does not tell");
+    const sure = `${told.certainty.toFixed(0)} standard errors`;
+    if (!told.axis) return h("span", {className: "muted", title: sure}, "the motion does not tell the sign");
+    if (told.axis !== axis) return h("span", {className: "wrong", title: sure}, `the motion follows it along ${told.axis}`);
+    if (told.sign > 0) return h("span", {className: "right", title: sure}, `✓ + leads ${LEADS[axis][0]}`);
+    return h("button", {type: "button", className: "small wrong", title: sure, onclick: () => table.querySelector(`[aria-label="Turn the sign of command ${axis}"]`)?.click()}, `+ leads ${LEADS[axis][1]}: turn the sign`);
   }
 
   function draw({session, constants}, forced = false) {

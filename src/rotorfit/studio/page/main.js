@@ -45,6 +45,7 @@ const studio = {
     this.draw();
   },
   draw() {
+    if (!this.session) return; // nothing was heard yet
     steps();
     running();
     const shown = step();
