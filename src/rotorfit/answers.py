@@ -8,6 +8,7 @@ from leaving out each tenth of the flight in turn. Only the sign and the axis of
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 
 from rotorfit.flight import Flight
@@ -139,12 +140,15 @@ def _smoothed(flight: Flight, time: Array, columns: list[int]) -> list[tuple[flo
     return found
 
 
+@numba.njit(cache=True)
 def _first_order(held: Array, step: float) -> Array:
     """First-order low-pass of held values, shape (N, K), from rest."""
-    keep, state, out = np.exp(-step), np.zeros(held.shape[1]), np.empty_like(held)
-    for k, value in enumerate(held):
-        state = keep * state + (1 - keep) * value
-        out[k] = state
+    keep, out = np.exp(-step), np.empty(held.shape)
+    for k in range(held.shape[1]):
+        state = 0.0
+        for i in range(held.shape[0]):
+            state = keep * state + (1 - keep) * held[i, k]
+            out[i, k] = state
     return out
 
 

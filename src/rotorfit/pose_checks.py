@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import numba
 import numpy as np
 
 from rotorfit.finding import Finding
@@ -63,12 +64,21 @@ def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array,
     step = np.diff(time)
     speed = np.diff(value, axis=0) / step[:, None]
     padded = np.pad(speed, ((NEIGHBOURS, NEIGHBOURS), (0, 0)), mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1, axis=0)
-    beyond = np.diff(value, axis=0) - step[:, None] * np.median(around, axis=-1)
+    beyond = np.diff(value, axis=0) - step[:, None] * _running_median(padded, 2 * NEIGHBOURS + 1)
     size = np.linalg.norm(beyond, axis=1)
     sigma = 1.4826 * float(np.median(size))
     leap: Mask = size > LEAP_SIGMAS * sigma + floor + slope * step
     return time[1:][leap], beyond[leap]
+
+
+@numba.njit(cache=True)
+def _running_median(values: Array, width: int) -> Array:
+    """Medians of an odd number of neighbours, column by column: shape (N - width + 1, K) of (N, K)."""
+    out = np.empty((values.shape[0] - width + 1, values.shape[1]))
+    for k in range(values.shape[1]):
+        for i in range(out.shape[0]):
+            out[i, k] = np.sort(values[i : i + width, k])[width // 2]
+    return out
 
 
 def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> Iterator[Finding]:

@@ -17,11 +17,12 @@ from rotorfit.answers import answers_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.draft import draft_card
 from rotorfit.errors import LogError, RotorfitError
+from rotorfit.frames import AXES
 from rotorfit.studio.asking import edits_from, fit_request, ranges_from, window_from
 from rotorfit.studio.gate import SANDBOX, Gate, cookie_name, refused
 from rotorfit.studio.runner import BusyError, Runner
 from rotorfit.studio.shelf import Shelf
-from rotorfit.studio.windowed import packed, window_of
+from rotorfit.studio.windowed import Series, packed, window_of
 from rotorfit.studio.wire import constants_mapping, flight_mapping, log_mapping, session_mapping
 from rotorfit.studio.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 
@@ -147,16 +148,16 @@ class Studio:
 
         return self.shelf.computed(("findings", upload.id, card), make)
 
-    def motion(self, request: Request) -> tuple[Any, tuple[int, ...]]:
+    def motion(self, request: Request) -> Series:
         """Command and velocity of an axis."""
-        axis = {"x": 0, "y": 1, "z": 2, "yaw": 3}.get(request.query_params.get("axis", ""))
-        if axis is None:
-            raise WorkspaceError("no such axis: x, y, z or yaw")
-        return self.shelf.motion(self._upload(request), self._card()), (axis, 4 + axis)
+        axis = request.query_params.get("axis", "")
+        if axis not in AXES:
+            raise WorkspaceError(f"no such axis: one of {', '.join(AXES)}")
+        return self.shelf.motion(self._upload(request), self._card(), axis)
 
-    def column(self, request: Request) -> tuple[Any, tuple[int, ...]]:
+    def column(self, request: Request) -> Series:
         """A column as recorded."""
-        return self.shelf.column(self._upload(request), request.query_params.get("source", "")), (0,)
+        return self.shelf.column(self._upload(request), request.query_params.get("source", ""))
 
     def ranges(self, request: Request, body: Any) -> Any:
         """Says which stretches of a log are for training and for validation."""
@@ -253,13 +254,13 @@ def _reading(answer: Callable[[Request], Any]) -> Callable[[Request], Response]:
     return lambda request: _json(answer(request))
 
 
-def _drawing(answer: Callable[[Request], tuple[Any, tuple[int, ...]]]) -> Callable[[Request], Response]:
+def _drawing(answer: Callable[[Request], Series]) -> Callable[[Request], Response]:
     """A route that answers with the window of a series, in bytes."""
 
     def endpoint(request: Request) -> Response:
-        series, columns = answer(request)
+        series = answer(request)
         start, end, width = window_from(request.query_params, series.time)
-        window = window_of(series.time, series.values[:, list(columns)], start, end, width)
+        window = window_of(series, start, end, width)
         first, last = (float(series.time[0]), float(series.time[-1])) if series.time.size else (0.0, 0.0)
         headers = {
             "x-points": str(window.time.size),

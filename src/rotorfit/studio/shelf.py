@@ -3,7 +3,6 @@
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar, cast
@@ -15,10 +14,11 @@ from rotorfit.clock import MISSING_STAMP, stamps_of
 from rotorfit.columns import clock_of
 from rotorfit.errors import LogError, RotorfitError
 from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import Array
+from rotorfit.frames import AXES
 from rotorfit.log import Log
 from rotorfit.sources import read
 from rotorfit.studio.card_lines import card_from_text
+from rotorfit.studio.windowed import Series, series_over
 from rotorfit.studio.workspace import Upload, Workspace
 from rotorfit.views import command_and_velocity
 
@@ -26,21 +26,6 @@ BUDGET = 1 << 30
 """Bytes of arrays that are kept."""
 
 Made = TypeVar("Made")
-
-
-@dataclass(frozen=True)
-class Series:
-    """Columns over time.
-
-    Attributes:
-        time: Non-decreasing, shape (N,) [s].
-        values: Shape (N, K).
-        zero: Stamp of time 0 [ns].
-    """
-
-    time: Array
-    values: Array
-    zero: int = 0
 
 
 class Shelf:
@@ -77,14 +62,14 @@ class Shelf:
         """
         return self._keep(("flight", upload.id, card), lambda: flight_from_log(self.log(upload), card_from_text(card)))
 
-    def motion(self, upload: Upload, card: str) -> Series:
-        """Commands x, y, z, yaw and measured velocities of the same axes in the heading frame, over the flight."""
+    def motion(self, upload: Upload, card: str, axis: str) -> Series:
+        """Command and measured velocity of an axis, in the heading frame, over the flight."""
 
-        def make() -> Series:
+        def make() -> list[Series]:
             time, command, velocity = command_and_velocity(self.flight(upload, card))
-            return Series(time, np.hstack([command, velocity]))
+            return [series_over(time, np.column_stack(pair)) for pair in zip(command.T, velocity.T, strict=True)]
 
-        return self._keep(("motion", upload.id, card), make)
+        return self._keep(("motion", upload.id, card), make)[AXES.index(axis)]
 
     def column(self, upload: Upload, source: str) -> Series:
         """A column as recorded over the clock of its table, or over its rows where the table has no clock.
@@ -138,6 +123,8 @@ def size_of(thing: Any) -> int:
         return thing.nbytes
     if isinstance(thing, Log):
         return sum(values.nbytes for table in thing.tables.values() for values in table.columns.values())
+    if isinstance(thing, list | tuple):
+        return sum(map(size_of, thing))
     fields = getattr(thing, "__dataclass_fields__", None)
     return sum(size_of(getattr(thing, name)) for name in fields) if fields else sys.getsizeof(thing)
 
@@ -148,7 +135,7 @@ def _column(log: Log, source: str) -> Series:
     clock = clock_of(log, table, raw.size)
     values = raw.astype(np.float64)
     if clock is None:
-        return Series(np.arange(raw.size, dtype=np.float64), values[:, None])
+        return series_over(np.arange(raw.size, dtype=np.float64), values[:, None])
     stamps = stamps_of(log, clock)
     count = min(stamps.size, values.size)
     stamps, values = stamps[:count], values[:count]
@@ -156,7 +143,7 @@ def _column(log: Log, source: str) -> Series:
     stamps, values = stamps[known], values[known]
     zero = _zero(log, int(stamps.min(initial=np.iinfo(np.int64).max)))
     order = np.argsort(stamps, kind="stable") if np.any(np.diff(stamps) < 0) else slice(None)
-    return Series((stamps[order] - zero) / 1e9, values[order][:, None], zero)
+    return series_over((stamps[order] - zero) / 1e9, values[order][:, None])
 
 
 def _zero(log: Log, own: int) -> int:

@@ -2,7 +2,9 @@
 
 import {get} from "./api.js";
 import {fill, findingList, h, labelled, later, notice, options, seconds} from "./dom.js";
-import {Together, WindowPlot} from "./plot.js";
+import {legendOf, Together, WindowPlot} from "./plot.js";
+
+const LINES = [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}];
 
 const MEANINGS = [["", "not said"], ["tilt", "tilt"], ["velocity", "velocity"], ["vertical_speed", "vertical speed"], ["yaw_rate", "yaw rate"]];
 const FULL = [["", "in its unit"], ["tilt", "of the tilt limit"], ["vertical_speed", "of the vertical speed limit"], ["yaw_rate", "of the yaw rate limit"], ["speed", "of the speed limit"]];
@@ -77,14 +79,15 @@ export function cardPanel(place, studio) {
     const shown = listed ? `${value.length} names, see the text` : parts.from === undefined ? "" : Array.isArray(parts.from) ? parts.from.join(", ") : String(parts.from);
     const column = h("input", {className: "column", list: key === "quaternion" ? null : "card-columns", autocomplete: "off", spellcheck: false, placeholder: section === "velocity" || key === "quaternion" ? "none" : "type to search", disabled: listed,
       onchange: () => set({from: source(column.value, key)})});
-    column.value = shown;
+    column.value = column.title = shown;
+    requestAnimationFrame(() => { column.scrollLeft = column.scrollWidth; }); // the end of a long name says what it is
     const label = h("div", {className: "quantity"}, labelled(words, column));
     if (listed || parts.from === undefined || key === "quaternion") return h("div", {className: "row"}, label);
     const scale = typeof parts.scale === "number" ? parts.scale : 1;
     const sign = h("button", {type: "button", className: `sign ${scale < 0 ? "turned" : ""}`, "aria-pressed": String(scale < 0), "aria-label": `Turn the sign of ${words}`, title: "Turn the sign", onclick: () => set({scale: -scale})}, scale < 0 ? "−" : "+");
     const factor = figure(scale === 1 ? undefined : scale, "1", value => set({scale: value ?? 1}));
     factor.setAttribute("aria-label", `Factor of ${words}`);
-    const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), value => value || (key === "time" ? "by itself" : section === "command" ? "no unit" : units[0]));
+    const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), value => value || (key === "time" ? "auto" : section === "command" ? "no unit" : units[0]));
     unit.setAttribute("aria-label", `Unit of ${words}`);
     const further = section === "command" && key !== "time" ? h("div", {className: "further"},
       meaning("Means", MEANINGS, parts.meaning, value => set({meaning: value})), meaning("As a share", FULL, parts.full_scale, value => set({full_scale: value}))) : null;
@@ -155,11 +158,11 @@ export function cardPanel(place, studio) {
       const canvas = h("div", {});
       requestAnimationFrame(() => new WindowPlot(canvas, {
         path: `/api/logs/${one.id}/motion?axis=${axis}`, together, height: 150, label: `Command and velocity ${axis}`,
-        lines: [{name: "command", role: "command", scale: "command", stepped: true}, {name: "velocity", role: "measured"}],
+        lines: LINES, legend: false,
       }));
-      return h("figure", {}, h("figcaption", {}, h("span", {className: "told", "data-axis": axis}), h("strong", {}, axis), h("span", {className: "muted"}, ` velocity [${axis === "yaw" ? "rad/s" : "m/s"}], command`)), canvas);
+      return h("figure", {}, h("figcaption", {}, h("span", {className: "told", "data-axis": axis}), h("strong", {}, axis), h("span", {className: "muted"}, ` [${axis === "yaw" ? "rad/s" : "m/s"}]`)), canvas);
     });
-    fill(flight, h("div", {className: "bar"}, together.tools()), h("div", {className: "motions"}, figures),
+    fill(flight, h("div", {className: "bar"}, together.tools(), legendOf(LINES)), h("div", {className: "motions"}, figures),
       found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} repairs`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null);
   }
 

@@ -74,7 +74,7 @@ function done(name) {
 function steps() {
   const place = document.getElementById("steps"), shown = step();
   if (!place.children.length) {
-    fill(place, STEPS.map(([name, words], i) => h("a", {href: `#${name}`, "data-step": name}, h("span", {className: "number", "aria-hidden": true}, String(i + 1)), words)));
+    fill(place, STEPS.map(([name, words], i) => h("a", {href: `#${name}`, "data-step": name}, h("span", {className: "number", "aria-hidden": true}, String(i + 1)), h("span", {className: "words"}, words))));
   }
   for (const link of place.children) {
     const current = link.dataset.step === shown;

@@ -82,9 +82,9 @@ const KEYS = {ArrowLeft: "left", ArrowRight: "right", "+": "in", "=": "in", "-":
 
 export class WindowPlot extends Sized {
   // lines: [{name, role, scale, stepped}]; bands: () => [{role, start, end}]; onmark: (from, to) => true where it took the drag
-  constructor(place, {path, lines, together = new Together(), height = 190, label, bands = null, onmark = null, onloaded = null, onerror = null}) {
+  constructor(place, {path, lines, together = new Together(), height = 190, label, bands = null, onmark = null, onloaded = null, onerror = null, legend = true}) {
     super(place);
-    Object.assign(this, {path, lines, together, height, bands, onmark, onloaded, onerror, data: null});
+    Object.assign(this, {path, lines, together, height, bands, onmark, onloaded, onerror, legend, data: null});
     place.classList.add("plot");
     place.tabIndex = 0;
     place.setAttribute("role", "img");
@@ -147,7 +147,7 @@ export class WindowPlot extends Sized {
       width: this.place.clientWidth, height: this.height, padding: [8, right ? 2 : 12, 0, 0],
       scales: {x: {time: false}, y: right ? {range: even} : {}, ...(right ? {[right.scale]: {range: even}} : {})},
       cursor: {y: false, drag: {x: true, y: false, setScale: false}, points: {size: 5}},
-      legend: {live: true}, series: seriesOf(this.lines, () => this.data.exact), axes: axes(right && right.scale),
+      legend: {show: this.legend}, series: seriesOf(this.lines, () => this.data.exact), axes: axes(right && right.scale),
       hooks: {
         drawClear: [chart => this.shade(chart)],
         setSelect: [chart => {
@@ -178,8 +178,8 @@ export class WindowPlot extends Sized {
   dispose() { if (this.asked) this.asked.abort(); this.together.plots.delete(this); super.dispose(); }
 }
 
-export function legend(charts) { // one for several charts
-  const lines = new Map(charts.flatMap(chart => chart.lines).map(line => [line.name, line.role]));
+export function legendOf(drawn) { // one for several charts
+  const lines = new Map(drawn.map(line => [line.name, line.role]));
   return h("div", {className: "legend"}, [...lines].map(([name, role]) => {
     const sign = h("i", {className: {paper: "dashed", hold: "dotted"}[role]});
     sign.style.borderColor = `var(--${role})`;

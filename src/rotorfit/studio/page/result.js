@@ -1,7 +1,7 @@
 // What came of a fit: verdict, coefficients, proof, findings, and the files to keep.
 
 import {fill, findingList, h} from "./dom.js";
-import {DrawnChart, legend} from "./plot.js";
+import {DrawnChart, legendOf} from "./plot.js";
 
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
@@ -17,7 +17,7 @@ export function resultView(fit, found) {
         h("h3", {}, light.axis, h("span", {className: "word"}, light.word || LIGHT[light.colour])),
         light.error ? h("p", {className: "error-figure"}, h("strong", {}, light.error), " off, 1 s ahead") : null,
         light.sentences.map(line => h("p", {}, line)),
-        light.reasons.length ? h("details", {}, h("summary", {}, `${light.reasons.length} ${light.reasons.length === 1 ? "reason" : "reasons"} for care`), h("ul", {}, light.reasons.map(line => h("li", {}, line)))) : null))),
+        light.colour === "grey" ? light.reasons.map(line => h("p", {className: "muted"}, line)) : light.reasons.length ? h("details", {}, h("summary", {}, `${light.reasons.length} ${light.reasons.length === 1 ? "reason" : "reasons"} for care`), h("ul", {}, light.reasons.map(line => h("li", {}, line)))) : null))),
       h("p", {className: "muted"}, found.summary),
       h("div", {className: "bar downloads"},
         h("a", {className: "button primary", href: `${file("report.html")}`, target: "_blank", rel: "noopener"}, "Open the report"),
@@ -28,7 +28,7 @@ export function resultView(fit, found) {
     validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
       h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => flight(one, `${fit.id}-v${i}`))) : null,
     found.horizons.length ? h("article", {className: "panel"}, h("h2", {}, "How far ahead"), h("p", {className: "muted"}, found.horizons[0].reading),
-      legend(found.horizons), h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
+      legendOf(found.horizons.flatMap(chart => chart.lines)), h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
     h("article", {className: "panel"}, h("h2", {}, "Findings"), findingList(found.findings, "Nothing to tell.")),
     h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Training flights")), lazily(() => training.map((one, i) => flight(one, `${fit.id}-t${i}`)))),
     found.profiles.length ? h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Why this delay")), lazily(() => [h("p", {className: "muted"}, found.profiles[0].reading), h("div", {className: "multiples"}, found.profiles.map(chart => small(chart)))])) : null,
@@ -48,7 +48,7 @@ function lazily(make) { // charts have no width before they are shown
 function coefficients(rows) {
   const axes = [...new Set(rows.map(row => row.axis))];
   return h("div", {className: "scroll"}, h("table", {className: "coefficients"},
-    h("thead", {}, h("tr", {}, ["Axis", "Coefficient", "Estimate", "95 % interval", "", "Unit", "Status", "Paper"].map((head, i) => h("th", {className: [2, 7].includes(i) ? "number" : ""}, head)))),
+    h("thead", {}, h("tr", {}, ["Axis", "Coefficient", "Estimate", "95 % interval", "◇ paper", "Unit", "Status", "Paper"].map((head, i) => h("th", {className: [2, 7].includes(i) ? "number" : ""}, head)))),
     axes.map(axis => h("tbody", {}, rows.filter(row => row.axis === axis).map((row, i) => h("tr", {className: row.combination ? "combination" : ""},
       h("th", {}, i ? "" : axis), h("td", {}, row.name), h("td", {className: "number strong"}, row.value), h("td", {}, row.interval), h("td", {className: "bar-cell"}, interval(row)),
       h("td", {className: "muted"}, row.unit), h("td", {className: `status ${row.status === "ok" ? "ok" : "missing"}`}, row.combination && row.status === "ok" ? "" : row.status), h("td", {className: "number muted"}, row.paper)))))));
