@@ -16,7 +16,9 @@ from rotorfit.derivative import local_polynomial
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import heading_from_world
 from rotorfit.model_file import load
+from rotorfit.pipeline import LogSpan, fit_logs
 from rotorfit.sources import read
+from rotorfit.studio.card_lines import card_from_text
 from rotorfit.studio.gate import SANDBOX
 from rotorfit.studio.routes import Studio
 from rotorfit.studio.workspace import Workspace, WorkspaceError
@@ -258,6 +260,19 @@ def test_a_fit_gives_a_model_scores_and_a_report_that_runs_in_a_sandbox(fitted: 
     assert download.headers["content-disposition"] == 'attachment; filename="report-1.html"'
 
 
+def test_the_model_is_that_of_the_library_with_the_same_card_and_spans(fitted: tuple[Studio, TestClient]) -> None:
+    studio, page = fitted
+    first, _ = studio.workspace.session.uploads
+    path = studio.workspace.path_of(first)
+
+    alone = fit_logs([LogSpan(str(path), (None, None))], card_from_text(session_of(page)["card"]), "paper", ("x", "y"))
+
+    model = load(studio.workspace.folder / "fits" / "2" / "model.json")
+    assert model.gamma == alone.model.gamma
+    assert model.paper == alone.model.paper
+    assert model.flights[0].sha256 == alone.model.flights[0].sha256
+
+
 def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studio, TestClient]) -> None:
     _, page = fitted
     third = session_of(page)["fits"][2]
@@ -274,6 +289,7 @@ def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studi
 def test_the_session_survives_the_studio(fitted: tuple[Studio, TestClient], tmp_path: Path) -> None:
     studio, page = fitted
     before = session_of(page)
+    assert len(before["fits"]) == 3
     with pytest.raises(WorkspaceError, match="another studio"):
         Workspace(studio.workspace.folder)
 

@@ -126,7 +126,7 @@ export function cardPanel(place, studio) {
     const key = `${one ? one.id : ""}/${session.card_revision}`;
     if (key === seenOn) return;
     seenOn = key;
-    if (!one || !session.card) { fill(flight); fill(findings); about.textContent = one ? "There is no card yet." : "There is no log yet."; return; }
+    if (!one || !session.card) { fill(flight); fill(findings); about.textContent = one ? "A card is being drafted …" : "There is no log yet."; return; }
     if (columnsOf !== one.id) {
       columnsOf = one.id;
       get(`/api/logs/${one.id}`).then(found => fill(names, found.tables.flatMap(part => part.columns.map(column => h("option", {value: column.source}))))).catch(() => { columnsOf = null; });

@@ -37,7 +37,6 @@ export function logsPanel(place, studio) {
       item.remove();
       studio.chosen.write("log", id);
       await studio.refresh();
-      if (!studio.session.card) await studio.change("PUT", "/api/card", {draft: id, seen: studio.session.card_revision});
     } catch (error) { refuse(item, file.name, error.message); }
     return undefined;
   }
@@ -96,7 +95,7 @@ export function logsPanel(place, studio) {
       plots.append(h("figure", {}, h("figcaption", {}, h("strong", {}, source), " ", state), canvas));
       new WindowPlot(canvas, {
         path: `/api/logs/${log.id}/column?source=${encodeURIComponent(source)}`, lines: [{name: "value", role: "model"}], together, height: 150, label: source,
-        onloaded: data => { state.textContent = told(data); }, onerror: error => { state.textContent = error.message; },
+        onloaded: data => { state.textContent = told(data); studio.draft(); }, onerror: error => { state.textContent = error.message; },
       });
     };
     const names = h("datalist", {id: "column-names"}, columns.map(value => h("option", {value})));

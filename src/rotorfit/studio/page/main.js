@@ -36,6 +36,12 @@ const studio = {
       return null;
     }
   },
+  async draft() { // the first card, once the first plot is there: a draft looks at the whole flight
+    const log = this.log();
+    if (!log || this.session.card || this.drafting === log.id) return;
+    this.drafting = log.id;
+    await this.change("PUT", "/api/card", {draft: log.id, seen: this.session.card_revision});
+  },
   async refresh() {
     const seen = this.session ? `?seen=${this.session.revision}` : "";
     const found = await get(`/api/session${seen}`);
@@ -51,6 +57,7 @@ const studio = {
     const shown = step();
     for (const [name] of STEPS) document.getElementById(name).hidden = name !== shown;
     panels[shown].draw(studio);
+    if (shown !== "logs") this.draft();
   },
   go(name) { location.hash = name; },
 };

@@ -48,6 +48,7 @@ function rangeBlock(first, studio) {
   const closed = one => ({role: one.role, start: one.start ?? span[0], end: one.end ?? span[1]});
 
   async function load() {
+    if (!studio.session.card) { state.textContent = "A card is being drafted …"; return; }
     try {
       const flight = await get(`/api/logs/${log.id}/flight`);
       span = flight.span;
