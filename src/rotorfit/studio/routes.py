@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from starlette.applications import Starlette
@@ -48,6 +49,7 @@ class Studio:
         self.workspace = workspace
         self.shelf = Shelf(workspace)
         self.runner = Runner(workspace)
+        self._looking = Lock()
         self._token, self._cookie = token, cookie_name(port)
         self.app = Gate(
             Starlette(routes=self._routes(), exception_handlers={RotorfitError: _told, OSError: _told}), token, port
@@ -146,7 +148,10 @@ class Studio:
                 "answers": {axis: asdict(told[axis]) for axis in flight.axes if axis in told},
             }
 
-        return self.shelf.computed(("findings", upload.id, card), make)
+        with self._looking:  # one after the other: edits come faster than findings of a long flight
+            if card != self._card():
+                raise StaleError("the card has changed meanwhile")
+            return self.shelf.computed(("findings", upload.id, card), make)
 
     def motion(self, request: Request) -> Series:
         """Command and velocity of an axis."""

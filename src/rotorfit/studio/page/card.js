@@ -8,7 +8,7 @@ const LINES = [{name: "command", role: "command", scale: "command", stepped: tru
 
 const MEANINGS = [["", "not said"], ["tilt", "tilt"], ["velocity", "velocity"], ["vertical_speed", "vertical speed"], ["yaw_rate", "yaw rate"]];
 const FULL = [["", "in its unit"], ["tilt", "of the tilt limit"], ["vertical_speed", "of the vertical speed limit"], ["yaw_rate", "of the yaw rate limit"], ["speed", "of the speed limit"]];
-const LEADS = {x: ["forward", "backward"], y: ["left", "right"], z: ["up", "down"], yaw: ["counter-clockwise", "clockwise"]};
+const LEADS = {x: ["leads forward", "leads backward"], y: ["leads left", "leads right"], z: ["leads up", "leads down"], yaw: ["turns left", "turns right"]};
 const LIMIT_WORDS = {tilt: "tilt", vertical_speed: "vertical speed", yaw_rate: "yaw rate", speed: "speed"};
 
 export function cardPanel(place, studio) {
@@ -57,7 +57,7 @@ export function cardPanel(place, studio) {
     const frames = h("div", {className: "bar"},
       labelled("Frame of the pose", choice(["ENU", "NED"], raw.frame || "ENU", value => edit([{section: "", key: "frame", value}])), "field inline"),
       labelled("Commands act in the", choice(["heading", "world"], of("command", "frame") || "heading", value => edit([{section: "command", key: "frame", value}])), "field inline"),
-      labelled("Hold [s]", figure(of("command", "hold"), "three periods", value => edit([{section: "command", key: "hold", value}])), "field inline"));
+      labelled("Hold [s]", figure(of("command", "hold"), "auto", value => edit([{section: "command", key: "hold", value}])), "field inline"));
     const groups = ["command", "pose", "velocity"].map(section => {
       const lines = studio.constants.quantities.filter(one => one.section === section).map(one => row(one, of(section, one.key), of("pose", "yaw") !== undefined));
       const words = {command: "Commands", pose: "Pose", velocity: "Onboard velocity, where there is one"}[section];
@@ -171,8 +171,8 @@ export function cardPanel(place, studio) {
     const sure = `${told.certainty.toFixed(0)} standard errors`;
     if (!told.axis) return h("span", {className: "muted", title: sure}, "the motion does not tell the sign");
     if (told.axis !== axis) return h("span", {className: "wrong", title: sure}, `the motion follows it along ${told.axis}`);
-    if (told.sign > 0) return h("span", {className: "right", title: sure}, `✓ + leads ${LEADS[axis][0]}`);
-    return h("button", {type: "button", className: "small wrong", title: sure, onclick: () => table.querySelector(`[aria-label="Turn the sign of command ${axis}"]`)?.click()}, `+ leads ${LEADS[axis][1]}: turn the sign`);
+    if (told.sign > 0) return h("span", {className: "right", title: sure}, `✓ + ${LEADS[axis][0]}`);
+    return h("button", {type: "button", className: "small wrong", title: sure, onclick: () => table.querySelector(`[aria-label="Turn the sign of command ${axis}"]`)?.click()}, `+ ${LEADS[axis][1]}: turn the sign`);
   }
 
   function draw({session, constants}, forced = false) {

@@ -8,9 +8,9 @@ const HORIZONS = [["0.5", "0.5 s"], ["1", "1 s"], ["2", "2 s"], ["5", "5 s"]];
 
 export function comparePanel(place, studio) {
   const boxes = h("fieldset", {className: "models"}), start = h("button", {type: "button", className: "primary", onclick: () => begin()}, "Compare");
-  const lack = h("p", {className: "muted"}), progress = h("p", {className: "muted"}), horizon = options(h("select", {onchange: () => table()}), HORIZONS, "1"), result = h("div", {});
+  const lack = h("p", {className: "muted"}), progress = h("p", {className: "muted", "aria-live": "polite"}), horizon = options(h("select", {onchange: () => table()}), HORIZONS, "1"), result = h("div", {});
   fill(place, h("h1", {id: "compare-title"}, "Compare"), h("p", {className: "lead"}, "Models side by side, on the stretches that are marked for validation."),
-    h("div", {className: "panel"}, boxes, h("div", {className: "bar"}, start, lack), progress), result);
+    h("div", {className: "panel"}, boxes, progress, h("div", {className: "bar"}, start, lack)), result);
   let drawn = null, shown = null, found = null;
   const chosen = new Set();
 
@@ -28,7 +28,7 @@ export function comparePanel(place, studio) {
       h("div", {className: "scroll"}, h("table", {}, h("thead", {},
         h("tr", {}, h("th", {colSpan: 2}), h("th", {colSpan: found.columns.length}, "Velocity RMSE [cm/s, yaw deg/s]"), h("th", {colSpan: found.columns.length}, "Position RMSE [cm, yaw deg]"), h("th", {})),
         h("tr", {}, h("th", {}, "Stretch"), h("th", {}, "Axis"), heads("velocity"), heads("position"), h("th", {className: "number"}, "n"))),
-      h("tbody", {}, rows.map(row => h("tr", {}, h("td", {}, `${row.path}, ${row.span.map(one => one.toFixed(1)).join(" to ")} s`), h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n))))))),
+      h("tbody", {}, rows.map((row, i) => h("tr", {}, h("td", {}, i && stretch(rows[i - 1]) === stretch(row) ? "" : stretch(row)), h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n))))))),
       h("p", {className: "muted"}, "Bold: the smallest. hold keeps the velocity of the start; paper uses the paper's coefficients. * fitted to part of this stretch."),
       paired(), found.notes.map(note => h("p", {className: "muted"}, note))));
   }
@@ -43,6 +43,8 @@ export function comparePanel(place, studio) {
     if (!lines.length) return null;
     return [h("h3", {}, "Is the difference real?"), h("div", {className: "scroll"}, h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Models"), h("th", {}, "Axis"), h("th", {className: "number"}, "Difference of the velocity RMSE"), h("th", {}, "Verdict at 95 %"))), h("tbody", {}, lines)))];
   }
+
+  const stretch = row => `${row.path}, ${row.span.map(one => one.toFixed(1)).join(" to ")} s`;
 
   async function load(fit) {
     try { found = await get(`/api/fits/${fit.id}/result.json`); } catch (error) { found = null; fill(result, h("p", {className: "notice error"}, error.message)); return; }

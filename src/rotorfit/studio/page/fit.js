@@ -74,7 +74,7 @@ export function fitPanel(place, studio) {
     lack.textContent = session.running ? "" : why || (words.validate.length ? "" : "Without a stretch for validation nothing is proved.");
     drawProgress(session, session.fits);
     const fits = session.fits.filter(one => one.settings.kind === "fit"), wanted = studio.chosen.read("fit");
-    const fit = fits.find(one => one.id === wanted) || fits[fits.length - 1] || null, key = fit ? `${fit.id}/${fit.status}` : "";
+    const fit = fits.find(one => one.id === wanted) || fits.filter(one => one.status === "done").pop() || fits[fits.length - 1] || null, key = fit ? `${fit.id}/${fit.status}` : "";
     if (drawn !== `${session.revision}/${key}`) {
       drawn = `${session.revision}/${key}`;
       const before = `${shown}/${result.dataset.status}`;

@@ -5,6 +5,7 @@ import {DrawnChart, legendOf} from "./plot.js";
 
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
+const OPEN = 2; // flights that are unfolded from the start
 const LIGHT = {green: "use it", yellow: "with care", red: "do not use", grey: "no model"};
 
 export function resultView(fit, found) {
@@ -26,7 +27,8 @@ export function resultView(fit, found) {
         validation.length ? h("a", {className: "button", href: `${file("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null)),
     h("article", {className: "panel"}, h("h2", {}, "Coefficients"), coefficients(found.coefficients)),
     validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
-      h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => flight(one, `${fit.id}-v${i}`))) : null,
+      h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => i < OPEN ? flight(one, `${fit.id}-v${i}`)
+        : h("details", {}, h("summary", {}, one.path, h("span", {className: "muted"}, ` · ${one.duration.toFixed(1)} s`)), lazily(() => flight(one, `${fit.id}-v${i}`))))) : null,
     found.horizons.length ? h("article", {className: "panel"}, h("h2", {}, "How far ahead"), h("p", {className: "muted"}, found.horizons[0].reading),
       legendOf(found.horizons.flatMap(chart => chart.lines)), h("div", {className: "multiples"}, found.horizons.map(chart => small(chart))), scores(found)) : null,
     h("article", {className: "panel"}, h("h2", {}, "Findings"), findingList(found.findings, "Nothing to tell.")),
