@@ -10,7 +10,7 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HOSTS = ("127.0.0.1", "localhost")
@@ -58,13 +58,14 @@ class Gate:
         return await _guarded(self._app, scope, receive, send)
 
     def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
+        refuse = _told if scope["path"] == "/" else refused  # a person reads it, or the page
         if [value.lower() for value in headers.getlist("host")] not in [[host] for host in self._hosts]:
-            return refused(403, "this is not the address of the studio; open the one that it printed")
+            return refuse(403, "this is not the address of the studio; open the one that it printed")
         given = self._carried(scope, headers)
         if given is None:
-            return refused(401, "the key of this run is missing or old; open the address that the studio printed")
+            return refuse(401, "the key of this run is missing or old; open the address that the studio printed")
         if not self._from_here(scope, headers, given):
-            return refused(403, "requests of other web pages are refused")
+            return refuse(403, "requests of other web pages are refused")
         return None
 
     def _carried(self, scope: Scope, headers: Headers) -> str | None:
@@ -106,6 +107,11 @@ def cookie_name(port: int) -> str:
 def refused(status: int, line: str) -> Response:
     """One line of JSON: what the user can do."""
     return JSONResponse({"error": line}, status)
+
+
+def _told(status: int, line: str) -> Response:
+    """The same for a person."""
+    return PlainTextResponse(f"rotorfit studio: {line}.\n", status)
 
 
 async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> None:

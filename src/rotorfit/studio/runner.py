@@ -46,7 +46,7 @@ class Runner:
             written(folder / "card.toml", card)
             with (folder / "trace.txt").open("w") as trace:
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "rotorfit.studio.worker", str(self._workspace.folder), fit.id],
+                    [sys.executable, "-P", "-m", "rotorfit.studio.worker", str(self._workspace.folder), fit.id],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=trace,

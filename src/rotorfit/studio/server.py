@@ -26,18 +26,19 @@ def serve(folder: Path | None, port: int, ready: Callable[[str, Path], None] | N
             listener.listen()  # from here on the address answers
             own, token = listener.getsockname()[1], secrets.token_urlsafe(32)
             studio = Studio(workspace, token, own)
-            if ready:
-                ready(f"http://127.0.0.1:{own}/?token={token}", workspace.folder)
             config = uvicorn.Config(
                 studio.app,
                 log_level="warning",
                 access_log=False,  # the first request holds the token
                 server_header=False,
+                proxy_headers=False,
                 timeout_graceful_shutdown=2,
                 lifespan="off",
             )
             try:
                 with suppress(KeyboardInterrupt):  # the way to end it
+                    if ready:
+                        ready(f"http://127.0.0.1:{own}/?token={token}", workspace.folder)
                     uvicorn.Server(config).run(sockets=[listener])
             finally:
                 studio.runner.close()

@@ -79,9 +79,9 @@ class Shelf:
         """
         return self._keep(("column", upload.id, source), lambda: _column(self.log(upload), source))
 
-    def computed(self, key: Hashable, make: Callable[[], Made]) -> Made:
+    def computed(self, key: tuple[Hashable, ...], make: Callable[[], Made]) -> Made:
         """Anything else that takes long."""
-        return self._keep(("computed", key), make)
+        return self._keep(("computed", *key), make)
 
     def forget(self, upload: Upload) -> None:
         """Drops what was kept of a log."""

@@ -101,6 +101,7 @@ def _write_result(folder: Path, result: dict[str, Any]) -> None:
 
 def main(workspace: str, fit_id: str) -> int:
     """Runs and reports; a known error is one line, a bug keeps its trace on the standard error."""
+    os.nice(5)  # the page comes first
     Thread(target=_end_with_the_studio, daemon=True).start()
     try:
         text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_PLACE.sub("", text)))
