@@ -47,6 +47,14 @@ class AxisInformation:
         """M, shape (3, 3), of a command of shape (N,)."""
         return self.products(command) @ command
 
+    def behind(self, window: Array) -> "AxisInformation":
+        """The same of levels whose commands are these levels convolved with a window of W steps: N - W + 1 levels."""
+        N, W = self.form.shape[-1], window.size
+        smear = np.zeros((N, N - W + 1))
+        for i, weight in enumerate(window):
+            smear[np.arange(N - W + 1) + i, np.arange(N - W + 1)] = weight
+        return replace(self, form=smear.T @ self.form @ smear)
+
     def errors(self, command: Array) -> Array:
         """Predicted standard errors of input and damping (shares of themselves) and delay [s], shape (3,)."""
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.information(command)))))
