@@ -32,7 +32,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rotorfit.belief import Belief
-from rotorfit.card import builtin_cards
+from rotorfit.card_file import builtin_cards
 from rotorfit.envelope import predicted_path
 from rotorfit.excitation import Sines, designed, ident_reference, paper_sines, scaled
 from rotorfit.fit import fit

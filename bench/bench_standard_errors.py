@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.fit import fit
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import Array

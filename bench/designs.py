@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES, Array

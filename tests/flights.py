@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card import builtin_cards
+from rotorfit.card_file import builtin_cards
 from rotorfit.excitation import two_sines
 from rotorfit.flight import Flight, Segment, flight_from_log
 from rotorfit.frames import AXES, Array

@@ -20,7 +20,8 @@ from rotorfit.belief import (
     drawn,
     levels_of,
 )
-from rotorfit.card import Prior, card_from_mapping, load_card
+from rotorfit.card import Prior
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import PlanError
 from rotorfit.paper_vehicle import GAMMA_B, Truth
 

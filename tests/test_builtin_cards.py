@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from rotorfit.answers import answers_of
-from rotorfit.card import Channel, builtin_card_text, builtin_cards, card_from_mapping, fitting_cards
+from rotorfit.card import Channel
+from rotorfit.card_columns import fitting_cards
+from rotorfit.card_file import builtin_card_text, builtin_cards, card_from_mapping
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import UNIT_SCALE, Array, world_from_heading
 from rotorfit.log import Log, Table

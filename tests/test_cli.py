@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rotorfit import __version__
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.model_file import load, to_mapping

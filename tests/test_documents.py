@@ -20,7 +20,7 @@ from mypy import api as mypy
 import rotorfit
 from rotorfit import (
     advice,
-    card,
+    card_file,
     clock_checks,
     command_checks,
     doctor,
@@ -36,7 +36,7 @@ from rotorfit import (
     regression,
     whiteness,
 )
-from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.fit import LEAST_TIME, fit
@@ -333,8 +333,8 @@ def test_every_key_and_every_unit_of_a_card_is_explained() -> None:
 
 
 def known_keys() -> set[str]:
-    """Every key that `card.py` lets pass: those of its sections, and those written out where keys are checked."""
-    tree = ast.parse((ROOT / "src" / "rotorfit" / "card.py").read_text(encoding="utf-8"))
+    """Every key that `card_file.py` lets pass: those of its sections, and those written out where keys are checked."""
+    tree = ast.parse((ROOT / "src" / "rotorfit" / "card_file.py").read_text(encoding="utf-8"))
     checks = [
         node
         for node in ast.walk(tree)
@@ -343,7 +343,7 @@ def known_keys() -> set[str]:
     constants = (node for check in checks for node in ast.walk(check.args[1]) if isinstance(node, ast.Constant))
     written = {node.value for node in constants if isinstance(node.value, str)}
     assert written >= {"name", "from", "scale"}
-    return written | {key for keys in card._SECTIONS.values() for key in keys}
+    return written | {key for keys in card_file._SECTIONS.values() for key in keys}
 
 
 def test_the_architecture_lists_the_modules_in_the_order_of_the_river() -> None:

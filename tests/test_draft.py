@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rotorfit.proposal
-from rotorfit.card import builtin_card_text, load_card
+from rotorfit.card_file import builtin_card_text, load_card
 from rotorfit.draft import draft_card, write_draft
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rotorfit.card import builtin_cards
+from rotorfit.card_file import builtin_cards
 from rotorfit.excitation import Sines
 from rotorfit.fit import Fit
 from rotorfit.fly import fly

@@ -248,7 +248,7 @@ def test_a_log_of_others_is_played_back_in_the_world_frame(tmp_path: Path) -> No
         "command": {"time": "t", "x": "ux"},
         "pose": {"time": "t", "x": "n", "y": "e", "z": "d", "yaw": "yaw"},
     }
-    from rotorfit.card import card_from_mapping
+    from rotorfit.card_file import card_from_mapping
 
     samples = open_link(f"replay:{path}", card_from_mapping(raw, "csv")).receive(10 * SECOND)
     x, y, z, qw, _, _, qz = samples[3].values
@@ -266,7 +266,7 @@ def test_the_status_line_goes_to_a_terminal_only(monkeypatch: pytest.MonkeyPatch
     import time
 
     from rotorfit.fly import Status
-    from rotorfit.terminal.flight import status_line
+    from rotorfit.terminal.cockpit import status_line
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import LogError
 from rotorfit.excitation import two_sines
 from rotorfit.flight import flight_from_log

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flights import CARD, steps
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import FlightError, LogError, ModelError
 from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES

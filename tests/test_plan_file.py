@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Chirp, Sines, Steps
 from rotorfit.plan import Excitation, Feedback, Plan, Space

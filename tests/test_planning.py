@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from models import VEHICLE, model_of
 from rotorfit.belief import belief_from_card, belief_from_model
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.cli import main
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Sines, paper_sines

@@ -5,7 +5,7 @@ import pytest
 
 from flying import BEBOP, CARD, SECOND, SPACE, Watched, plan_of, room_link
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.log import Sample
 from rotorfit.plan import Plan

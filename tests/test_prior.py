@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from flights import CARD, flown, steps
-from rotorfit.card import Prior, card_from_mapping
+from rotorfit.card import Prior
+from rotorfit.card_file import card_from_mapping
 from rotorfit.cli import main
 from rotorfit.errors import CardError
 from rotorfit.estimate import free_of

@@ -37,7 +37,9 @@ import pytest
 
 import rotorfit.proposal
 from rotorfit.answers import answers_of
-from rotorfit.card import Card, card_for, card_from_mapping, fitting_cards, load_card
+from rotorfit.card import Card
+from rotorfit.card_columns import card_for, fitting_cards
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.draft import draft_card
 from rotorfit.errors import RotorfitError
 from rotorfit.fit import Fit

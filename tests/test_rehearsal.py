@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from rotorfit.belief import Belief, belief_from_card, belief_mapping, levels_of
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.envelope import LIMITS, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Sines, Steps, designed

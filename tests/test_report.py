@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import builtin_cards
+from rotorfit.card_file import builtin_cards
 from rotorfit.evidence import Score
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note

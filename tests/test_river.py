@@ -16,6 +16,8 @@ RIVER = (
     "frames",
     "log",
     "card",
+    "card_file",
+    "card_columns",
     "joined",
     "settings",
     "published",
@@ -233,6 +235,12 @@ def test_modules_import_only_what_stands_above_them() -> None:
 
 def test_no_two_modules_import_each_other() -> None:
     assert mutual_pairs(graph_of(ROOT)) == []
+
+
+def test_no_stem_is_used_twice() -> None:
+    stems = [name.split(".")[-1] for name in module_paths(ROOT)]
+
+    assert sorted({stem for stem in stems if stems.count(stem) > 1} - {"__init__"}) == []
 
 
 def test_the_simulator_shares_nothing_with_the_estimator_not_even_through_others() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import LinkError
 from rotorfit.links import open_link, ros1, ros2
 from rotorfit.links.ros_messages import (

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from flights import STILL, steps
 from onboard import onboard_card, with_odometry
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.cli import main
 from rotorfit.clock import coarse, grain
 from rotorfit.disturbance import whiten_axis, whiten_plane

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import Flight, flight_from_log

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, load_card
+from rotorfit.card import Card
+from rotorfit.card_file import load_card
 from rotorfit.excitation import two_sines
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import Dynamics

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from rotorfit.belief import belief_from_card
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LogError
 from rotorfit.fly import fly
 from rotorfit.forecast import CURVE

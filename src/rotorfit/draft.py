@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rotorfit.answers import Answer, Answers, answers_of
-from rotorfit.card import Channel, builtin_card_text, card_from_mapping
+from rotorfit.card import Channel
+from rotorfit.card_file import builtin_card_text, card_from_mapping
 from rotorfit.columns import shape_text, source_of
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import flight_from_log

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorfit.abort import operator_abort
-from rotorfit.card import card_from_mapping, load_card
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import LinkError, LogError
 from rotorfit.fly import Flown, Progress, fly
 from rotorfit.links import Link, open_link

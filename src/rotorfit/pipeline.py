@@ -8,7 +8,9 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, fits, load_card, tables_of
+from rotorfit.card import Card
+from rotorfit.card_columns import fits, tables_of
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity

@@ -3,13 +3,12 @@
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from rotorfit import __version__
-from rotorfit.card import card_from_mapping
-from rotorfit.errors import CardError, PlanError
+from rotorfit.card_file import card_from_mapping
+from rotorfit.errors import CardError, PlanError, nearest
 from rotorfit.excitation import Chirp, Signal, Sines, Steps
 from rotorfit.frames import AXES
 from rotorfit.plan import Excitation, Feedback, Four, Plan, Space
@@ -257,8 +256,7 @@ def _check(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
     """Refuses a key that nobody knows, and names the nearest."""
     for key in raw:
         if key not in known:
-            nearest = get_close_matches(key, list(known), n=1, cutoff=0.0)[0]
-            raise PlanError(f"{place}: unknown key {key!r}; nearest: {nearest!r}")
+            raise PlanError(f"{place}: unknown key {key!r}{nearest(key, known)}")
 
 
 def _value(raw: Mapping[str, Any], key: str, place: str) -> Any:
@@ -284,8 +282,7 @@ def _text(raw: Mapping[str, Any], key: str, place: str) -> str:
 def _choice(raw: Mapping[str, Any], key: str, known: tuple[str, ...], place: str) -> str:
     value = _text(raw, key, place)
     if value not in known:
-        nearest = get_close_matches(value, known, n=1, cutoff=0.0)[0]
-        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}; nearest: {nearest!r}")
+        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}{nearest(value, known)}")
     return value
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.belief import belief_from_mapping
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.guard import Limits, Watch, judged, limits_of, observed, room_left
 from rotorfit.links.link import Link

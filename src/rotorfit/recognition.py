@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.card import Channel, column
+from rotorfit.card import Channel
+from rotorfit.card_columns import column
 from rotorfit.clock import degrees_for_radians, increasing, stamps_of
 from rotorfit.columns import clock_of, clocks_of, name_without_unit, sample_count, series_of, source_of, unit_of_name
 from rotorfit.frames import AXES

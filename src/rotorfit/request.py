@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from rotorfit.belief import Belief, belief_from_card, belief_from_model
-from rotorfit.card import Card, card_from_mapping, load_card
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import PlanError
 from rotorfit.frames import AXES
 from rotorfit.model_file import load

@@ -12,8 +12,8 @@ from types import MappingProxyType
 
 from rotorfit.card import Card
 from rotorfit.errors import LinkError
-from rotorfit.links.joined import join
 from rotorfit.links.link import Action, Link
+from rotorfit.links.poses_apart import join
 from rotorfit.plan import Four
 
 __all__ = ["INSTALL", "LINKS", "Action", "Link", "open_link"]

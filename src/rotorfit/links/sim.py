@@ -9,7 +9,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.links.link import Action
 from rotorfit.log import Sample

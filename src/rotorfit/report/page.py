@@ -25,7 +25,7 @@ from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES, Array
 from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.report.drawing import Drawing, drawn
-from rotorfit.report.physics import physics_text
+from rotorfit.report.physics_table import physics_text
 from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.rows import paired_rows, pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import USEFUL, USELESS, verdict_of

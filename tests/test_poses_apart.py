@@ -7,8 +7,8 @@ import pytest
 
 from rotorfit.errors import LinkError
 from rotorfit.links import joined
-from rotorfit.links.joined import Joined, join
 from rotorfit.links.link import Action
+from rotorfit.links.poses_apart import Joined, join
 from rotorfit.log import Sample
 
 
