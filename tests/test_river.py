@@ -107,6 +107,7 @@ RIVER = (
     "plausibility",
     "summary",
     "pipeline",
+    "case",
     "views",
     "evidence",
     "excitation",

@@ -254,7 +254,7 @@ def compare_logs(
         validation, seen = validate_logs(load(path), logs, horizons=horizons, progress=report)
         validations.append(validation)
         flights.append(seen)
-    alike = [all(map(_same_motion, seen, flights[0])) for seen in flights]
+    alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
     notes = tuple(
         f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
         for number, same in enumerate(alike, 1)
@@ -263,7 +263,7 @@ def compare_logs(
     return Comparison(tuple(files), tuple(validations), _paired(validations, alike), notes)
 
 
-def _same_motion(one: Flight, other: Flight) -> bool:
+def same_motion(one: Flight, other: Flight) -> bool:
     """Whether two cards read the same poses at the same times, so that errors can be subtracted start by start."""
     pairs = ((one.pose_time, other.pose_time), (one.position, other.position), (one.yaw, other.yaw))
     return all(np.array_equal(a, b) for a, b in pairs)

@@ -64,25 +64,24 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 
 
 @click.command()
-@MODEL
-@LOGS
+@click.argument("paths", metavar="MODEL... LOG...", nargs=-1, required=True)
 @click.option("-o", "output", type=file_at(), metavar="report.html", required=True, help="The page to write.")
 @click.option("--figures", type=file_at(file_okay=False), metavar="DIR", help="Also write figures for a paper here.")
 @JSON
-def report(model_path: str, logs: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
-    """Write one self-contained page about a model and its proof."""
-    from rotorfit.forecast import CURVE
-    from rotorfit.model_file import load
-    from rotorfit.pipeline import REPORT_MARK, check_destination, parse_log, training_flights, validate_logs
-    from rotorfit.report import write_figures, write_report
+def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
+    """Write one self-contained page about a model and its proof, or about several side by side."""
+    from rotorfit.case import cases_of
+    from rotorfit.pipeline import REPORT_MARK, check_destination
+    from rotorfit.report import write_cases, write_figures
 
     check_destination(output, REPORT_MARK)
-    model = load(model_path)
     with progress_bar() as progress:
-        validation, flights = validate_logs(model, [parse_log(log) for log in logs], horizons=CURVE, progress=progress)
-    training, left_out = training_flights(model)
-    write_report(model, training, validation, flights, output)
-    drawn = write_figures(model, training, validation, flights, figures) if figures else []
+        cases, left_out = cases_of(paths, progress)
+    if figures and len(cases) > 1:
+        raise click.UsageError("--figures draws one model: give one, or leave it out")
+    write_cases(cases, output)
+    one = cases[0]
+    drawn = write_figures(one.model, one.training, one.validation, one.flights, figures) if figures else []
     if as_json:
         return print_json({"report": str(output), "figures": [str(path) for path in drawn], "notes": left_out})
     for line in (*left_out, f"Report written to {output}.", *(f"Figure written to {path}." for path in drawn)):
