@@ -56,7 +56,8 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
     files = [path for k, path in enumerate(paths) if k == 0 or (Path(path).is_file() and is_model_file(path))]
     models = [load(path) for path in files]
     logs = [parse_log(path) for path in paths if path not in files]
-    cases, notes = [], []
+    cases: list[Case] = []
+    notes: list[str] = []
     for number, (path, model) in enumerate(zip(files, models, strict=True)):
 
         def report(fraction: float, text: str, done: int = number) -> None:
@@ -79,6 +80,6 @@ def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:
             continue
         scored = zip(one.validation.flights, other.validation.flights, strict=True)
         counted = [() if a.fitted or b.fitted else a.moved for a, b in scored]
-        errors = (case.validation.errors["model"] for case in (one, other))
-        tests[i, j] = paired_test((one.path, other.path), *errors, counted)
+        first, second = (case.validation.errors["model"] for case in (one, other))
+        tests[i, j] = paired_test((one.path, other.path), first, second, counted)
     return tests

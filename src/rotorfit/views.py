@@ -208,13 +208,14 @@ def overlaid(views: Sequence[Sequence[Chart]], names: Sequence[str]) -> tuple[Ch
     """Charts of several models drawn over each other: what they share once, and a line each.
 
     Args:
-        views: The charts of each model; those of one kind and axis become one. The paper's lines and bands are left out.
+        views: The charts of each model; those of one kind and axis become one, without the paper's lines and bands.
         names: Of the models; their lines have the roles of `look_of`.
     """
     places = dict.fromkeys((chart.kind, chart.axis) for charts in views for chart in charts)
     return tuple(
         _one_over_the_other(
-            [(k, chart) for k, charts in enumerate(views) for chart in charts if (chart.kind, chart.axis) == place], names
+            [(k, chart) for k, charts in enumerate(views) for chart in charts if (chart.kind, chart.axis) == place],
+            names,
         )
         for place in places
     )

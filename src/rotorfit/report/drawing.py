@@ -162,7 +162,7 @@ def drawn_rows(chart: RowChart, width: int) -> Drawing:
         chart: What to draw.
         width: Of the picture, in its own units, about a pixel each.
     """
-    left, top, row = min(160, 18 + round(7.0 * max((len(each.name) for each in chart.rows), default=0))), 4, 24
+    left, top, row = min(170, 18 + round(7.0 * max((len(each.name) for each in chart.rows), default=0))), 4, 24
     inner_width, inner_height = width - left - 14, row * len(chart.rows)
     values = [value for each in chart.rows for _, value in each.dots if value is not None]
     values += [end for each in chart.rows for end in (each.low, each.high) if end is not None]

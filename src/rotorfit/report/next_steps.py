@@ -1,4 +1,4 @@
-"""What to fly next: short, concrete, with the line to type; and how well each coefficient is known beside what is wanted."""
+"""What to fly next: short, concrete, with the line to type; and which coefficients are known less well than wanted."""
 
 import shlex
 from collections.abc import Sequence
@@ -50,11 +50,13 @@ def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
         why = f"No flight so far tells how {and_list(lacking)} answer{'s' if len(lacking) == 1 else ''}."
         steps.append(Step(f"Fly to learn {and_list(lacking)}.", why, _plan(case, lacking)))
     wrong = [f for f in model.findings if f.severity == "error" and f.axis not in lacking]
-    steps += [Step(*sentences([f.remedy, f.evidence]), "") for f in wrong[:MOST_REMEDIES]]
+    steps += [Step(sentences([f.remedy])[0], sentences([f.evidence])[0], "") for f in wrong[:MOST_REMEDIES]]
     steps += _proof(case, uses)
     short = [use.axis for use in uses if use.answer == "limited"]
     steps += _vague(case, [axis for axis in commanded if axis not in lacking], short)
-    if any(lamp.question == "residuals" and lamp.word == "not clean" for light in verdict.lights for lamp in light.lamps):
+    if any(
+        lamp.question == "residuals" and lamp.word == "not clean" for light in verdict.lights for lamp in light.lamps
+    ):
         steps.append(_richer(case))
     if not steps:
         steps.append(

@@ -8,11 +8,11 @@ from typing import Any
 
 from rotorfit import __version__
 from rotorfit.case import Case, paired_cases
-from rotorfit.evidence import SPEED, Score, horizon_charts, profile_charts, residual_charts, scores_of
+from rotorfit.evidence import Score, horizon_charts, profile_charts, residual_charts, scores_of
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.flight import Note
 from rotorfit.frames import AXES
-from rotorfit.model import Model, with_findings
+from rotorfit.model import with_findings
 from rotorfit.report.coefficient_table import coefficient_table, laws_of
 from rotorfit.report.drawing import drawn, drawn_rows
 from rotorfit.report.next_steps import next_steps, wanted_chart
@@ -72,7 +72,10 @@ def page(cases: Sequence[Case]) -> str:
     from markupsafe import Markup
 
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, loader=FunctionLoader(lambda name: _file(f"templates/{name}"))
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
     )
     cases = [_with_its_findings(case) for case in cases]
     names = names_of(cases)
@@ -181,7 +184,7 @@ def _evidence(
     for case, each in zip(cases, scores, strict=True):
         horizons.append(horizon_charts(each, case.validation.paired))
         profiles.append(profile_charts(case.model))
-        residual.append(_panels(residual_charts(case.model, case.flights or case.training)))
+        residual.append(residual_charts(case.model, case.flights or case.training))
     one = len(cases) == 1
     ahead = horizons[0] if one else overlaid(horizons, names)
     wanted = [wanted_chart(case) for case in cases]
@@ -191,10 +194,10 @@ def _evidence(
             "position": _panels(chart for chart in ahead if chart.kind == "horizon_position"),
         },
         "profiles": _panels(profiles[0] if one else overlaid(profiles, names)),
-        "correlations": [[p for p in every if p.chart.y_label == "autocorrelation"] for every in residual],
-        "followings": [[p for p in every if p.chart.y_label != "autocorrelation"] for every in residual],
-        "flight_by_flight": _panels(flights_side_by_side(cases, names, horizon), 460),
-        "wanted": [panel for chart in wanted if chart for panel in _panels([chart], 560)],
+        "correlations": [_panels(c for c in every if c.y_label == "autocorrelation") for every in residual],
+        "followings": [_panels(c for c in every if c.y_label != "autocorrelation") for every in residual],
+        "flight_by_flight": _panels(flights_side_by_side(cases, names, horizon), 420),
+        "wanted": [panel for chart in wanted if chart for panel in _panels([chart], 420)],
     }
 
 

@@ -67,7 +67,7 @@ def flight_panels(cases: Sequence[Case], names: Sequence[str]) -> tuple[list[Fli
     """
     first = cases[0]
     fitted = [scores.fitted for scores in first.validation.flights] or [False] * len(first.flights)
-    every = [(flight, "validation", known) for flight, known in zip(first.flights, fitted, strict=True)]
+    every = [(flight, "validation", known) for flight, known in zip(first.flights, fitted, strict=False)]
     if len(cases) == 1:
         every += [(flight, "training", False) for flight in first.training]
     lines = [_values_per_second(flight, role, cases) for flight, role, _ in every]
@@ -78,12 +78,11 @@ def flight_panels(cases: Sequence[Case], names: Sequence[str]) -> tuple[list[Fli
         points = int(min(MOST_POINTS, max(200, MOST_VALUES * flight.duration / max(demand, 1e-9))))
         view = _view(cases, names, number, flight, role, points)
         ordered = sorted(view.charts, key=lambda chart: AXES.index(chart.axis))
-        panels = {"velocity": [], "acceleration": []}  # type: dict[str, list[Panel]]
-        for kind, mine in panels.items():
-            for chart in (chart for chart in ordered if chart.kind == kind):
-                mine.append(Panel(chart, drawn(chart, 560, 200, columns), sum(map(len, panels.values()))))
-        is_open = role == "validation" and number < OPEN_FLIGHTS
-        out.append(FlightPanels(number, view, *map(tuple, panels.values()), is_open, known))
+        velocity = [chart for chart in ordered if chart.kind == "velocity"]
+        other = [chart for chart in ordered if chart.kind != "velocity"]
+        panels = [Panel(chart, drawn(chart, 440, 190, columns), k) for k, chart in enumerate([*velocity, *other])]
+        parts = tuple(panels[: len(velocity)]), tuple(panels[len(velocity) :])
+        out.append(FlightPanels(number, view, *parts, role == "validation" and number < OPEN_FLIGHTS, known))
     return out[: len(first.flights)], out[len(first.flights) :]
 
 

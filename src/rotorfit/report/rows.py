@@ -14,7 +14,6 @@ from rotorfit.report.words import figure, sentences
 from rotorfit.validation import FlightScores, Validation
 from rotorfit.whiteness import ResidualTests
 
-
 ANSWERS = {
     "yes": ("✓", "proven"),
     "limited": ("~", "in part"),

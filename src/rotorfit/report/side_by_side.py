@@ -11,10 +11,17 @@ from rotorfit.paired import PairedTest
 from rotorfit.report.words import chance, figure, rounded, term_of
 from rotorfit.views import Row, RowChart, look_of
 
-FLIGHTS = "Each row is a flight: the further left the dot, the better; the hollow dot is holding the velocity. Dots of "\
+LONGEST_NAME = 21
+"""Letters of a name beside a chart."""
+
+FLIGHTS = (
+    "Each row is a flight: the further left the dot, the better; the hollow dot is holding the velocity. Dots of "
     "one column mean that the model is as good on every flight."
-COEFFICIENTS_READING = "Each row is a model: dot and bar are the estimate and its 95 % interval. Bars that overlap may be "\
+)
+COEFFICIENTS_READING = (
+    "Each row is a model: dot and bar are the estimate and its 95 % interval. Bars that overlap may be "
     "one truth; bars that do not are a real difference, if both models are right."
+)
 
 
 def names_of(cases: Sequence[Case]) -> tuple[str, ...]:
@@ -97,13 +104,22 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
                 said = ", ".join(f"{label} {figure(factor * value)}" for label, value in known)
                 fitted = " (was fitted: proves nothing)" if flight.fitted else ""
                 points = tuple((role, value * factor if value else None) for role, _, value in dots)
-                rows.append(Row(name, points, f"{name}, {axis}, {horizon:g} s ahead: {said} {unit}{fitted}"))
+                rows.append(Row(shortened(name), points, f"{name}, {axis}, {horizon:g} s ahead: {said} {unit}{fitted}"))
         if len(rows) > 1:
             values = [row.dots[0][1] for row in rows if row.dots[0][1] is not None]
-            seen = f"{axis}: {figure(min(values))} to {figure(max(values))} {unit} over {len(rows)} flights." if values else ""
+            seen = (
+                f"{axis}: {figure(min(values))} to {figure(max(values))} {unit} over {len(rows)} flights."
+                if values
+                else ""
+            )
             label = f"velocity error {horizon:g} s ahead [{unit}]"
             charts.append(RowChart(f"{axis}: flight by flight", label, tuple(rows), FLIGHTS, seen, x_log=True))
     return tuple(charts)
+
+
+def shortened(name: str) -> str:
+    """A name that fits beside a chart: its middle gives way."""
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 9]}…{name[-8:]}"
 
 
 def _error(axis: object, horizon: float) -> float | None:
@@ -124,8 +140,10 @@ def coefficients_side_by_side(cases: Sequence[Case], names: Sequence[str]) -> tu
             for k, row in enumerate(mine):
                 scale = row.stderr or (row.high - row.low) / 4 if row.low is not None and row.high is not None else None
                 ends = " to ".join("open" if end is None else rounded(end, scale) for end in (row.low, row.high))
-                text = f"{names[k]}: {axis} {term_of(name)} {rounded(row.value, scale)}, 95 % interval {ends} {row.unit}"
-                rows.append(Row(names[k], ((look_of(k), row.value),), text, row.low, row.high))
+                text = (
+                    f"{names[k]}: {axis} {term_of(name)} {rounded(row.value, scale)}, 95 % interval {ends} {row.unit}"
+                )
+                rows.append(Row(shortened(names[k]), ((look_of(k), row.value),), text, row.low, row.high))
             units = dict.fromkeys(row.unit for row in mine)
             title, label = f"{axis}: {term_of(name)}", f"{term_of(name)} [{' or '.join(units)}]"
             summary = "; ".join(row.text for row in rows)

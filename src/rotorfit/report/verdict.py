@@ -20,6 +20,9 @@ COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", 
 DOUBT = 0.01
 """p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
 
+MOST_REASONS = 2
+"""So many reasons stand beside a lamp; the rest are among the findings."""
+
 GRAVITY = ("red", "grey", "open", "yellow", "green")
 """Colours from the worst to the best."""
 
@@ -162,11 +165,12 @@ def _coefficients(model: Model, axis: str) -> Lamp:
     """Whether they are known and nothing was found that warns of them."""
     mine = [f for f in model.findings if f.axis in (axis, None) and not f.code.startswith("residuals_")]
     forbidden = [f.evidence for f in mine if f.severity == "error"]
-    doubts = [*(f.evidence for f in mine if f.severity == "warning"), *_unknown(model.axes[axis], model.method)]
-    if forbidden:
-        return Lamp("coefficients", "red", "unusable", " ".join(sentences([*forbidden, *doubts])))
-    if doubts:
-        return Lamp("coefficients", "yellow", "in part", " ".join(sentences(doubts)))
+    doubts = [*_unknown(model.axes[axis], model.method), *(f.evidence for f in mine if f.severity == "warning")]
+    if forbidden or doubts:
+        told = [*forbidden, *doubts]
+        more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
+        colour, word = ("red", "unusable") if forbidden else ("yellow", "in part")
+        return Lamp("coefficients", colour, word, " ".join(sentences(told[:MOST_REASONS])) + more)
     return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
 
 
@@ -191,12 +195,13 @@ def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
 
 def _unknown(known: Axis, method: str) -> list[str]:
     """Coefficients without numbers."""
-    lacking = {name: status for name, status in known.status.items() if status != "ok"}
-    told = [f"the {name} alone cannot be told: {STATUS.get(status, status)}" for name, status in lacking.items()]
-    if method == "paper" and "delay" in lacking:
-        told[list(lacking).index("delay")] = (
-            "the paper's method knows no delay: it predicts as if commands acted at once"
-        )
+    by: dict[str, list[str]] = {}
+    for name, status in known.status.items():
+        if status != "ok" and not (method == "paper" and name == "delay"):
+            by.setdefault(status, []).append(name)
+    told = [f"{and_list(names)} alone cannot be told: {STATUS.get(status, status)}" for status, names in by.items()]
+    if method == "paper":
+        told.append("the paper's method knows no delay: it predicts as if commands acted at once")
     return told
 
 
@@ -276,7 +281,9 @@ def _whole(
         return "Nothing can be predicted."
     now = next(use for use in together if use.horizon == horizon)
     if now.answer == "missing":
-        lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "missing" and u.axis in wanted])
+        lacking = and_list(
+            [u.axis for u in uses if u.horizon == horizon and u.answer == "missing" and u.axis in wanted]
+        )
         return f"As a whole: no. There is no model of {lacking}, which can be commanded."
     if now.answer == "unproven":
         lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "unproven"])

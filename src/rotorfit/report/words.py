@@ -20,19 +20,19 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "diverged: no optimum; too short: too little data.",
         "paper": "What the paper's linear regression, without a delay, gives on the same training flights.",
         "RMS": "Root mean square: the typical size of an error.",
-        "velocity error": "Root mean square of the error of the predicted velocity, over all steps up to the horizon, on "
+        "velocity error": "Root mean square error of the predicted velocity, over all steps up to the horizon, on "
         "flights that were not fitted.",
         "position error": "Root mean square of the error of the predicted position (yaw: heading) at the end of the "
         "horizon, on flights that were not fitted.",
-        "times better": "Error of holding the velocity over error of the model; of velocity and position the smaller one.",
+        "times better": "Error of holding the velocity over error of the model; of velocity and position the smaller.",
         "proven": "The errors of velocity and position are at most half of those of holding the velocity, and a paired "
         "test shows that this is no chance (95 %).",
         "in part": "Better than holding the velocity, but less than twice, or not shown to be no chance.",
         "not proven": "No flight that was not fitted moves this axis for long enough.",
         "no": "Less than 1.1 times better than holding the velocity, or shown to be worse.",
-        "difference": "Error of this model less that of the other on the same starts, plus or minus its standard error; "
-        "below 0 this model is better.",
-        "at 95 %": "better or worse: the difference is no chance; no difference shown: it may be; too short: cannot tell.",
+        "difference": "Error of this model less that of the other on the same starts, with its standard error; below "
+        " 0 this model is better.",
+        "at 95 %": "better, worse: the difference is no chance; no difference shown: it may be; too short: unknown.",
         "predictions": "How many starts, 0.5 s apart, were predicted.",
         "Ljung-Box": "Sum of squared autocorrelations; near the number of lags where the residuals are white.",
         "past commands": "Whether the residuals follow commands from before them: then part of the answer is left out.",

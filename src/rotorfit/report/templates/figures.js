@@ -2,10 +2,11 @@
 // One box that says what a word, a number or a point of a chart means: on hover, on focus, on touch, by arrow keys.
 const figures = (() => {
   const tip = document.getElementById("tip");
-  let hiding = 0;
+  let hiding = 0, shown = 0;
 
   const place = (x, top, bottom) => { // below, or above where there is no room
     tip.hidden = false;
+    shown = scrollY;
     const width = tip.offsetWidth, height = tip.offsetHeight;
     tip.style.left = Math.max(6, Math.min(x - width / 2, innerWidth - width - 6)) + "px";
     tip.style.top = (bottom + 8 + height < innerHeight ? bottom + 8 : Math.max(6, top - height - 8)) + "px";
@@ -18,6 +19,8 @@ const figures = (() => {
     tip.replaceChildren(strong, text);
     place(x, top, bottom);
   };
+
+  addEventListener("scroll", () => { if (Math.abs(scrollY - shown) > 60) hide(); }, {passive: true});
 
   const meaning = id => document.getElementById(id)?.lastChild.textContent.trim() || "";
   const column = cell => cell.closest("table")?.tHead?.rows[0].cells[
