@@ -220,9 +220,22 @@ def test_the_same_input_gives_the_same_page(html: str, training: Flight, flight:
 
 def test_ten_minutes_of_four_axes_stay_below_two_megabytes(tmp_path: Path) -> None:
     flights = (flown(600.0),)
+    assert flights[0].pose_time.size / 600 == pytest.approx(120, rel=0.1)  # what is stale counts once
 
-    size = len(written(tmp_path, known_model(flights=flights), flights))
+    model = known_model()
+    size = len(written(tmp_path, model, (), validate(model, flights, CURVE), flights).encode())
     assert 0.5e6 < size < 2e6
+
+
+def test_a_peak_of_one_pose_survives_the_drawing_of_a_long_flight() -> None:
+    time = np.arange(72_000) / 120
+    y = np.sin(time)
+    y[40_001] = 7.0
+    chart = Chart("velocity", "x", "t", "time [s]", "m/s", time, (Line("v", "model", y),), "", "", y_range=(-1.0, 7.0))
+
+    ((_, path),) = drawn(chart, 440, 190, columns=60).paths
+    steps = [int(step) for step in re.findall(r"[ml]-?\d+ ?(-?\d+)", path)]
+    assert np.cumsum(steps).min() == 0  # the top of the frame
 
 
 SUBSETS = [subset for size in range(5) for subset in combinations(AXES, size)]

@@ -13,14 +13,14 @@ from rotorfit.frames import AXES, Array
 from rotorfit.report.drawing import COLUMNS, Drawing, drawn
 from rotorfit.views import MOST_POINTS, Chart, FlightView, RowChart, flight_view, moved_axes, overlaid
 
-MOST_VALUES = 230_000
-"""Numbers that all charts that zoom may hold together: 1.2 MB of the page."""
+MOST_VALUES = 200_000
+"""Numbers that all charts that zoom may hold together: 1.1 MB of the page."""
 
-MOST_STRETCHES = 9_000
+MOST_STRETCHES = 7_000
 """Stretches of all lines that are drawn as pictures of long flights: a few hundred kB of the page."""
 
 OPEN_FLIGHTS = 6
-"""Validation flights that are unfolded from the start."""
+"""So many flights are unfolded from the start, where they prove something, and have accelerations."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def flight_panels(cases: Sequence[Case], names: Sequence[str]) -> tuple[list[Fli
         view = _view(cases, names, number, flight, role, points)
         ordered = sorted(view.charts, key=lambda chart: AXES.index(chart.axis))
         velocity = [chart for chart in ordered if chart.kind == "velocity"]
-        other = [chart for chart in ordered if chart.kind != "velocity"]
+        other = [chart for chart in ordered if chart.kind != "velocity" and number < OPEN_FLIGHTS]
         panels = [Panel(chart, drawn(chart, 440, 190, columns), k) for k, chart in enumerate([*velocity, *other])]
         parts = tuple(panels[: len(velocity)]), tuple(panels[len(velocity) :])
         out.append(FlightPanels(number, view, *parts, role == "validation" and number < OPEN_FLIGHTS, known))
