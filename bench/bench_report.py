@@ -10,7 +10,8 @@ a drawn picture of every chart for readers without scripts; it builds a chart th
 the others build all at once.
 
 RUNS (default 15) loads of each page, in turn, each in a fresh browser context: time to the first contentful paint, to
-the load event, and what the main thread has worked until 2 s after that; medians and quartiles. Needs the extra `bench`
+the load event, what the main thread has worked until 2 s after that, and the same after the page was scrolled through
+to its end, when every chart is built; medians and quartiles. Needs the extra `bench`
 and a Chromium. Results: bench/report.json.
 """
 
@@ -26,7 +27,7 @@ from bokeh.embed import file_html
 from bokeh.layouts import column
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, CDPSession, sync_playwright
 from plotly import graph_objects
 
 from rotorfit.card_file import load_card
@@ -43,6 +44,15 @@ from rotorfit.validation import validate
 from rotorfit.views import Chart
 
 LOOK = {"measured": "#7a8593", "model": "#0b57b7", "paper": "#b4470b", "hold": "#6f42c1", "residual": "#0b57b7"}
+SCROLL = """(async () => {
+  document.querySelectorAll("details").forEach(d => { d.open = true; });
+  for (let y = 0; y < document.documentElement.scrollHeight; y += 800) {
+    scrollTo(0, y);
+    await new Promise(done => setTimeout(done, 50));
+  }
+})()"""
+"""Unfolds everything and goes through the page."""
+
 AFTER_LOAD = 2.0
 """How long the main thread is watched after the load event [s]."""
 
@@ -103,9 +113,18 @@ def loaded(browser: Browser, page: Path) -> dict[str, float]:
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime, "
         "performance.getEntriesByType('navigation')[0].loadEventEnd]"
     )
-    metrics = {each["name"]: each["value"] for each in session.send("Performance.getMetrics")["metrics"]}
+    work = worked(session)
+    tab.evaluate(SCROLL)
+    tab.wait_for_timeout(1000)
+    whole = worked(session)
     context.close()
-    return {"paint": paint / 1000, "load": load / 1000, "work": metrics["TaskDuration"]}
+    return {"paint": paint / 1000, "load": load / 1000, "work": work, "whole": whole}
+
+
+def worked(session: CDPSession) -> float:
+    """What the main thread has worked since the tab was opened [s]."""
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
 
 
 def main() -> None:
@@ -136,7 +155,8 @@ def main() -> None:
     arguments.o.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     for each, row in table.items():
         times = ", ".join(
-            f"{key} {row[key][1]:.2f} s ({row[key][0]:.2f} to {row[key][2]:.2f})" for key in ("paint", "load", "work")
+            f"{key} {row[key][1]:.2f} s ({row[key][0]:.2f} to {row[key][2]:.2f})"
+            for key in ("paint", "load", "work", "whole")
         )
         print(f"{each:9} {row['bytes'] / 1e6:.2f} MB, {times}")
 

@@ -566,7 +566,7 @@ def test_a_comparison_names_the_model_that_predicts_best(side_by_side: str) -> N
     assert not page.open
     assert "Which model can I use" in page.text
     for axis in AXES:
-        assert re.search(rf"{axis} [\d.]+ \S+ [\d.]+ \S+ right leads the next", page.text)
+        assert re.search(rf"{axis} [\d.]+ \S+ [\d.]+ \S+ right leads", page.text)
     assert page.count("div", **{"class": "lights"}) == 2
 
 

@@ -77,12 +77,11 @@ def _shown(tests: Mapping[tuple[int, int], PairedTest], best: int, second: int, 
     test = tests.get((min(best, second), max(best, second)))
     pooled = test.axes[axis][f"{horizon:g}"]["velocity"].pooled if test else None
     if pooled is None:
-        return "no paired test: their cards read other motion"
-    if pooled.verdict in ("better", "worse") and pooled.p is not None:
-        return f"leads the next, and that is no chance ({chance(pooled.p)})"
-    if pooled.verdict == "too_short":
-        return "leads the next; the flights are too short to tell that from chance"
-    return "leads the next, which may be chance"
+        return "leads; not tested, for its card reads other motion"
+    p = "" if pooled.p is None else f" ({chance(pooled.p)})"
+    if pooled.verdict in ("better", "worse"):
+        return f"leads, and that is no chance{p}"
+    return "leads; the flights are too short to tell" if pooled.verdict == "too_short" else f"leads, maybe by chance{p}"
 
 
 def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: float) -> tuple[RowChart, ...]:
