@@ -14,9 +14,11 @@ from rotorfit.card_file import load_card
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import Point, inverted, score
+from rotorfit.likelihood import inverted, score
 from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import STABLE, Controller, Truth, simulate_flight
+from rotorfit.point import Point
 from rotorfit.record import record
 
 DURATION = 60.0

@@ -265,7 +265,7 @@ def test_the_status_line_goes_to_a_terminal_only(monkeypatch: pytest.MonkeyPatch
     import io
     import time
 
-    from rotorfit.fly import Status
+    from rotorfit.flown import Status
     from rotorfit.terminal.cockpit import status_line
 
     class Terminal(io.StringIO):

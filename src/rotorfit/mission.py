@@ -9,7 +9,8 @@ from typing import Any
 from rotorfit.abort import operator_abort
 from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import LinkError, LogError
-from rotorfit.fly import Flown, Progress, fly
+from rotorfit.flown import Flown
+from rotorfit.fly import Progress, fly
 from rotorfit.links import Link, open_link
 from rotorfit.plan import Plan
 from rotorfit.plan_file import load_plan, plan_text

@@ -11,7 +11,7 @@ from rich.text import Text
 from rotorfit.terminal.tables import View, bullets, indented, title
 
 if TYPE_CHECKING:
-    from rotorfit.fly import Flown, Status
+    from rotorfit.flown import Flown, Status
     from rotorfit.plan import Plan
     from rotorfit.preflight import Ready
 
