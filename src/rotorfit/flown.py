@@ -52,7 +52,7 @@ class Flown:
         reason: `completed`, or what ended it, see `Ending`.
         text: The same for people.
         duration: Of the plan, as far as it was flown [s].
-        jitter: Of the commands.
+        jitter: Of the commands, by the clock of the link; says nothing where that clock is simulated.
         late: Commands that came more than three periods late.
         commands: Sent.
         poses: Received.
