@@ -23,10 +23,11 @@ from rotorfit.frames import AXES, heading_from_world
 from rotorfit.fusion import whiten_fused
 from rotorfit.latency import latency_of
 from rotorfit.levels import start_levels
-from rotorfit.likelihood import Point, response, restriction, score
+from rotorfit.likelihood import response, restriction, score
 from rotorfit.model_file import load, save
 from rotorfit.modes import start_point
 from rotorfit.paper_vehicle import SimulatedFlight, Truth, simulate_flight
+from rotorfit.point import Point
 from rotorfit.record import Record, record
 from rotorfit.validation import dynamics_from_model, validate
 
