@@ -60,6 +60,14 @@ def test_an_interrupt_waits_while_a_frame_of_llvmlite_is_on_the_stack_and_strike
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_an_interrupt_that_strikes_a_compiled_function_as_it_returns_is_an_interrupt() -> None:
+    """CPython turns an exception that a C function leaves behind beside its result into a SystemError."""
+    with pytest.raises(KeyboardInterrupt), safe_interrupts():
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+    with pytest.raises(SystemError, match="another"), safe_interrupts():
+        raise SystemError("another") from ValueError()
+
+
 def test_whoever_else_handles_the_signal_is_left_alone() -> None:
     told = list[int]()
     before = signal.signal(signal.SIGINT, lambda number, _: told.append(number))

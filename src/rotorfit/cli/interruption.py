@@ -25,6 +25,10 @@ def safe_interrupts() -> Iterator[None]:
     signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
+    except SystemError as error:  # it struck while a compiled function handed over its result
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
+        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGINT, signal.default_int_handler)
