@@ -10,7 +10,8 @@ from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import heading_from_world
 from rotorfit.log import Log, Table
-from rotorfit.paper_vehicle import LOG_EPOCH, SimulatedFlight, as_log
+from rotorfit.paper_log import LOG_EPOCH, as_log
+from rotorfit.paper_vehicle import SimulatedFlight
 
 COLUMNS = {
     "x": "/odom:twist.linear.x",

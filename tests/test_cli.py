@@ -18,7 +18,8 @@ from rotorfit.card_file import load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.model_file import load, to_mapping
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.sources import FORMATS
 
 VERBS = ["demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "plan", "fly", "cards", "formats"]

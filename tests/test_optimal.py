@@ -14,10 +14,11 @@ from rotorfit.errors import PlanError
 from rotorfit.excitation import Steps, paper_sines, value
 from rotorfit.frames import Array
 from rotorfit.held_motion import Dynamics, against_feedback, extremes, motion_at, transitions
-from rotorfit.likelihood import Point, inverted, score
+from rotorfit.likelihood import inverted, score
 from rotorfit.optimal import TARGETS, AxisLimits, OptimalSignal, optimal_signal
 from rotorfit.paper_vehicle import Controller, Truth, noise_free, simulate_flight
 from rotorfit.plan import Feedback
+from rotorfit.point import Point
 from rotorfit.record import record
 
 TRUTH = Truth(pose_jitter=0.0, command_jitter=0.0, stale_share=0.0)

@@ -14,7 +14,8 @@ from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES
 from rotorfit.model import Model
 from rotorfit.model_file import load, save
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,

@@ -24,7 +24,8 @@ from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS
 from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.modes import start_point
-from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.prior import gaussian_prior, with_prior
 from rotorfit.record import record
 from rotorfit.report.reproduce import card_text

@@ -12,10 +12,11 @@ from rotorfit.envelope import LIMITS, largest_amplitudes, predicted_path, refuse
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Sines, Steps, designed
 from rotorfit.fit import fit
-from rotorfit.likelihood import Point, response
+from rotorfit.likelihood import response
 from rotorfit.model import COEFFICIENTS
 from rotorfit.paper_vehicle import GAMMA_B, Truth, noise_free
 from rotorfit.plan import Excitation, Feedback, Plan, Space
+from rotorfit.point import Point
 from rotorfit.precision import information, inverse_of, predicted_errors
 from rotorfit.record import record
 from rotorfit.rehearsal import flown, path, recorded

@@ -14,7 +14,8 @@ from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import Dynamics
 from rotorfit.frames import AXES, Array
 from rotorfit.log import Log
-from rotorfit.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, simulate_flight
 from rotorfit.sources import read
 
 REAL_FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data"

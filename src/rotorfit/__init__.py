@@ -41,7 +41,7 @@ _HOMES = {
     "fit": "rotorfit.fit",
     "flight_from_log": "rotorfit.flight",
     "load": "rotorfit.model_file",
-    "load_card": "rotorfit.card",
+    "load_card": "rotorfit.card_file",
     "read": "rotorfit.sources",
     "save": "rotorfit.model_file",
     "simulate": "rotorfit.model",

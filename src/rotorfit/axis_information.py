@@ -18,7 +18,8 @@ import numpy as np
 from rotorfit.disturbance import distinct_steps
 from rotorfit.frames import Array
 from rotorfit.held_motion import Dynamics
-from rotorfit.likelihood import Point, response, whiten
+from rotorfit.likelihood import response, whiten
+from rotorfit.point import Point
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record
 
 
@@ -67,7 +68,7 @@ def axis_information(
 
     Args:
         dynamics: At which the sensitivities are taken; the damping must be positive.
-        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in `likelihood.Point`.
+        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in `point.Point`.
         duration: Of the flight, from its first command to its last pose [s].
         step: How long a command holds [s].
         pose_rate: Fresh poses a second, so the mocap's rate less its stale share [1/s].

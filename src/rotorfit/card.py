@@ -17,7 +17,7 @@ class Channel:
         meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
         full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
         others: What stands in its place in other versions of the same format, in the order of asking; the first of
-            all of them that a log holds is read: `card_for`.
+            all of them that a log holds is read: `card_columns.card_for`.
     """
 
     source: str | float

@@ -120,7 +120,7 @@ def optimal_signal(
 
     Args:
         dynamics: Input, damping and delay as believed; the damping positive.
-        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `likelihood.Point`.
+        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `point.Point`.
         limits: What the motion by the believed dynamics must stay within, without wind. Shrink them by what wind and
             doubt about the dynamics may add.
         duration: Of the signal [s]; the vehicle is at rest again one delay after its end, at the latest.

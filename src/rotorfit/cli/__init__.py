@@ -9,6 +9,7 @@ import click
 
 from rotorfit import __version__
 from rotorfit.cli.flights import fly, plan
+from rotorfit.cli.interruption import safe_interrupts
 from rotorfit.cli.logs import cards, demo, formats, info
 from rotorfit.cli.models import convert, fit, ladder
 from rotorfit.cli.scoring import compare, report, validate
@@ -27,7 +28,8 @@ class _Verbs(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Runs the verb; what the user can act on becomes one line."""
         try:
-            return super().invoke(ctx)
+            with safe_interrupts():
+                return super().invoke(ctx)
         except RotorfitError as error:
             raise click.ClickException(" ".join(str(error).split())) from error
         except BrokenPipeError:  # the reader of our output has seen enough: click ends quietly

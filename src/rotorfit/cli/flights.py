@@ -1,12 +1,15 @@
 """Verbs before and during a flight."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorfit.cli.options import JSON, card_option, file_at, some_axes_of
-from rotorfit.cli.output import print_json, progress_bar
+from rotorfit.cli.output import print_json, progress_bar, silence
+
+if TYPE_CHECKING:
+    from rotorfit.terminal.tables import View
 
 
 @click.command()
@@ -30,20 +33,22 @@ from rotorfit.cli.output import print_json, progress_bar
 @click.option("--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: what fits.")
 @click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Of sequences and draws; default: 0.")
-@click.option("-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan file.")
+@click.option("-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; never over an edited one.")
 @click.option("--picture", type=file_at(), metavar="plan.png", help="Draw commands, path, speeds, standard errors.")
 @JSON
 def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
     """Design a flight and predict what it will tell, and where it leads."""
     from rotorfit.pipeline import check_destination
-    from rotorfit.plan_file import PLAN_MARK, save_plan
+    from rotorfit.plan_file import check_plan_destination, save_plan
     from rotorfit.preview import PICTURE_MARK, write_picture
     from rotorfit.request import Request, destinations, planned, plans_mapping
 
     request = Request(**asked)
     files, pictures = (destinations(path, request) if path else [] for path in (output, picture))
-    for path, mark in [*((path, PLAN_MARK) for path in files), *((path, PICTURE_MARK) for path in pictures)]:
-        check_destination(path, mark)
+    for path in files:
+        check_plan_destination(path)
+    for path in pictures:
+        check_destination(path, PICTURE_MARK)
     with progress_bar() as progress:
         plans, proposal = planned(request, progress)
     for one, path in zip(plans, files, strict=False):
@@ -69,7 +74,11 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @click.command()
 @click.argument("plan_path", metavar="PLAN")
 @click.option(
-    "--link", "link", metavar="NAME[:ADDRESS]", required=True, help="sim, replay, ros1, ros2, mavlink, tello."
+    "--link",
+    "link",
+    metavar="NAME[:ADDRESS]",
+    required=True,
+    help="sim, sim:VEHICLE,wind=1,gusts=0.3 [m/s], replay:FILE, ros1, ros2, mavlink, tello.",
 )
 @click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
 @click.option("-o", "output", type=file_at(), metavar="flight.mcap", required=True, help="The recording to write.")
@@ -88,20 +97,41 @@ def fly(
     from rotorfit.mission import flown_mapping, flown_mission, mission
     from rotorfit.preflight import refuse
     from rotorfit.terminal import show
-    from rotorfit.terminal.cockpit import flown_view, next_command, preflight_view, status_line
+    from rotorfit.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
 
     with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
         if not as_json:
-            show(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
+            _shown_first(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
         refuse(wanted.ready)
         if wanted.link.live and not yes:
             click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
         result = flown_mission(wanted, land, status_line)
     if result.reason != "completed":
+        raise LinkError(ended_early(result))
+    try:
+        if as_json:
+            return print_json(flown_mapping(result, wanted.ready, wanted.link.live))
+        show(flown_view(result, wanted.link.live))
+        return click.echo(f"\nNext: {next_command([str(output)])}")
+    except BrokenPipeError:
+        silence()
+        return click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
+
+
+def _shown_first(view: "View") -> None:
+    """Shows what somebody must have seen before a vehicle moves.
+
+    Raises:
+        LinkError: Nobody reads the output.
+    """
+    from rotorfit.errors import LinkError
+    from rotorfit.terminal import show
+
+    try:
+        show(view)
+    except BrokenPipeError:
+        silence()
         raise LinkError(
-            f"ended early, after {result.duration:.1f} s of the plan: {result.text}; the log so far: {result.path}"
-        )
-    if as_json:
-        return print_json(flown_mapping(result, wanted.ready))
-    show(flown_view(result))
-    return click.echo(f"\nNext: {next_command([str(output)])}")
+            "not flown: nobody reads the output (a closed pipe), so nobody has seen the preflight; "
+            "let it be read to its end, or write it to a file"
+        ) from None

@@ -1,6 +1,7 @@
 """What verbs print beside their tables: JSON, and a bar while the work lasts."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,11 @@ Progress = Callable[[float, str], None]
 def print_json(result: Any) -> None:
     """Prints a result as JSON; NaN in it is a bug and raises."""
     click.echo(json.dumps(result, indent=1, allow_nan=False))
+
+
+def silence() -> None:
+    """Stdout goes nowhere from now on: after a pipe was closed, every further line, the last flush too, would fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """What all bags share: messages, one after the other, become tables with `log_time`."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -125,6 +125,22 @@ class Collector:
     def pass_over(self, topic: Topic, count: int) -> None:
         """Counts messages of a topic that is not wanted."""
         self._of_topic[topic].count += count
+
+    def passed_over(self, topics: Mapping[int, Topic], index: Mapping[int, Sized]) -> bool:
+        """Only counts the messages that the index of a chunk names, if it names known topics and none that is wanted.
+
+        Args:
+            topics: Those known so far, by number.
+            index: Number of a topic to the places of its messages in the chunk.
+
+        Returns:
+            Whether the chunk need not be unpacked.
+        """
+        if not index or not all(number in topics and not self.wants(topics[number]) for number in index):
+            return False
+        for number, places in index.items():
+            self.pass_over(topics[number], len(places))
+        return True
 
     def add(self, topic: Topic, time: int, data: bytes) -> None:
         """Takes one message, recorded at `time` [ns].
