@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.frames import Array
-from rotorfit.views import Chart, RowChart, extremes
+from rotorfit.frames import Array, Indices
+from rotorfit.views import Chart, RowChart
 
 FINENESS = 4
 """Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
@@ -246,9 +246,10 @@ def _y_range(chart: Chart) -> tuple[float, float]:
 
 
 def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
-    """Relative path in integer steps; broken at NaN, long lines by their extremes."""
-    if x.size > 4 * columns:
-        x, y = (column.ravel() for column in extremes(x, y[:, None], columns))
+    """Relative path in integer steps; broken at NaN, long lines by their peaks."""
+    if x.size > 2 * columns:
+        kept = peaks(y, columns)
+        x, y = x[kept], y[kept]
     y = np.clip(y, -height, 2 * height)
     finite = np.isfinite(y)
     points = np.round(np.stack([x, np.where(finite, y, 0)], axis=1) * FINENESS).astype(int)
@@ -260,6 +261,21 @@ def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
             last = point
         here = bool(good)
     return "".join(parts).replace(" -", "-")
+
+
+def peaks(y: Array, stretches: int) -> Indices:
+    """Where a line has its smallest and its largest value in each of equal stretches, its ends, where holes begin.
+
+    Args:
+        y: Shape (N,); NaN in holes.
+        stretches: How many.
+    """
+    place = np.arange(y.size) * stretches // y.size
+    order, known = np.lexsort((y, place)), np.isfinite(y)
+    order = order[known[order]]
+    ends = np.flatnonzero(np.diff(place[order], prepend=-1, append=-1))
+    holes = np.flatnonzero(~known & np.concatenate([[True], known[:-1]]))
+    return np.unique(np.concatenate([order[ends[:-1]], order[ends[1:] - 1], holes, [0, y.size - 1]]).astype(np.intp))
 
 
 def _bars(x: Array, y: Array, zero: float) -> str:
