@@ -256,6 +256,10 @@ class Collector:
             types = self._types_of(topic)
         except DamageError as error:
             return _Stream(topic, None, str(error))
+        if topic.msgtype.endswith("/TFMessage"):
+            return _Stream(
+                topic, None, "lists of transforms; record the vehicle's pose as PoseStamped or TransformStamped"
+            )
         if not has_numbers(types, topic.msgtype):
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
