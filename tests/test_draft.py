@@ -332,3 +332,17 @@ def test_the_twist_of_a_mocap_bridge_is_not_taken_for_the_commands(tmp_path: Pat
 
     assert card.command["x"].source == "/drone/cmd_vel:linear.x"
     assert card.velocity["x"].source == "/vrpn_client_node/bebop/twist:twist.linear.x"
+
+
+def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() -> None:
+    """A bag with /tf and commands: the Twist, alone a table, is no velocity of the vehicle."""
+    twist = {"log_time": np.round(T * 1e9).astype(np.int64)}
+    twist |= {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    log = log_of("flight.bag", **{"/bebop/cmd_vel": twist})
+
+    text = draft_card(log)
+
+    assert "INCOMPLETE: nothing was recognised for [pose] x; [pose] y; [pose] z; [pose] yaw or quaternion" in text
+    assert "[velocity]" not in text
+    with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
+        rotorfit.proposal.proposal(log)

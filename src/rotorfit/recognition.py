@@ -235,7 +235,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families = families[-1:]
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
-    if len(log.tables) > 1 and not _named(table, _POSE).keys() & {"x", "y", "z"}:
+    if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
         families.append(_named(table, twist))
     return max(families, key=len)
 
@@ -265,8 +265,8 @@ def _is_twist_of(commands: Recognised, table: Table) -> bool:
 
 
 def _asked(log: Log, table: Table) -> bool:
-    """Whether a table of a log of several is named as a command or a set-point."""
-    return len(log.tables) > 1 and re.search(_ASKED, table.name.lower()) is not None
+    """Whether a table of a log of several, or a topic, is named as a command or a set-point."""
+    return (len(log.tables) > 1 or table.name.startswith("/")) and re.search(_ASKED, table.name.lower()) is not None
 
 
 def _z_up(body: Recognised) -> Recognised:

@@ -36,7 +36,7 @@ class _Stream:
         blocks: Times and messages, before those, that came many at once.
         rows: Messages that wait to be decoded.
         waiting: Bytes of them.
-        columns: Name to what is decoded, with room for more at the end: memory that is not written to is not taken.
+        columns: Name to what is decoded, with room for more at the end.
         filled: Rows decoded.
         uneven: Names of columns that differ in shape from message to message.
     """
@@ -272,6 +272,10 @@ class Collector:
             types = self._types_of(topic)
         except DamageError as error:
             return _Stream(topic, None, str(error))
+        if topic.msgtype.endswith("/TFMessage"):
+            return _Stream(
+                topic, None, "lists of transforms; record the vehicle's pose as PoseStamped or TransformStamped"
+            )
         if not has_numbers(types, topic.msgtype):
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
@@ -344,16 +348,15 @@ def _append(stream: _Stream, batch: dict[str, Column]) -> None:
     """Puts a batch behind what is decoded; columns that are not alike in all batches are left out."""
     start, stop = stream.filled, stream.filled + len(batch["log_time"])
     if start == 0:
-        stream.columns = batch
+        stream.columns = {name: np.array(values, order="C") for name, values in batch.items()}  # its own: it will grow
     else:
         alike = {name for name, values in stream.columns.items() if name in batch and _are_alike(values, batch[name])}
         stream.uneven |= (stream.columns.keys() | batch.keys()) - alike
         stream.columns = {name: values for name, values in stream.columns.items() if name in alike}
         for name, values in stream.columns.items():
-            if len(values) < stop:  # twice the room: all copies together are as much as the column
-                stream.columns[name] = np.empty((2 * stop, *values.shape[1:]), values.dtype)
-                stream.columns[name][:start] = values[:start]
-            stream.columns[name][start:stop] = batch[name]
+            if len(values) < stop:  # in its place: the system moves large ones without a copy
+                values.resize((stop + stop // 8, *values.shape[1:]), refcheck=False)
+            values[start:stop] = batch[name]
     stream.filled = stop
 
 
