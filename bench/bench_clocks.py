@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from flights import steps  # noqa: E402 - it lies beside the tests
-from rotorfit.card import card_from_mapping, load_card  # noqa: E402
+from rotorfit.card_file import card_from_mapping, load_card  # noqa: E402
 from rotorfit.errors import FlightError  # noqa: E402
 from rotorfit.excitation import two_sines  # noqa: E402
 from rotorfit.flight import flight_from_log  # noqa: E402

@@ -38,7 +38,7 @@ def main() -> None:
     import pandas as pd
     from nfoursid.nfoursid import NFourSID
 
-    from rotorfit.card import load_card
+    from rotorfit.card_file import load_card
     from rotorfit.fit import fit
     from rotorfit.flight import flight_from_log
     from rotorfit.sources import read

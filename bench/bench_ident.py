@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from rotorfit.belief import belief_from_card
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.fit import fit
 from rotorfit.flight import Flight
 from rotorfit.fly import fly

@@ -21,7 +21,7 @@ import numpy as np
 
 from rotorfit import realtime
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.excitation import paper_sines
 from rotorfit.fly import fly
 from rotorfit.links import Action

@@ -24,11 +24,12 @@ from rotorfit.estimate import alone, free_of
 from rotorfit.forecast import StartErrors, predict_flight, start_errors
 from rotorfit.frames import AXES, Array
 from rotorfit.levels import START_LEVELS
-from rotorfit.likelihood import Point, inverted, restriction, score
+from rotorfit.likelihood import inverted, restriction, score
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.model import COEFFICIENTS
 from rotorfit.modes import dynamics_of, start_point
 from rotorfit.paired import paired_test
+from rotorfit.point import Point
 from rotorfit.profile import quantile
 from rotorfit.record import Record, record
 

@@ -5,6 +5,7 @@
 The demo's vehicle (set B, delay 0.15 s, light wind, 0.5 mm mocap), axes x and z, 60 s. x: 1.86 m to either side, 1.5
 m/s; z: 0.96 m, 1 m/s; commands up to half of full scale. Scores are compared by the factor on the mean standard error
 (geometric over input, damping, delay for D, root mean square in units of `optimal.TARGETS` for A). Takes 3 minutes.
+The commands are hard steps but in one row, where they are smoothed as the planner does it.
 
 The bound. The mean squares of command, position and speed over the N steps cannot be beyond those of the limits. With
 any weights d >= 0, sum d = 1, the command u of a design inside the limits has u' B u <= 1, where B = sum_i d_i A_i / N
@@ -34,8 +35,9 @@ from rotorfit.belief import Belief, levels_of
 from rotorfit.excitation import designed, paper_sines, value
 from rotorfit.frames import AXES, Array
 from rotorfit.held_motion import Dynamics, extremes, held_states
-from rotorfit.optimal import TARGETS, AxisLimits, OptimalSignal, optimal_signal
+from rotorfit.optimal import TARGETS, AxisLimits, Criterion, OptimalSignal, optimal_signal
 from rotorfit.paper_vehicle import Truth
+from rotorfit.planning import fastest
 
 DURATION, STEP = 60.0, 0.1
 COARSE = 0.2
@@ -64,11 +66,18 @@ def levels(dynamics: Dynamics, axis: str, wind: float = 1.0) -> Array:
     return np.asarray(out)
 
 
-def design(axis: str, criterion: str = "d", step: float = STEP, seed: int = 0) -> OptimalSignal:
+def design(
+    axis: str, criterion: Criterion = "d", step: float = STEP, seed: int = 0, smooth: float = 0.0
+) -> OptimalSignal:
     dynamics = dynamics_of(axis)
     return optimal_signal(
-        dynamics, levels(dynamics, axis), LIMITS[axis], DURATION, criterion, seed, step=step, pose_rate=POSE_RATE  # type: ignore[arg-type]
+        dynamics, levels(dynamics, axis), LIMITS[axis], DURATION, criterion, seed,
+        step=step, smooth=smooth, pose_rate=POSE_RATE,
     )  # fmt: skip
+
+
+def smoothed(axis: str) -> OptimalSignal:
+    return design(axis, smooth=2 * np.pi / fastest(Belief(TRUTH, np.zeros((12, 12)), (0.0,) * 4), axis))
 
 
 def sampled(signal: OptimalSignal, step: float) -> Array:
@@ -189,6 +198,7 @@ def main() -> None:
         rows = {
             "bound on every design (steps of 0.2 s), at least": coarse.score - top,
             "optimal, steps of 0.2 s": own - coarse.score,
+            "optimal, smoothed": own - score(form.information(sampled(smoothed(axis), STEP))),
             "another seed": own - design(axis, seed=1).score,
             f"best of {RANDOM} random binary signals": own - random_search(form, axis),
             **{name: own - each for name, each in classic(form, axis).items()},

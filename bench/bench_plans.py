@@ -5,7 +5,8 @@
 Every design flies 60 s on x, y and z together and 60 s on yaw, FLIGHTS (default 100) times, with the demo's vehicle
 (set B, delay 0.15 s, light wind, 0.5 mm mocap, 8 % stale frames; seeds 1 to FLIGHTS for x, y, z, from 10,001 on for
 yaw; the same wind and noise for every design). The room is 4 m by 4 m by 2 m, the speed at most 1.5 m/s along x and y
-each, the climb 1 m/s, a command at most half of full scale, yaw at most 1 rad from its start and 1 rad/s.
+each, the climb 1 m/s, a command at most half of full scale, yaw at most 1 rad from its start and 1 rad/s. Bands end,
+and the optimal commands are smoothed, as the planner does it (`planning.fastest`).
 
 In open loop the wind alone would carry this vehicle out of such a room within 60 s (`hover` below), so all designs are
 flown with the planner's soft centring feedback, but for `two_sines_paper`, which is flown as the paper flies, in open
@@ -31,15 +32,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from rotorfit.belief import Belief
-from rotorfit.card import builtin_cards
+from rotorfit.card_file import builtin_cards
 from rotorfit.envelope import predicted_path
 from rotorfit.excitation import Sines, designed, ident_reference, paper_sines, scaled
 from rotorfit.fit import fit
 from rotorfit.frames import AXES, Array
 from rotorfit.model import COEFFICIENTS
-from rotorfit.optimal import AxisLimits, optimal_excitations
+from rotorfit.optimal import AxisLimits, Criterion, optimal_excitations
 from rotorfit.paper_vehicle import Truth, noise_free
 from rotorfit.plan import Excitation, Feedback, Plan, Space
+from rotorfit.planning import fastest
 from rotorfit.precision import predicted_errors
 from rotorfit.rehearsal import flown, path, recorded
 from rotorfit.tracking import tracker_of
@@ -52,8 +54,8 @@ HALF = {"x": 2.0, "y": 2.0, "z": 1.0, "yaw": 1.0}
 """Half the room [m]; how far yaw may turn [rad]."""
 SPEED = {"x": 1.5, "y": 1.5, "z": 1.0, "yaw": 1.0}
 COMMAND = 0.5
-BAND = (0.6, 6.0)
-"""What the classic designs excite [rad/s]."""
+SLOWEST = 0.6
+"""Where the bands of the classic designs begin [rad/s]."""
 RAMP = 1.0
 """Of all designs but the optimal ones, which start and end at 0 by themselves [s]."""
 GROUPS = (("x", "y", "z"), ("yaw",))
@@ -104,15 +106,18 @@ def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) ->
     feedback = feedback_of(design)
     if design.startswith("optimal"):
         limits = {axis: AxisLimits(COMMAND, -room[axis], room[axis], SPEED[axis]) for axis in group}
-        return list(optimal_excitations(BELIEF, limits, 0.0, DURATION, feedback, design[-1]))  # type: ignore[arg-type]
+        smooth = {axis: 2 * np.pi / fastest(BELIEF, axis) for axis in group}
+        criterion: Criterion = "a" if design == "optimal_a" else "d"
+        return list(optimal_excitations(BELIEF, limits, 0.0, DURATION, feedback, criterion, smooth=smooth))
     out = []
     for place, axis in enumerate(group):
+        band = (SLOWEST, fastest(BELIEF, axis))
         if design == "ident":
             one = Excitation(axis, "position", 0.0, DURATION, ident_reference(axis))
         elif design == "two_sines_paper":
             one = Excitation(axis, "command", 0.0, DURATION, paper_sines(axis))
         else:
-            one = Excitation(axis, "command", 0.0, DURATION, designed(design, 0.1, DURATION, BAND, place, len(group)))
+            one = Excitation(axis, "command", 0.0, DURATION, designed(design, 0.1, DURATION, band, place, len(group)))
         if design != "two_sines_paper":
             factor = largest(plan_of(design, [one], feedback), axis, room[axis])
             one = replace(one, signal=scaled(one.signal, factor))

@@ -17,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.fit import fit
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import Array
 from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_vehicle import Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import Controller, Truth, simulate_flight
 from rotorfit.uncertainty import with_uncertainty
 
 CASES = ("as modelled", "wobble 2.5 Hz", "two winds", "in a loop")

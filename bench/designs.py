@@ -5,18 +5,20 @@ Nothing here is known to the estimator. The Cramer-Rao bound of a flight is the 
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import qmc
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import Point, inverted, score
+from rotorfit.likelihood import inverted, score
 from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import STABLE, Controller, Truth, simulate_flight
+from rotorfit.point import Point
 from rotorfit.record import record
 
 DURATION = 60.0
@@ -154,6 +156,10 @@ def _bounds(design: Design, flight: Flight, group: tuple[str, ...]) -> dict[str,
     noise = np.array(design.truth.mocap_noise)[places] ** 2
     levels = np.stack([power, noise, damping + rate, 4 * damping * rate / (damping + rate) ** 2], axis=1)
     point = Point(gain, np.log(damping), delay, np.zeros((1, K)), np.zeros((rec.starts.size, K)), np.log(levels))
+    # The damping is told by the speed at the start, too. The position is linear in that speed: one step finds it.
+    at_rest, start = score([rec], point), slice(point.n - point.start.size, point.n)
+    speed = np.linalg.solve(at_rest.information[start, start], at_rest.gradient[start])
+    point = replace(point, start=speed.reshape(point.start.shape))
     information = score([rec], point).information[: point.n, : point.n]
     errors = np.sqrt(np.diag(inverted(information, free_of([rec], [True] * K)[: point.n])))[: 3 * K].reshape(3, K)
     errors[1] *= damping

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.excitation import Sines, value
 from rotorfit.fit import fit
 from rotorfit.flight import flight_from_log

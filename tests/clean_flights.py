@@ -8,7 +8,8 @@ from flights import CARD, steps
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES
 from rotorfit.log import Log
-from rotorfit.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import STABLE, Controller, Truth, simulate_flight
 
 VEHICLES = tuple(STABLE.values())
 ACCELERATION = np.array([0.8, 0.8, 0.8, 1.2])

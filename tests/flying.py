@@ -11,10 +11,11 @@ import tomli_w
 
 from rotorfit.abort import operator_abort
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.excitation import paper_sines
-from rotorfit.fly import Flown, fly
+from rotorfit.flown import Flown
+from rotorfit.fly import fly
 from rotorfit.links import Action, Link
 from rotorfit.links.sim import SimLink
 from rotorfit.log import Sample

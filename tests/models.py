@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from flights import CARD
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, unknown_axis
 from rotorfit.paper_vehicle import GAMMA_B

@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import Card, builtin_cards, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import heading_from_world
 from rotorfit.log import Log, Table
-from rotorfit.paper_vehicle import LOG_EPOCH, SimulatedFlight, as_log
+from rotorfit.paper_log import LOG_EPOCH, as_log
+from rotorfit.paper_vehicle import SimulatedFlight
 
 COLUMNS = {
     "x": "/odom:twist.linear.x",

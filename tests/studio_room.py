@@ -11,7 +11,8 @@ from typing import Any
 from starlette.testclient import TestClient
 
 from flights import steps
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.studio.gate import cookie_name
 from rotorfit.studio.routes import Studio
 from rotorfit.studio.workspace import Workspace

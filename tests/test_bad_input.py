@@ -11,7 +11,8 @@ from click.testing import CliRunner, Result
 
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 
 COMMANDS = ("cmd_linx", "cmd_liny", "cmd_linz", "cmd_angz")
 CARD = """

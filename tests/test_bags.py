@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Writer1
 
-from rotorfit.card import builtin_cards, card_from_mapping, tables_of
+from rotorfit.card_columns import tables_of
+from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.log import Log
 from rotorfit.pipeline import WHOLE, LogSpan, load_flight
 from rotorfit.sources import mcap, read, rosbag1

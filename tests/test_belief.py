@@ -20,7 +20,8 @@ from rotorfit.belief import (
     drawn,
     levels_of,
 )
-from rotorfit.card import Prior, card_from_mapping, load_card
+from rotorfit.card import Prior
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import PlanError
 from rotorfit.paper_vehicle import GAMMA_B, Truth
 
@@ -85,6 +86,19 @@ def test_a_model_is_believed_as_far_as_it_goes_and_the_card_beyond() -> None:
     assert errors(belief)["x.input"] == pytest.approx(0.02 * GAMMA_B[0], rel=0.01)
     assert errors(belief)["z.delay"] == DELAY[1]
     assert belief.source == "model m.json"
+    assert belief.notes == ("noise and wind of z, yaw: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)",)
+
+
+def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:
+    bare = load_card("bebop2")  # without limits: on its own it is believed to be like the published sets
+    unlimited = replace(bare, name="a drone that nobody has published", raw={})
+
+    assert len(belief_from_card(bare).notes) > 1
+    assert belief_from_model(model_of(VEHICLE, bare), "m.json").notes == ()
+    assert belief_from_model(model_of(VEHICLE, unlimited), "m.json").notes == ()
+    half = belief_from_model(model_of({axis: VEHICLE[axis] for axis in ("x", "y")}, unlimited), "m.json")
+    assert [note.split(":")[0] for note in half.notes[-1:]] == ["noise and wind of z, yaw"]
+    assert all("of 1 on x " not in note and "of 1 on y " not in note for note in half.notes)
 
 
 def test_the_levels_of_a_model_are_kept_and_its_wind_is_their_own() -> None:

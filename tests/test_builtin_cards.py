@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from rotorfit.answers import answers_of
-from rotorfit.card import Channel, builtin_card_text, builtin_cards, card_from_mapping, fitting_cards
+from rotorfit.card import Channel
+from rotorfit.card_columns import fitting_cards
+from rotorfit.card_file import builtin_card_text, builtin_cards, card_from_mapping
 from rotorfit.flight import flight_from_log
-from rotorfit.frames import UNIT_SCALE, Array, world_from_heading
+from rotorfit.frames import UNIT_SCALE, Array, heading_from_world, world_from_heading
 from rotorfit.log import Log, Table
 from rotorfit.proposal import proposal
 
@@ -47,8 +49,14 @@ def log_for(name: str) -> Log:
     """A log of the columns that a card names, of a vehicle that does what it is told."""
     card = builtin_cards()[name]
     true = motion(card.command_frame == "world")
-    pose = {"x": true["y"], "y": true["x"], "z": -true["z"], "yaw": np.pi / 2 - true["yaw"]}
-    pose = pose if card.frame == "NED" else true
+    pose, velocity = true, {axis: np.gradient(series, T) for axis, series in true.items()}
+    if card.frame == "NED":
+        pose = {"x": true["y"], "y": true["x"], "z": -true["z"], "yaw": np.pi / 2 - true["yaw"]}
+    if card.velocity_frame == "heading":
+        across = heading_from_world(np.stack([velocity["x"], velocity["y"]], axis=1), true["yaw"])
+        velocity |= {"x": across[:, 0], "y": across[:, 1]}
+    elif card.frame == "NED":
+        velocity = {"x": velocity["y"], "y": velocity["x"], "z": -velocity["z"], "yaw": -velocity["yaw"]}
     half = pose["yaw"] / 2
     pose |= {"qw": np.cos(half), "qx": 0 * half, "qy": 0 * half, "qz": np.sin(half)}
     tables: dict[str, dict[str, Array]] = {}
@@ -62,7 +70,9 @@ def log_for(name: str) -> Log:
         put(channel, raw(channel, COMMAND[axis]))
     for axis, channel in card.pose.items():
         put(channel, raw(channel, pose[axis]))
-    for channel in (*card.velocity.values(), *card.reference.values(), *card.resets):
+    for axis, channel in card.velocity.items():
+        put(channel, raw(channel, velocity[axis]))
+    for channel in (*card.reference.values(), *card.resets):
         put(channel, np.zeros(T.size))
     for part in card.window:
         put(part.channel, np.full(T.size, (*part.equals, *part.opens, 1.0)[0]))
@@ -97,9 +107,9 @@ def test_every_card_reads_a_flight_of_the_columns_that_it_names(name: str) -> No
     true = motion(card.command_frame == "world")
     inside = flight.pose_time < 29
     for k, axis in enumerate("xyz"):
-        np.testing.assert_allclose(
-            flight.position[inside, k], np.interp(flight.pose_time[inside], T, true[axis]), atol=0.02
-        )
+        place = np.interp(flight.pose_time[inside], T, true[axis])
+        start = place[0] if axis in card.velocity_only else 0.0  # a velocity alone tells where from its start
+        np.testing.assert_allclose(flight.position[inside, k], place - start, atol=0.02)
     heading = card_from_mapping(
         {**card.raw, "command": {k: v for k, v in card.raw["command"].items() if k != "frame"}}, name
     )

@@ -7,16 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import (
-    Card,
-    Channel,
-    Condition,
-    builtin_cards,
-    card_from_mapping,
-    column,
-    fitting_cards,
-    load_card,
-)
+from rotorfit.card import Card, Channel, Condition
+from rotorfit.card_columns import column, fitting_cards
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import CardError
 from rotorfit.log import Log, Table
 from rotorfit.proposal import card_of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorfit.card import builtin_cards, card_from_mapping
+from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.frames import yaw_from_quaternion
 from rotorfit.links.card_fields import command_fields, enu_from_ned, pose_fields, pose_values, raw_values

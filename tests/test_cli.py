@@ -14,11 +14,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rotorfit import __version__
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.model_file import load, to_mapping
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.sources import FORMATS
 
 VERBS = [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flights import steps
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import FlightError
 from rotorfit.excitation import two_sines

@@ -19,7 +19,8 @@ from rotorfit.excitation import two_sines
 from rotorfit.frames import AXES
 from rotorfit.model import Combination, Model, simulate
 from rotorfit.model_file import load, save, to_mapping
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.physics import with_physics
 from rotorfit.pipeline import training_flights
 from rotorfit.plausibility import findings_of_settings

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot_logs import FLASH_ATT, FLASH_FMT, flash, flash_attitudes, flash_format, flash_record
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LogError
 from rotorfit.log import Log
 from rotorfit.sources import dataflash as reader

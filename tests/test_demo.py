@@ -15,7 +15,7 @@ from rotorfit.model_file import load, to_mapping
 from rotorfit.plan_file import load_plan, plan_from_text, plan_text
 from rotorfit.sources import read
 from rotorfit.terminal import show
-from rotorfit.terminal.demo import demo_view
+from rotorfit.terminal.tour import demo_view
 
 FLIGHTS = ["train_xy", "train_z", "train_yaw", "validate_xy", "validate_z", "validate_yaw"]
 

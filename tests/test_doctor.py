@@ -20,15 +20,8 @@ from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import Array, world_from_heading
-from rotorfit.paper_vehicle import (
-    GAMMA_B,
-    Controller,
-    Excitation,
-    SimulatedFlight,
-    Truth,
-    as_log,
-    simulate_flight,
-)
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import GAMMA_B, Controller, Excitation, SimulatedFlight, Truth, simulate_flight
 
 TRUTH = replace(Truth(), stale_share=0.0)
 TURNING = steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.4), seed=4)

@@ -20,23 +20,23 @@ from mypy import api as mypy
 import rotorfit
 from rotorfit import (
     advice,
-    card,
+    card_file,
     clock_checks,
     command_checks,
     doctor,
     estimate,
     forecast,
     frame_checks,
-    likelihood,
     modes,
     motion_checks,
     plausibility,
+    point,
     pose_checks,
     record,
     regression,
     whiteness,
 )
-from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.cli import main
 from rotorfit.excitation import two_sines
 from rotorfit.fit import LEAST_TIME, fit
@@ -243,7 +243,7 @@ def test_the_figures_of_the_method_are_those_of_the_code() -> None:
         f"blocks of 1/{record.BLOCK_RATE:g} s",
         f"tau from {low:g} to {high:g} s",
         f"scored from {high:g} s on",
-        f"b from {likelihood.DAMPING_RANGE[0]:g} to {likelihood.DAMPING_RANGE[1]:g} 1/s",
+        f"b from {point.DAMPING_RANGE[0]:g} to {point.DAMPING_RANGE[1]:g} 1/s",
         f"within {np.degrees(record.HELD_HEADING):g} degrees",
         f"within {100 * modes.ALIKE:g} % of it",
         f"a damping above {np.exp(modes.BACKWARDS):g} 1/s",
@@ -333,8 +333,8 @@ def test_every_key_and_every_unit_of_a_card_is_explained() -> None:
 
 
 def known_keys() -> set[str]:
-    """Every key that `card.py` lets pass: those of its sections, and those written out where keys are checked."""
-    tree = ast.parse((ROOT / "src" / "rotorfit" / "card.py").read_text(encoding="utf-8"))
+    """Every key that `card_file.py` lets pass: those of its sections, and those written out where keys are checked."""
+    tree = ast.parse((ROOT / "src" / "rotorfit" / "card_file.py").read_text(encoding="utf-8"))
     checks = [
         node
         for node in ast.walk(tree)
@@ -343,7 +343,7 @@ def known_keys() -> set[str]:
     constants = (node for check in checks for node in ast.walk(check.args[1]) if isinstance(node, ast.Constant))
     written = {node.value for node in constants if isinstance(node.value, str)}
     assert written >= {"name", "from", "scale"}
-    return written | {key for keys in card._SECTIONS.values() for key in keys}
+    return written | {key for keys in card_file._SECTIONS.values() for key in keys}
 
 
 def test_the_architecture_lists_the_modules_in_the_order_of_the_river() -> None:

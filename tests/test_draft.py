@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import rotorfit.proposal
-from rotorfit.card import builtin_card_text, load_card
+from rotorfit.card_file import builtin_card_text, load_card
 from rotorfit.draft import draft_card, write_draft
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log
+from rotorfit.frames import heading_from_world
 from rotorfit.sources import read
 from test_builtin_cards import COMMAND, T, motion
 from test_survey import csv_log, loaded, log_of, message_log
@@ -233,3 +234,115 @@ def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_referen
     assert '[reference]\nx = "velocity_setpoint:x"' in text
     assert '[[window]]  # commands count while this holds\nwhen = "state:armed"' in text
     assert "INCOMPLETE" not in text
+
+
+# The vehicle's own velocity
+
+
+def velocities_of(true: dict, frame: str) -> dict:
+    """Velocities of a motion, along the world's axes or forward and left."""
+    velocity = {axis: np.gradient(true[axis], T) for axis in "xyz"}
+    if frame == "heading":
+        across = heading_from_world(np.stack([velocity["x"], velocity["y"]], axis=1), true["yaw"])
+        velocity |= {"x": across[:, 0], "y": across[:, 1]}
+    return velocity
+
+
+def turning() -> dict:
+    """A flight of half a minute that turns by more than a radian."""
+    return motion(world=False)
+
+
+@pytest.mark.parametrize("frame", ["heading", "world"])
+def test_a_draft_of_a_log_without_position_takes_the_velocity_in_the_frame_that_the_motion_tells(
+    frame: str, tmp_path: Path
+) -> None:
+    true = turning()
+    columns = {"time": T, "yaw": true["yaw"], "z": true["z"]}
+    columns |= {f"v{axis}": series for axis, series in velocities_of(true, frame).items()}
+    log = log_of(flight=columns | {f"cmd_{axis}": series for axis, series in COMMAND.items()})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert "INCOMPLETE" not in text
+    assert card.velocity_only == ("x", "y")
+    assert card.velocity_frame == frame
+    assert 'x = "cmd_x"  # + leads forward by the motion' in text
+    expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
+    np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.03)
+
+
+def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tmp_path: Path) -> None:
+    true = turning()
+    velocity = velocities_of(true, "world")
+    columns = {"time": T, "pitch": 0 * T, "roll": 0 * T, "yaw": np.round(90 - np.degrees(true["yaw"]))}
+    columns |= {"vgx": np.round(10 * velocity["y"]), "vgy": np.round(10 * velocity["x"])}
+    columns |= {"vgz": np.round(-10 * velocity["z"]), "tof": 100 * true["z"]}
+    log = log_of(flight=columns | {f"cmd_{axis}": 100 * series for axis, series in COMMAND.items()})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert (card.frame, card.velocity_only) == ("NED", ("x", "y", "z"))
+    expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
+    np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.2)
+    assert 'yaw = "cmd_yaw"  # + leads counter-clockwise by the motion' in text
+
+
+def test_a_draft_of_a_log_with_both_names_the_velocity_beside_the_position(tmp_path: Path) -> None:
+    """That of an odometry is forward and left, and no Twist of commands."""
+    true = turning()
+    half = true["yaw"] / 2
+    pose = {f"pose.pose.position.{axis}": true[axis] for axis in "xyz"}
+    pose |= {"pose.pose.orientation.w": np.cos(half), "pose.pose.orientation.x": 0 * half}
+    pose |= {"pose.pose.orientation.y": 0 * half, "pose.pose.orientation.z": np.sin(half)}
+    twist = {f"twist.twist.linear.{axis}": series for axis, series in velocities_of(true, "heading").items()}
+    told = {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    stamp = {"log_time": np.round(T * 1e9).astype(np.int64)}
+    log = log_of(**{"/bebop/odom": stamp | pose | twist, "/bebop/cmd_vel": stamp | told})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    independent = loaded(text.replace("# independent", "independent"), tmp_path)
+
+    assert "INCOMPLETE" not in text
+    assert card.command["x"].source == "/bebop/cmd_vel:linear.x"
+    assert {axis: one.source for axis, one in card.velocity.items()} == {
+        axis: f"/bebop/odom:twist.twist.linear.{axis}" for axis in "xyz"
+    }
+    assert (card.velocity_frame, card.velocity_only, card.velocity_independent) == ("heading", (), False)
+    assert flight_from_log(log, card).velocity is None
+    assert flight_from_log(log, independent).velocity is not None
+
+
+def test_the_twist_of_a_mocap_bridge_is_not_taken_for_the_commands(tmp_path: Path) -> None:
+    """vrpn_client_ros publishes a TwistStamped of what it measures, at the rate of its poses."""
+    log = message_log(pose="/vrpn_client_node/bebop/pose", pose_prefix="pose.")
+    pose = log.tables["/vrpn_client_node/bebop/pose"].columns
+    measured = {"log_time": pose["log_time"], "header.stamp": pose["header.stamp"]}
+    t = np.arange(2000) / 100
+    measured |= {f"twist.linear.{axis}": np.cos(t) for axis in "xyz"} | {"twist.angular.z": np.cos(t)}
+    tables = {name: dict(table.columns) for name, table in log.tables.items() if name != "/velocity"}
+    log = log_of("flight.bag", **tables, **{"/vrpn_client_node/bebop/twist": measured})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert card.command["x"].source == "/drone/cmd_vel:linear.x"
+    assert card.velocity["x"].source == "/vrpn_client_node/bebop/twist:twist.linear.x"
+
+
+def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() -> None:
+    """A bag with /tf and commands: the Twist, alone a table, is no velocity of the vehicle."""
+    twist = {"log_time": np.round(T * 1e9).astype(np.int64)}
+    twist |= {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    log = log_of("flight.bag", **{"/bebop/cmd_vel": twist})
+
+    text = draft_card(log)
+
+    assert "INCOMPLETE: nothing was recognised for [pose] x; [pose] y; [pose] z; [pose] yaw or quaternion" in text
+    assert "[velocity]" not in text
+    with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
+        rotorfit.proposal.proposal(log)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flights import CARD, by_hand, flown, muddled, steps, truth_of
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import FlightError
 from rotorfit.excitation import two_sines
 from rotorfit.fit import Fit, fit, with_delay_profiles

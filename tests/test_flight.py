@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorfit.card import Card, card_from_mapping, load_card
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import CardError, FlightError, RotorfitError
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import world_from_heading

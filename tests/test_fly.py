@@ -13,7 +13,8 @@ import pytest
 
 from flying import BEBOP, HOVER, SECOND, SPACE, Watched, flown, plan_of, recording, room_link
 from rotorfit.air import Wind
-from rotorfit.fly import Flown, fly
+from rotorfit.flown import Flown
+from rotorfit.fly import fly
 from rotorfit.links.sim import SimLink
 from rotorfit.log import Sample
 from rotorfit.pipeline import LogSpan, fit_logs, load_flight

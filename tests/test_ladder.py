@@ -18,7 +18,8 @@ from rotorfit.ladder import DIFFERS, LADDER, Ladder, Row, agreement, ladder, to_
 from rotorfit.model import COEFFICIENTS, Axis, unknown_axis
 from rotorfit.model_file import from_mapping
 from rotorfit.model_file import to_mapping as model_mapping
-from rotorfit.paper_vehicle import Controller, Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Controller, Truth, simulate_flight
 
 BREEZE = replace(Truth(), wind_sigma=(0.02, 0.02, 0.1, 0.02))
 

@@ -11,8 +11,6 @@ from scipy.optimize import minimize
 from flights import flown, steps
 from rotorfit.levels import LEVEL_RANGE
 from rotorfit.likelihood import (
-    DAMPING_RANGE,
-    Point,
     degrees_of_freedom,
     inverted,
     level_share,
@@ -23,6 +21,7 @@ from rotorfit.likelihood import (
     whiten,
 )
 from rotorfit.paper_vehicle import Truth
+from rotorfit.point import DAMPING_RANGE, Point
 from rotorfit.record import DELAY_RANGE, Record, record
 
 Array = np.ndarray

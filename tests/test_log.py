@@ -247,7 +247,7 @@ def test_a_block_that_unpacks_beyond_the_bound_is_refused(
     bomb = bytes(3_000_000)
     if module == "mat":
         monkeypatch.setattr("rotorfit.sources.mat.LIMIT", 1_000_000)
-        block = zlib.compress(bomb)
+        block = zlib.compress(struct.pack("<II", 14, len(bomb)) + bomb)
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + struct.pack("<II", 15, len(block)) + block)
         expected = "unpacks to more than"
     else:

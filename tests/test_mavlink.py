@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from link_room import StubRoom
-from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import LinkError
 from rotorfit.frames import yaw_from_quaternion
 from rotorfit.links import mavlink, wall_clock

@@ -11,10 +11,11 @@ from flights import flown, steps
 from rotorfit.estimate import free_of
 from rotorfit.excitation import two_sines
 from rotorfit.levels import START_LEVELS
-from rotorfit.likelihood import Point, restriction, score
+from rotorfit.likelihood import restriction, score
 from rotorfit.maximum import climb, limited, maximise, pressed
 from rotorfit.modes import STARTS, start_point
 from rotorfit.paper_vehicle import Truth
+from rotorfit.point import Point
 from rotorfit.record import DELAY_RANGE, Record, record
 
 Array = np.ndarray

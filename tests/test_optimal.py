@@ -14,10 +14,11 @@ from rotorfit.errors import PlanError
 from rotorfit.excitation import Steps, paper_sines, value
 from rotorfit.frames import Array
 from rotorfit.held_motion import Dynamics, against_feedback, extremes, motion_at, transitions
-from rotorfit.likelihood import Point, inverted, score
+from rotorfit.likelihood import inverted, score
 from rotorfit.optimal import TARGETS, AxisLimits, OptimalSignal, optimal_signal
 from rotorfit.paper_vehicle import Controller, Truth, noise_free, simulate_flight
 from rotorfit.plan import Feedback
+from rotorfit.point import Point
 from rotorfit.record import record
 
 TRUTH = Truth(pose_jitter=0.0, command_jitter=0.0, stale_share=0.0)
@@ -223,6 +224,25 @@ def test_the_simulated_vehicle_stays_inside_and_comes_to_rest_where_it_began(lim
     assert np.abs(speed).max() <= limits.speed + 1e-6
     assert abs(path[-1]) < 1e-3
     assert abs(speed[-1]) < 1e-3
+
+
+def test_a_window_keeps_out_what_is_fast_and_all_limits() -> None:
+    """Behind a Hann window of width W the spectrum beyond two times 2 pi / W is nearly gone; hard steps have it."""
+    hard, width, step = design(), 2.0, 0.1
+    soft = optimal_signal(X, levels_of(X.damping), ROOM, DURATION, step=step, smooth=width)
+
+    command = commands(soft.signal, 100, step)
+    assert fast_share(command, step, 4 * np.pi / width) < 0.002
+    assert fast_share(commands(hard.signal), STEP, 4 * np.pi / width) > 0.05
+    assert np.abs(np.diff(command)).max() <= 2 * ROOM.command * 2 * step / width
+    assert reach(command, ROOM, step=step) <= 1 + 1e-9
+    assert soft.score < hard.score
+
+
+def fast_share(command: Array, step: float, above: float) -> float:
+    """Share of a command's power beyond a frequency [rad/s]; Hann's taper keeps its ends out of it."""
+    power = np.abs(np.fft.rfft(command * np.hanning(command.size), 8 * command.size)) ** 2
+    return float(power[2 * np.pi * np.fft.rfftfreq(8 * command.size, step) > above].sum() / power.sum())
 
 
 def test_extremes_between_the_steps_are_seen() -> None:

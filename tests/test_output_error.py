@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from flights import STILL, flown, steps
-from rotorfit.likelihood import Point, whiten
+from rotorfit.likelihood import whiten
 from rotorfit.modes import start_point
 from rotorfit.output_error import squares_of, sum_variance
+from rotorfit.point import Point
 from rotorfit.record import Record, record
 
 LEVELS = np.array([3e-3, 4e-7, 2.5, 0.5])

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import LogError
 from rotorfit.excitation import two_sines
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import Array, world_from_heading
+from rotorfit.paper_log import as_log, write_bag
 from rotorfit.paper_vehicle import (
     GAMMA_A,
     GAMMA_B,
@@ -20,10 +21,8 @@ from rotorfit.paper_vehicle import (
     Excitation,
     SimulatedFlight,
     Truth,
-    as_log,
     noise_free,
     simulate_flight,
-    write_bag,
 )
 
 STILL = noise_free(Truth())

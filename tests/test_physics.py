@@ -16,9 +16,9 @@ from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.paper_vehicle import GAMMA_B, Truth
 from rotorfit.physics import QUANTITIES, compared, implied_limits, physics, physics_rows, with_physics
 from rotorfit.report.page import page
-from rotorfit.report.physics import physics_text
+from rotorfit.report.physics_table import physics_text
 from rotorfit.settings import Figure, Quantity
-from rotorfit.terminal.model import model_view
+from rotorfit.terminal.coefficients import model_view
 from rotorfit.validation import Validation
 
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from flights import CARD, steps
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import FlightError, LogError, ModelError
 from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES
 from rotorfit.model import Model
 from rotorfit.model_file import load, save
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Chirp, Sines, Steps
 from rotorfit.plan import Excitation, Feedback, Plan, Space
@@ -76,7 +76,8 @@ WRONG = [
     (put("feedback", "damping", value=[1.0, -1.0, 1.0, 1.0]), "drives the vehicle away"),
     (put("space", "start", value=[3.0, 0.0, 1.0, 0.0]), "the start x = 3 is not inside -2.7 to 2.7"),
     (put("space", "lower", value=[0.0, 0.0]), "lower: must have 3 numbers, not 2"),
-    (put("rate", value=0.0), "rate: must be positive, not 0"),
+    (put("rate", value=0.0), "rate: 0 commands a second cannot be flown; give 5 to 500"),
+    (put("rate", value=5000), "rate: 5000 commands a second cannot be flown; give 5 to 500"),
     (put("rate", value="fast"), "rate: must be a finite number, not 'fast'"),
     (put("ramp", value=-1.0), "ramp: must not be negative"),
     (put("seed", value=1.5), "seed: must be a whole number"),

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from models import VEHICLE, model_of
 from rotorfit.belief import belief_from_card, belief_from_model
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.cli import main
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Sines, paper_sines
@@ -186,6 +186,19 @@ def test_a_plan_for_a_card_is_shown_written_drawn_and_read_again(tmp_path: Path)
     assert tomllib.loads(file.read_text())["card"]["name"] == "rotorfit demo quadrotor"
     assert picture.read_bytes()[:4] == b"\x89PNG"
     planned(*asked)  # over its own earlier results
+    file.write_text(file.read_text().replace("rate = 50.0", "rate = 40.0"))
+    refused = run("plan", *asked)
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "is not as `rotorfit plan` wrote it: not overwritten" in refused.stderr
+    assert load_plan(file).rate == 40.0
+
+
+def test_a_room_that_nobody_named_is_told_wherever_the_plan_is() -> None:
+    asked = ("--card", "rotorfit-demo", "--axes", "yaw", "--duration", 12, "--json")
+    note = "no --room or --box: assumed is a room of 6x4x3 m, the origin in the middle of its floor"
+
+    assert json.loads(planned(*asked))["plans"][0]["predicted"]["notes"][0] == note  # which the picture shows, too
+    assert note not in planned(*asked, "--room", "6x4x3")
 
 
 def test_the_json_is_the_plan_and_the_same_request_the_same_plan() -> None:
@@ -209,6 +222,7 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
     assert "Next flight" in text
     assert "yaw: the axes that were asked for" in text
     assert "before" in text
+    assert "quiet motion-capture room" not in text  # the model has noise and wind of its own
     result = json.loads(
         planned("--after", tmp_path / "model.json", "--duration", 12, "--design", "3211", "--axes", "z", "--json")
     )

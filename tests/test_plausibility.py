@@ -14,7 +14,8 @@ from models import VEHICLE, demo_card, model_of, without
 from rotorfit.cli import main
 from rotorfit.finding import Finding
 from rotorfit.model import Model
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.plausibility import DAMPING_SYMMETRY, GAIN_SYMMETRY, LIMIT_MARGIN, findings_of_settings
 from rotorfit.published import PUBLISHED
 from rotorfit.report.reproduce import card_text

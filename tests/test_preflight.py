@@ -5,7 +5,7 @@ import pytest
 
 from flying import BEBOP, CARD, SECOND, SPACE, Watched, plan_of, room_link
 from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.log import Sample
 from rotorfit.plan import Plan
@@ -46,9 +46,8 @@ def test_everything_that_is_wrong_is_told_in_one_line() -> None:
     text = str(told.value)
     assert "\n" not in text
     assert text.startswith("not flown: box: the vehicle is at (2.00, ")
-    assert (
-        "outside of (-3.0, -3.0, 0.3) to (3.0, 3.0, 3.0); start: 2.83 m and 0 deg from the plan's start; bring" in text
-    )
+    assert "outside of the box (-3.00, -3.00, 0.30) to (3.00, 3.00, 3.00); start: 2.83 m and 0 deg from" in text
+    assert "the plan's start; bring" in text
     assert text.endswith("battery: 20% left; at least 30% are needed")
 
 
@@ -76,7 +75,8 @@ def test_slow_poses_and_a_vehicle_that_drifts_are_told() -> None:
 
     link = Watched(room_link())
     link.samples = drifting
-    assert wrong(preflight(plan_of(), link))["rest"].endswith("m/s; let it hover, below 0.3 m/s")
+    told = wrong(preflight(plan_of(), link))["rest"]
+    assert told.endswith("over the ground, not below 0.3 m/s: bring it to rest; does the wind carry it away?")
 
 
 def test_a_far_start_is_refused_only_where_nothing_can_lead_there() -> None:
@@ -90,7 +90,11 @@ def test_before_a_take_off_the_floor_is_no_wall() -> None:
     ready = preflight(plan_of(), room_link(flying=False), take_off=True)
 
     assert wrong(ready) == {}
+    (box,) = (check.text for check in ready.checks if check.name == "box")
+    assert box.endswith("m to the nearest side or top of the box, which it enters from below")
     assert "box" in wrong(preflight(plan_of(), room_link(flying=False)))
+    beside = wrong(preflight(plan_of(), room_link(start=(5.0, 0.0, 0.0, 0.0), flying=False), take_off=True))
+    assert beside["box"].endswith("outside of the box (-3.00, -3.00, 0.30) to (3.00, 3.00, 3.00) or the room below it")
 
 
 def test_a_vehicle_that_is_set_otherwise_than_planned_is_told() -> None:

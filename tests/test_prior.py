@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from flights import CARD, flown, steps
-from rotorfit.card import Prior, card_from_mapping
+from rotorfit.card import Prior
+from rotorfit.card_file import card_from_mapping
 from rotorfit.cli import main
 from rotorfit.errors import CardError
 from rotorfit.estimate import free_of
@@ -23,7 +24,8 @@ from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS
 from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.modes import start_point
-from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.prior import gaussian_prior, with_prior
 from rotorfit.record import record
 from rotorfit.report.reproduce import card_text

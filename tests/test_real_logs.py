@@ -23,7 +23,7 @@ What is odd about these logs, and the test that shows it is survived:
 | arducopter | `MODE` without a time | `test_dataflash::test_a_real_log_is_read_whole_and_one_of_definitions_is_refused` |
 | arducopter | NTUN in navigation modes only; yaw clockwise; cm and cm/s | `test_arducopter_uses_its_loiter_window_only` (here) |
 | arducopter | 600 bytes of format records | `test_logs_without_commands_or_position_say_so_in_one_line` (here) |
-| tello | no x, y; velocities in dm/s; `tof` saturates; `Ux` never used | `test_logs_without_commands_or_position_say_so_in_one_line` (here) |
+| tello | no x, y; velocities in dm/s; `tof` saturates; `Ux` never used | `test_the_tello_log_is_fitted_in_its_yaw_and_forward_velocity` (test_velocity) |
 | motive | quaternion X Y Z W; empty cells; frames from 72210; five pieces | `test_mocap_exports::test_a_real_take_is_read_whole_with_its_holes` |
 | motive | Y up | `test_a_draft_for_motive_has_z_up` (here) |
 """  # noqa: E501
@@ -37,7 +37,9 @@ import pytest
 
 import rotorfit.proposal
 from rotorfit.answers import answers_of
-from rotorfit.card import Card, card_for, card_from_mapping, fitting_cards, load_card
+from rotorfit.card import Card
+from rotorfit.card_columns import card_for, fitting_cards
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.draft import draft_card
 from rotorfit.errors import RotorfitError
 from rotorfit.fit import Fit
@@ -122,7 +124,6 @@ def test_arducopter_fits_with_gains_near_one(real_flights: Path) -> None:
     ("file", "says"),
     [
         ("motive/pathviewr_motive_example_data.csv", "holds poses but nothing that looks like commands"),
-        ("tello/demo_spotlight.txt", "holds commands but nothing that looks like a position x, y, z"),
         ("arducopter/format-only_600_bytes.bin", "defines 5 messages and holds none of them"),
     ],
 )

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 
 from flying import CARD, SECOND
 from rotorfit import __version__
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError, LogError
 from rotorfit.log import Event, Sample
 from rotorfit.pipeline import LogSpan, load_flight
@@ -23,7 +23,7 @@ from rotorfit.proposal import card_of
 from rotorfit.recorder import COMMAND, POSE, Recorder, card_as_recorded, record
 from rotorfit.sources import read
 from rotorfit.survey import survey_logs
-from rotorfit.terminal.survey import survey_view
+from rotorfit.terminal.contents import survey_view
 from test_sources import mcap_record, text
 
 numbers = st.floats(allow_nan=False, width=64)

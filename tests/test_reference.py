@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log
 from rotorfit.log import Log, Table

@@ -392,7 +392,7 @@ def test_slow_poses_get_a_wider_window(vertical: Flight) -> None:
 
 def test_the_real_x_flight_has_negative_damping(real_flights: Path) -> None:
     """First half of bebop2-wsu X: 7.6 and -0.18. In the raw signs, which the card turns, the gain is -7.6."""
-    from rotorfit.card import load_card
+    from rotorfit.card_file import load_card
     from rotorfit.flight import flight_from_log
     from rotorfit.sources import read
 

@@ -7,15 +7,16 @@ import pytest
 from scipy.linalg import expm
 
 from rotorfit.belief import Belief, belief_from_card, belief_mapping, levels_of
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.envelope import LIMITS, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Sines, Steps, designed
 from rotorfit.fit import fit
-from rotorfit.likelihood import Point, response
+from rotorfit.likelihood import response
 from rotorfit.model import COEFFICIENTS
 from rotorfit.paper_vehicle import GAMMA_B, Truth, noise_free
 from rotorfit.plan import Excitation, Feedback, Plan, Space
+from rotorfit.point import Point
 from rotorfit.precision import information, inverse_of, predicted_errors
 from rotorfit.record import record
 from rotorfit.rehearsal import flown, path, recorded

@@ -13,20 +13,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import builtin_cards
-from rotorfit.evidence import Score
+from rotorfit.belief import belief_from_model
+from rotorfit.card_file import builtin_cards
+from rotorfit.case import Case, paired_cases
+from rotorfit.cli import main
+from rotorfit.evidence import Score, scores_of
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note
+from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
 from rotorfit.model import Axis, Model, unknown_axis
-from rotorfit.report import write_figures, write_report
-from rotorfit.report.drawing import drawn, log_ticks, ticks
+from rotorfit.model_file import save
+from rotorfit.next_flight import wanted_errors, worst_group
+from rotorfit.paired import Difference, Paired, PairedTest
+from rotorfit.report import write_cases, write_figures, write_report
+from rotorfit.report.drawing import drawn, log_ticks, peaks, ticks
+from rotorfit.report.next_steps import next_steps, wanted_chart
 from rotorfit.report.reproduce import card_text, recipe_of
-from rotorfit.report.verdict import figure, verdict_of
-from rotorfit.report.words import rounded
+from rotorfit.report.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
+from rotorfit.report.usable import uses_of
+from rotorfit.report.verdict import Light, verdict_of
+from rotorfit.report.words import figure, rounded
 from rotorfit.validation import Validation, validate
-from rotorfit.views import Chart, Line, flight_view
-from test_views import flown, known_axis, known_model
+from rotorfit.views import Chart, Line, flight_view, overlaid
+from rotorfit.whiteness import ResidualTests
+from test_views import fitted, flown, known_axis, known_model
 
 NO_VALIDATION = Validation((), {"hold": (), "paper": ()})
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{ 7 * 7 }}"
@@ -107,8 +118,8 @@ def html(training: Flight, flight: Flight, tmp_path_factory: pytest.TempPathFact
 def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduce(html: str, flight: Flight) -> None:
     text = Page(html).text
 
-    assert "To plan 1 s ahead, use it for x, y and yaw, with care for z." in text
-    assert re.search(r"1 s ahead the x velocity is off by [\d.]+ cm/s, [\d.]+ times better than holding", text)
+    assert "Can I use this model for a controller that looks 1 s ahead (MPC)?" in text
+    assert re.search(r"1 s ahead: off by [\d.]+ cm/s and [\d.]+ cm, [\d.]+ times better than holding", text)
     assert "3.698" in text
     assert "3.658 to 3.738" in text
     assert "m/s² per full tilt" in text
@@ -128,7 +139,7 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
 def test_the_sections_come_in_the_order_of_the_argument(html: str) -> None:
     ids = [attributes["id"] for tag, attributes in Page(html).elements if tag == "section"]
 
-    wanted = "verdict coefficients validation horizon delay residuals findings repairs reproduce"
+    wanted = "verdict validation delay horizon residuals next coefficients findings repairs reproduce"
     assert ids == wanted.split()
 
 
@@ -141,7 +152,7 @@ def test_every_chart_has_a_text_alternative_and_every_anchor_a_place(html: str) 
     anchors = {a["href"][1:] for tag, a in page.elements if tag == "a" and a["href"]}
     assert anchors <= set(ids)
     pictures = [a for tag, a in page.elements if tag == "svg" and a.get("class") == "chart"]
-    assert len(pictures) == 2 * 8 + 8 + 4 + 2 * 4
+    assert len(pictures) == 2 * 8 + 8 + 4 + 2 * 4 + 1
     assert all(a["role"] == "img" and len(a["aria-label"] or "") > 30 for a in pictures)
 
 
@@ -209,9 +220,22 @@ def test_the_same_input_gives_the_same_page(html: str, training: Flight, flight:
 
 def test_ten_minutes_of_four_axes_stay_below_two_megabytes(tmp_path: Path) -> None:
     flights = (flown(600.0),)
+    assert flights[0].pose_time.size / 600 == pytest.approx(120, rel=0.1)  # what is stale counts once
 
-    size = len(written(tmp_path, known_model(flights=flights), flights))
+    size = len(written(tmp_path, known_model(), (), NO_VALIDATION, flights).encode())
     assert 0.5e6 < size < 2e6
+
+
+def test_the_drawing_of_a_long_flight_keeps_every_peak_in_its_place_and_every_hole() -> None:
+    y = np.sin(np.arange(72_000) / 900)
+    y[40_001], y[50_000:50_500] = 7.0, np.nan
+
+    kept = peaks(y, 60)
+    assert kept.size <= 2 * 60 + 3
+    assert {0, 40_001, 50_000, 71_999} <= set(kept.tolist())
+    for part in np.array_split(np.arange(72_000), 60):
+        mine = y[kept[np.isin(kept, part)]]
+        assert (np.nanmin(mine), np.nanmax(mine)) == (np.nanmin(y[part]), np.nanmax(y[part]))
 
 
 SUBSETS = [subset for size in range(5) for subset in combinations(AXES, size)]
@@ -243,7 +267,7 @@ def test_the_page_does_without_flights(
     html = written(tmp_path, model, (training,) * with_training, scores, (flight,) * with_validation)
     page = Page(html)
     assert not page.open
-    assert ("No validation flight is at hand" in page.text) == (not with_validation)
+    assert ("no validation flight is at hand" in page.text) == (not with_validation)
     assert ("fitted to are not at hand" in page.text) == (not with_training)
     assert ("There are no residuals" in page.text) == (not with_training and not with_validation)
     assert page.count("details", **{"class": "flight"}) == with_training + with_validation
@@ -254,7 +278,7 @@ def test_scores_without_their_flights_still_give_the_verdict(training: Flight, f
     model = known_model(flights=(training,))
 
     text = Page(written(tmp_path, model, (), validate(model, [flight]), ())).text
-    assert "To plan 1 s ahead, use it for x, y, z and yaw." in text
+    assert re.search(r"(Yes|With care)[^.]*\. As a whole: (yes|with care)", text)
 
 
 def test_a_model_of_the_papers_method_says_that_it_knows_no_delay(
@@ -300,9 +324,33 @@ def test_open_intervals_and_missing_numbers_are_words(training: Flight, tmp_path
 # The verdict
 
 
-def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.0) -> Score:
+def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.0, n: int = 40) -> Score:
     errors = {"model": model, "hold": hold, "paper": 0.1}
-    return Score(axis, horizon, errors, errors, 40)
+    return Score(axis, horizon, errors, errors, n)
+
+
+def against_hold(word: str = "better", axes: tuple[str, ...] = AXES) -> tuple[PairedTest, ...]:
+    """The model against holding the velocity, with one verdict everywhere."""
+    pooled = Difference(40, -0.1, 0.01, 9.0, 0.001, -0.01, 0.001, word)  # type: ignore[arg-type]
+    both = {what: Paired((pooled,), pooled, None) for what in ("velocity", "position")}
+    horizons = {f"{h:g}": both for h in (0.5, 1.0, 2.0, 5.0)}
+    return (PairedTest("model", "hold", dict.fromkeys(axes, horizons)),)  # type: ignore[arg-type]
+
+
+def residual(white_p: float = 0.5, command_p: float | None = 0.5) -> ResidualTests:
+    return ResidualTests(
+        n=900, lags=30, ljung_box=30.0, ljung_box_p=white_p, white_p=white_p, command_freedom=5, command_p=command_p,
+        command_peak=1.0, command_peak_lag=0.2, variance_ratio=1.0, variance_ci95=(0.9, 1.1), optimism={},
+        white=white_p >= 0.05, follows_command=None if command_p is None else command_p < 0.05,
+    )  # fmt: skip
+
+
+def light_of(
+    error: float | None, findings: tuple[Finding, ...] = (), word: str = "better", tests: ResidualTests | None = None
+) -> Light:
+    model = replace(known_model(), findings=findings)
+    scores = [score("x", error, horizon=h) for h in (0.5, 1.0, 2.0, 5.0)]
+    return verdict_of(model, scores, against_hold(word), [{"x": tests or residual()}]).lights[0]
 
 
 @pytest.mark.parametrize(
@@ -312,7 +360,7 @@ def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.
         (0.15, (), "yellow"),
         (0.19, (), "red"),
         (0.5, (), "red"),
-        (None, (), "yellow"),
+        (None, (), "open"),
         (0.05, (ERROR,), "red"),
         (None, (ERROR,), "red"),
         (0.05, (replace(WARNING, axis="x"),), "yellow"),
@@ -321,39 +369,320 @@ def score(axis: str, model: float | None, hold: float = 0.2, horizon: float = 1.
         (0.05, (replace(WARNING, axis=None),), "yellow"),
     ],
 )
-def test_the_light_follows_from_the_gain_over_holding_and_from_findings(
-    error: float | None, findings: tuple[Finding, ...], colour: str
-) -> None:
-    light = verdict_of(replace(known_model(), findings=findings), [score("x", error)]).lights[0]
+def test_the_light_is_the_worst_of_its_lamps(error: float | None, findings: tuple[Finding, ...], colour: str) -> None:
+    light = light_of(error, findings)
 
     assert light.colour == colour
-    assert bool(light.reasons) == (colour != "green")
+    assert (colour == "green") == all(lamp.colour == "green" for lamp in light.lamps)
+
+
+@pytest.mark.parametrize(
+    ("white_p", "command_p", "colour", "word"),
+    [
+        (0.5, 0.5, "green", "clean"),
+        (0.051, None, "green", "clean"),
+        (0.026, 0.5, "yellow", "in doubt"),
+        (0.5, 0.026, "yellow", "in doubt"),
+        (0.002, 0.5, "yellow", "not clean"),
+        (0.5, 1e-9, "yellow", "not clean"),
+    ],
+)
+def test_no_light_is_green_beside_a_test_that_fails(
+    white_p: float, command_p: float | None, colour: str, word: str
+) -> None:
+    light = light_of(0.05, tests=residual(white_p, command_p))
+
+    lamp = light.lamps[2]
+    assert (lamp.question, lamp.colour, lamp.word) == ("residuals", colour, word)
+    assert light.colour == colour
+    assert ("p = 0.026" in lamp.text) == (word == "in doubt")
+
+
+@pytest.mark.parametrize(
+    ("word", "answer"),
+    [("better", "yes"), ("no_difference_shown", "limited"), ("too_short", "limited"), ("worse", "no")],
+)
+def test_ten_times_better_is_proven_only_where_the_paired_test_says_that_it_is_no_chance(
+    word: str, answer: str
+) -> None:
+    (use,) = uses_of([score("x", 0.02)], against_hold(word), ("x",), (1.0,))[:1]
+
+    assert use.answer == answer
+    assert use.times == pytest.approx(10.0)
+    assert bool(use.reason) == (answer != "yes")
+
+
+def test_both_velocity_and_position_must_be_twice_as_good() -> None:
+    errors = {"model": 0.01, "hold": 0.2}
+    good, bad = Score("x", 1.0, errors, errors, 40), Score("x", 1.0, errors, {"model": 0.15, "hold": 0.2}, 40)
+
+    answers = [uses_of([each], against_hold(), ("x",), (1.0,))[0].answer for each in (good, bad)]
+    assert answers == ["yes", "limited"]
+
+
+def test_without_a_paired_test_nothing_is_proven() -> None:
+    assert uses_of([score("x", 0.01)], (), ("x",), (1.0,))[0].answer == "limited"
+
+
+def test_the_reach_ends_before_the_first_horizon_that_is_not_proven() -> None:
+    scores = [score("x", error, horizon=h) for h, error in ((0.5, 0.01), (1.0, 0.02), (2.0, 0.15), (5.0, 0.02))]
+    light = verdict_of(known_model(), scores, against_hold(), [{"x": residual()}]).lights[0]
+
+    assert light.word == "usable up to 1 s"
+
+
+def test_the_model_as_a_whole_is_as_good_as_its_weakest_axis() -> None:
+    errors = {"x": 0.01, "y": 0.02, "z": 0.09, "yaw": 0.03}
+    scores = [score(axis, error, horizon=h) for axis, error in errors.items() for h in (0.5, 1.0, 2.0, 5.0)]
+    tests = [dict.fromkeys(AXES, residual())]
+
+    verdict = verdict_of(known_model(), scores, against_hold(), tests)
+    assert verdict.headline == "Yes, for every axis."
+    assert verdict.whole == (
+        "As a whole: yes. The predictions are proven up to 5 s; 1 s ahead the weakest axis is z, off by 9.0 cm/s and "
+        "9.0 cm, 2.2 times better than holding the velocity."
+    )
+    assert [use.axis for use in verdict.weakest] == ["z"] * 4
+
+
+def test_a_doubt_about_one_axis_is_named_for_the_whole() -> None:
+    scores = [score(axis, 0.01, horizon=h) for axis in AXES for h in (0.5, 1.0, 2.0, 5.0)]
+    tests = [{**dict.fromkeys(AXES, residual()), "y": residual(1e-6), "yaw": residual(command_p=1e-6)}]
+
+    verdict = verdict_of(known_model(), scores, against_hold(), tests)
+    assert verdict.headline == "Yes for x and z; with care for y and yaw."
+    assert verdict.whole.startswith("As a whole: with care, because of the residuals of y and yaw.")
+
+
+def test_without_validation_flights_nothing_is_proven() -> None:
+    verdict = verdict_of(known_model(), [])
+
+    assert verdict.headline == "Not proven, for every axis."
+    assert verdict.whole.startswith("As a whole: not proven.")
+    assert {light.word for light in verdict.lights} == {"not proven"}
+    assert {use.answer for use in verdict.uses} == {"unproven"}
 
 
 def test_the_light_is_unlit_where_there_is_no_model_and_red_where_it_diverged() -> None:
     model = known_model(("x",))
     model = replace(model, axes={**model.axes, "yaw": unknown_axis("diverged")})
 
-    verdict = verdict_of(model, [score("x", 0.05), score("yaw", None)])
+    verdict = verdict_of(model, [score("x", 0.05), score("yaw", None)], against_hold())
     assert [light.colour for light in verdict.lights] == ["green", "grey", "grey", "red"]
-    assert verdict.headline == "To plan 1 s ahead, use it for x, not for yaw. There is no model of y and z."
+    assert verdict.headline == "Yes for x; no for yaw. There is no model of y and z."
+    assert verdict.whole == "As a whole: no. There is no model of y, z and yaw, which can be commanded."
 
 
 def test_the_verdict_says_how_far_off_in_units_for_people() -> None:
     scores = [score("x", 0.027, 0.1053), score("x", 0.19, 1.9, 5.0), score("yaw", 0.01, 0.1)]
 
-    x, *_, yaw = verdict_of(known_model(), scores).lights
-    assert x.sentences[0] == "1 s ahead the x velocity is off by 2.7 cm/s, 3.9 times better than holding the velocity."
-    assert "5 s ahead the position is off by 19 cm, 10 times better than holding the velocity." in x.sentences
+    x, *_, yaw = verdict_of(known_model(), scores, against_hold(), speeds={"x": 0.5, "yaw": 0.5}).lights
+    assert x.sentences[0] == "1 s ahead: off by 2.7 cm/s and 2.7 cm, 3.9 times better than holding the velocity."
+    assert "5 s ahead: 19 cm, 10 times better than holding the velocity." in x.sentences
+    assert "Tested at up to 0.50 m/s." in x.sentences
     assert "A command acts after 0.15 s." in x.sentences
     assert yaw.error == "0.57 deg/s"
+    assert "Tested at up to 29 deg/s." in yaw.sentences
 
 
-def test_the_verdict_takes_the_horizon_nearest_to_a_second() -> None:
-    verdict = verdict_of(known_model(), [score("x", 0.05, horizon=h) for h in (0.2, 0.8, 3.0)])
+# What to fly next
 
-    assert verdict.horizon == 0.8
-    assert verdict.headline.startswith("To plan 0.8 s ahead, use it for x, with care for y, z and yaw")
+
+def case_of(model: Model, **parts: object) -> Case:
+    return Case("my model.json", model, **parts)  # type: ignore[arg-type]
+
+
+def test_an_axis_without_a_model_and_one_without_proof_are_to_be_flown() -> None:
+    model = known_model(("x", "y"))
+    steps = next_steps(case_of(model), verdict_of(model, [score("x", 0.01)], against_hold()))
+
+    lines = [shlex.split(step.command) for step in steps if step.command]
+    assert [line[line.index("--axes") + 1] for line in lines[:2]] == ["z,yaw", "y"]
+    assert all(line[:4] == ["rotorfit", "plan", "--after", "my model.json"] for line in lines[:2])
+
+
+def test_the_lines_to_type_are_those_that_the_command_line_knows() -> None:
+    model = known_model(("x", "y"))
+    for step in next_steps(case_of(model), verdict_of(model, [score("x", 0.01)], against_hold())):
+        if step.command:
+            _, verb, *rest = shlex.split(step.command)
+            main.commands[verb].make_context(verb, rest)
+
+
+def test_a_finding_that_forbids_use_becomes_a_step_and_residuals_ask_for_a_richer_law(training: Flight) -> None:
+    model = replace(known_model(flights=(training,)), findings=(ERROR,))
+    scores = [score(axis, 0.01) for axis in AXES]
+    steps = next_steps(case_of(model), verdict_of(model, scores, against_hold(), [{"z": residual(1e-6)}]))
+
+    told = " ".join(f"{step.what} {step.command}" for step in steps)
+    assert "Check the clocks." in told
+    assert "--structure auto -o richer.json" in told
+
+
+def test_what_is_vague_is_what_plan_after_would_fly(tmp_path: Path) -> None:
+    model = fitted()
+    path = tmp_path / "model.json"
+    save(model, path)
+    chart = wanted_chart(Case(str(path), model))
+    belief = belief_from_model(model, str(path))
+    ratio = np.sqrt(np.diag(belief.covariance)) / wanted_errors(belief)
+
+    assert chart is not None
+    assert [row.dots[0][1] for row in chart.rows] == pytest.approx(list(ratio))
+    scores = [score(axis, 0.01) for axis in AXES]
+    steps = next_steps(Case(str(path), model), verdict_of(model, scores, against_hold()))
+    group = worst_group(ratio, tuple(model.card.command))
+    assert any(f"--axes {','.join(group)} " in step.command for step in steps) == bool(ratio.max() > 1)
+
+
+# Several models, several flights
+
+
+@pytest.fixture(scope="module")
+def compared(training: Flight, flight: Flight) -> tuple[Case, ...]:
+    """A right model and one that answers half as strongly, on the same two flights."""
+    right = known_model(flights=(training,))
+    halves = {}
+    for name, axis in right.axes.items():
+        assert axis.predictor is not None
+        halves[name] = replace(axis, predictor=replace(axis.predictor, input=0.5 * axis.predictor.input))
+    flights = (flight, replace(flown(12.0, path="another.bag", seed=5), sha256="b" * 64))
+    return tuple(
+        Case(path, model, (training,), validate(model, flights, CURVE), flights)
+        for path, model in (("right.json", right), ("half.json", replace(right, axes=halves)))
+    )
+
+
+@pytest.fixture(scope="module")
+def side_by_side(compared: tuple[Case, ...], tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("compared") / "report.html"
+    write_cases(compared, path)
+    return path.read_text(encoding="utf-8")
+
+
+def test_a_comparison_names_the_model_that_predicts_best(side_by_side: str) -> None:
+    page = Page(side_by_side)
+
+    assert not page.open
+    assert "Which model can I use" in page.text
+    for axis in AXES:
+        assert re.search(rf"{axis} [\d.]+ \S+ [\d.]+ \S+ right leads", page.text)
+    assert page.count("div", **{"class": "lights"}) == 2
+
+
+def test_a_comparison_draws_both_models_over_what_was_measured(side_by_side: str) -> None:
+    script = re.search(r'<script type="application/json" id="series">(.*?)</script>', side_by_side, re.S)
+    assert script is not None
+
+    for flight in json.loads(script[1]):
+        for chart in flight["charts"]:
+            assert [line["role"] for line in chart["lines"]] == ["measured", "model-1", "model-2"]
+            assert [line["name"] for line in chart["lines"]] == ["measured", "right", "half"]
+
+
+def test_the_lead_of_a_model_over_itself_is_chance(compared: tuple[Case, ...]) -> None:
+    twice = (compared[0], replace(compared[0], path="copy.json"))
+    scores = [scores_of(case.validation, case.flights) for case in twice]
+
+    told = leads(twice, scores, paired_cases(twice), 1.0)
+    assert [lead.axis for lead in told] == list(AXES)
+    assert all("chance" in lead.told and "no chance" not in lead.told for lead in told)
+
+
+def test_flights_side_by_side_show_the_error_of_each(compared: tuple[Case, ...]) -> None:
+    charts = flights_side_by_side(compared, ("right", "half"), 1.0)
+
+    assert [chart.title.partition(":")[0] for chart in charts] == list(AXES)
+    for number, row in enumerate(charts[0].rows):
+        found = compared[1].validation.flights[number].axes["x"].horizons["1"].velocity_rmse
+        assert row.dots[1] == ("model-2", pytest.approx(100 * found))
+
+
+def test_the_coefficients_of_models_stand_side_by_side_with_their_intervals(compared: tuple[Case, ...]) -> None:
+    charts = coefficients_side_by_side(compared, ("right", "half"))
+
+    assert len(charts) == 12
+    delay = next(chart for chart in charts if chart.title == "x: delay")
+    assert [(row.low, row.high) for row in delay.rows] == [(0.142, 0.158)] * 2
+
+
+def test_lines_on_other_stamps_are_laid_over_each_other_unchanged() -> None:
+    def profile(x: list[float], y: list[float]) -> Chart:
+        return Chart(
+            "profile", "x", "t", "delay [s]", "", np.array(x), (Line("p", "model", np.array(y)),), "", "s",
+            y_range=(min(y), 1.0),
+        )  # fmt: skip
+
+    (chart,) = overlaid([[profile([0.0, 1.0], [0.0, 2.0])], [profile([0.5, 1.5], [1.0, -1.0])]], ["a", "b"])
+    assert list(chart.x) == [0.0, 0.5, 1.0, 1.5]
+    assert np.array_equal(chart.lines[0].y, [0.0, 1.0, 2.0, np.nan], equal_nan=True)
+    assert np.array_equal(chart.lines[1].y, [np.nan, 1.0, 0.0, -1.0], equal_nan=True)
+    assert chart.y_range == (-1.0, 1.0)
+
+
+# For everybody
+
+
+def test_every_word_that_is_explained_has_its_definition_and_every_number_in_a_table_too(
+    html: str, side_by_side: str
+) -> None:
+    for page in (Page(html), Page(side_by_side)):
+        defined = {str(a["id"]) for _, a in page.elements if "popover" in a}
+        asked = {str(a["popovertarget"]) for _, a in page.elements if "popovertarget" in a}
+        told = {f"def-{a['data-def']}" for _, a in page.elements if "data-def" in a}
+        numbers = [a for tag, a in page.elements if tag == "td" and "number" in (a.get("class") or "").split()]
+
+        assert (asked | told) <= defined
+        assert len(numbers) > 100
+        assert all("data-def" in a or a.get("data-tip") for a in numbers)
+        assert not any(a.get("title") for _, a in page.elements)
+
+
+def test_everything_that_reacts_to_the_pointer_reacts_to_the_keyboard(html: str) -> None:
+    page = Page(html)
+
+    explained = [(tag, a) for tag, a in page.elements if "term" in (a.get("class") or "").split()]
+    assert {tag for tag, _ in explained} == {"button"}
+    assert all(a["aria-describedby"] == a["popovertarget"] for _, a in explained)
+    assert all(a.get("tabindex") == "0" for tag, a in page.elements if tag == "svg" and "data-along" in a)
+    assert all(a.get("tabindex") == "0" for tag, a in page.elements if a.get("class") == "scroll")
+    assert page.elements[[tag for tag, _ in page.elements].index("a")][1]["class"] == "skip"
+
+
+def themes() -> dict[str, dict[str, str]]:
+    """Colours of the page by theme: what each sets anew over the light one."""
+    css = (Path(__file__).parents[1] / "src/rotorfit/report/templates/page.css").read_text(encoding="utf-8")
+    blocks = [
+        dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", css, re.S)
+    ]
+    return {name: {**blocks[0], **block} for name, block in zip(("light", "dark", "print"), blocks, strict=True)}
+
+
+def contrast(one: str, other: str) -> float:
+    """Source: WCAG 2.2, definitions of contrast ratio and relative luminance."""
+
+    def luminance(colour: str) -> float:
+        parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark", "print"])
+def test_text_has_a_contrast_of_four_and_a_half_and_lines_of_three(theme: str) -> None:
+    colour = themes()[theme]
+    text = [(word, ground) for word in ("ink", "muted", "accent") for ground in ("card", "ground")]
+    text += [(word, "card") for word in ("green", "yellow", "red", "grey")]
+    text += [(word, f"{word}-ground") for word in ("green", "yellow", "red", "grey")]
+    text += [(word, f"{ground}-ground") for word in ("ink", "muted") for ground in ("green", "yellow", "red", "grey")]
+    lines = ["measured", "model", "paper", "hold", "vague", *(f"model-{k}" for k in range(1, 7))]
+
+    pairs = {(a, b): contrast(colour[a], colour[b]) for a, b in text}
+    assert {pair: found for pair, found in pairs.items() if found < 4.5} == {}
+    drawn_on_card = {name: contrast(colour[name], colour["card"]) for name in lines}
+    assert {name: found for name, found in drawn_on_card.items() if found < 3} == {}
 
 
 # What it is made of

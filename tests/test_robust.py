@@ -18,7 +18,8 @@ from rotorfit.fit import Fit, fit
 from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.robust import GRAIN, jumped, outlier_findings, without_outliers
 
 SWAP = (0.05, 0.3)

@@ -8,21 +8,25 @@ from typing import Any
 
 import pytest
 
-from rotorfit.card import builtin_cards, card_from_mapping, load_card
+from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
 from rotorfit.errors import LinkError
 from rotorfit.links import open_link, ros1, ros2
+from rotorfit.links.card_fields import PoseFields
 from rotorfit.links.ros_messages import (
     action_topic,
     check_pose,
     fill,
     is_stamped,
-    pose_in,
+    pose_samples,
     poses_of_type,
     ros_commands,
     ros_poses,
-    velocity_in,
 )
 from rotorfit.links.wall_clock import wall_clock
+
+
+def pose_in(message: SimpleNamespace, fields: PoseFields) -> tuple[float, ...]:
+    return pose_samples(message, fields, lambda _: 5)[0].values
 
 
 def vector(**fields: float) -> SimpleNamespace:
@@ -82,9 +86,9 @@ def test_poses_of_the_cards_are_read_from_their_messages() -> None:
     assert pose_in(pose_stamped(), ros_poses(cards["bebop2-optitrack"])) == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     assert pose_in(odometry, ros_poses(cards["bebop2-odometry"])) == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
     assert pose_in(transform, ros_poses(cards["bebop2-drone-dev"])) == (4.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    velocity = velocity_in(odometry, ros_poses(cards["bebop2-odometry"]))
-    assert velocity is not None
-    assert velocity[:3] == (0.5, 0.0, 0.0)
+    pose, velocity = pose_samples(odometry, ros_poses(cards["bebop2-odometry"]), lambda _: 5)
+    assert (pose.stream, velocity.stream) == ("pose", "velocity")
+    assert velocity.values[:3] == (0.5, 0.0, 0.0)
     assert ros_poses(cards["bebop2-drone-dev"]).table == "/vicon/bebop/bebop"
 
 

@@ -19,7 +19,7 @@ from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.paper_vehicle import Truth
 from rotorfit.select import NEAR, HeldOut, change_of
 from rotorfit.terminal import show
-from rotorfit.terminal.model import model_view
+from rotorfit.terminal.coefficients import model_view
 
 
 def chosen(flight: Flight, axis: str = "z") -> Axis:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import Card, builtin_cards, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.errors import CardError
 from rotorfit.frames import AXES
 from rotorfit.published import PUBLISHED, sets_for, vehicle_of

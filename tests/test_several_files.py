@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from flights import steps
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.cli import main
 from rotorfit.errors import CardError, LogError
 from rotorfit.flight import flight_from_log

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorfit.air import Gusts, Wind
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.excitation import Sines, value
 from rotorfit.fit import fit
 from rotorfit.flight import Flight, flight_from_log

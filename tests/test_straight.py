@@ -9,7 +9,8 @@ from flights import CARD, steps
 from rotorfit.clock import MISSING_STAMP, Stamps
 from rotorfit.flight import flight_from_log
 from rotorfit.log import Log, Table
-from rotorfit.paper_vehicle import Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.straight import straightened
 
 START = 1_700_000_000 * 10**9

@@ -11,10 +11,11 @@ from rotorfit.errors import ModelError
 from rotorfit.fit import fit
 from rotorfit.frames import Array
 from rotorfit.levels import START_LEVELS
-from rotorfit.likelihood import Point, response, restriction, score
+from rotorfit.likelihood import response, restriction, score
 from rotorfit.model import Axis, simulate, state_space
 from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.paper_vehicle import Truth
+from rotorfit.point import Point
 from rotorfit.record import record
 from rotorfit.structure import STRUCTURES, structure_named
 from rotorfit.validation import residuals, validate

@@ -137,7 +137,7 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
         page.get_by_role("checkbox", name=axis).uncheck()
     page.get_by_role("button", name="Fit", exact=True).click()
     expect(page.locator("#fit .progress")).to_be_visible()
-    expect(page.locator("#result .headline")).to_contain_text("plan 1 s ahead", timeout=WORK)
+    expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead", timeout=WORK)
     expect(page.locator("#result .coefficients")).to_contain_text("input gain")
     expect(page.locator("#result .flight canvas")).to_have_count(2)
 
@@ -156,7 +156,7 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     )
 
     page.reload()
-    expect(page.locator("#result .headline")).to_contain_text("plan 1 s ahead")
+    expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead")
     step(page, "Ranges")
     expect(page.locator("#ranges article").first.get_by_label("From in seconds")).to_have_value("1")
     assert page.complaints == []  # type: ignore[attr-defined]

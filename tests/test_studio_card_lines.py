@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorfit.card import builtin_card_text, builtin_cards, card_from_mapping
+from rotorfit.card_file import builtin_card_text, builtin_cards, card_from_mapping
 from rotorfit.errors import CardError
 from rotorfit.frames import UNIT_SCALE
 from rotorfit.studio.card_lines import QUANTITIES, card_from_text, with_value

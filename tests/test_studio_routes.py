@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.derivative import local_polynomial
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import heading_from_world
@@ -249,8 +249,9 @@ def test_a_fit_gives_a_model_scores_and_a_report_that_runs_in_a_sandbox(fitted: 
         == (studio.workspace.folder / "fits" / "1" / "model.json").read_bytes()
     )
     result = page.get("/api/fits/1/result.json").json()
-    x = next(row for row in result["coefficients"] if row["axis"] == "x" and row["name"] == "input gain")
-    assert x["numbers"][0] == model.axes["x"].input
+    x = next(part["rows"][0] for part in result["coefficients"] if part["axis"] == "x")
+    assert x["term"] == "input gain"
+    assert float(x["value"]) == pytest.approx(model.axes["x"].input, rel=1e-2)
     assert {one["role"] for one in result["flights"]} == {"training", "validation"}
     assert "logs/" not in page.get("/api/fits/1/result.json").text
     report = page.get("/api/fits/1/report.html")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.finding import Finding, Severity
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Combination, Model, Predictor, Source, unknown_axis

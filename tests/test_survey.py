@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.draft import draft_card
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log

@@ -11,7 +11,7 @@ import pytest
 from fake_tello import Tello
 
 from link_room import StubRoom
-from rotorfit.card import builtin_cards, load_card
+from rotorfit.card_file import builtin_cards, load_card
 from rotorfit.errors import LinkError
 from rotorfit.links import tello
 from rotorfit.links.card_fields import pose_fields

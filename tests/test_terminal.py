@@ -7,7 +7,7 @@ import pytest
 
 from rotorfit.model import Combination, Model
 from rotorfit.terminal import show
-from rotorfit.terminal.model import model_view
+from rotorfit.terminal.coefficients import model_view
 from test_summary import axis, model
 
 

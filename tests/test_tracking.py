@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import PlanError
 from rotorfit.excitation import Chirp, Signal, Sines, Steps
 from rotorfit.plan import Excitation, Feedback, Plan, Space, Target

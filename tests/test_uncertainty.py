@@ -19,7 +19,8 @@ from rotorfit.fit import Fit, fit
 from rotorfit.flight import Flight
 from rotorfit.model import COEFFICIENTS
 from rotorfit.model_file import from_mapping, to_mapping
-from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight, write_bag
+from rotorfit.paper_log import write_bag
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.scatter import scatter
 from rotorfit.uncertainty import disagreement_findings, observed_covariance, sandwich_covariance, with_uncertainty
 

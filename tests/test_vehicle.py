@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import VehicleError
 from rotorfit.paper_vehicle import GAMMA_B
 from rotorfit.settings import expectation, meaning_of

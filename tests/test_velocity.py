@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from flights import STILL, steps
 from onboard import onboard_card, with_odometry
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.cli import main
 from rotorfit.clock import coarse, grain
 from rotorfit.disturbance import whiten_axis, whiten_plane
@@ -23,10 +23,11 @@ from rotorfit.frames import AXES, heading_from_world
 from rotorfit.fusion import whiten_fused
 from rotorfit.latency import latency_of
 from rotorfit.levels import start_levels
-from rotorfit.likelihood import Point, response, restriction, score
+from rotorfit.likelihood import response, restriction, score
 from rotorfit.model_file import load, save
 from rotorfit.modes import start_point
 from rotorfit.paper_vehicle import SimulatedFlight, Truth, simulate_flight
+from rotorfit.point import Point
 from rotorfit.record import Record, record
 from rotorfit.validation import dynamics_from_model, validate
 
@@ -424,9 +425,8 @@ def test_info_fit_validate_and_report_work_on_a_log_without_x_and_y(tmp_path: Pa
 
 
 def test_the_tello_log_is_fitted_in_its_yaw_and_forward_velocity(real_flights: Path, tmp_path: Path) -> None:
-    card, model = tmp_path / "card.toml", tmp_path / "model.json"
-    card.write_text(TELLO)
-    ran("fit", real_flights / "tello" / "demo_spotlight.txt", "--card", card, "-o", model)
+    model = tmp_path / "model.json"
+    ran("fit", real_flights / "tello" / "demo_spotlight.txt", "-o", model)
     axes = json.loads(model.read_text())["axes"]
 
     low, high = axes["yaw"]["combinations"]["steady_gain"]["ci95"]

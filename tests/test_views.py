@@ -6,14 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import predict_flight
 from rotorfit.frames import AXES
 from rotorfit.model import Axis, Combination, Mode, Model, Predictor, Source, unknown_axis
-from rotorfit.paper_vehicle import GAMMA_B, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.regression import motion_from_flight
 from rotorfit.validation import dynamics_from_model
 from rotorfit.views import MOST_POINTS, Chart, extremes, flight_view, moved_axes

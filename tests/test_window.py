@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorfit.card import Card, card_for, card_from_mapping, fitting_cards
+from rotorfit.card import Card
+from rotorfit.card_columns import card_for, fitting_cards
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import Array

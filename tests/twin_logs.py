@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.frames import Array, heading_from_world
 from rotorfit.joined import joined
 from rotorfit.log import Log, Table

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, load_card
+from rotorfit.card import Card
+from rotorfit.card_file import load_card
 from rotorfit.excitation import two_sines
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.forecast import Dynamics
 from rotorfit.frames import AXES, Array
 from rotorfit.log import Log
-from rotorfit.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, simulate_flight
 from rotorfit.sources import read
 
 REAL_FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from rotorfit.card import load_card
+    from rotorfit.card_file import load_card
     from rotorfit.errors import RotorfitError
     from rotorfit.fit import fit
     from rotorfit.flight import flight_from_log
@@ -43,7 +43,7 @@ _HOMES = {
     "fit": "rotorfit.fit",
     "flight_from_log": "rotorfit.flight",
     "load": "rotorfit.model_file",
-    "load_card": "rotorfit.card",
+    "load_card": "rotorfit.card_file",
     "read": "rotorfit.sources",
     "save": "rotorfit.model_file",
     "simulate": "rotorfit.model",

@@ -291,7 +291,8 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
             f"model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms before, {found.sigmas:.0f} standard "
             "deviations of an open loop",
             f"the likelihood allows for it; regressions, the paper's too, get gain and damping of {name} wrong",
-            f"nothing for this model; to know {name} better, add a signal to the command that the loop does not know",
+            f"nothing for this model; what keeps {name} known in a loop is a signal added to its command from outside, "
+            "as `rotorfit plan` adds one",
             name,
         )
 

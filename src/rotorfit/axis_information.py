@@ -18,7 +18,8 @@ import numpy as np
 from rotorfit.disturbance import distinct_steps
 from rotorfit.frames import Array
 from rotorfit.held_motion import Dynamics
-from rotorfit.likelihood import Point, response, whiten
+from rotorfit.likelihood import response, whiten
+from rotorfit.point import Point
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE, Record
 
 
@@ -47,6 +48,14 @@ class AxisInformation:
         """M, shape (3, 3), of a command of shape (N,)."""
         return self.products(command) @ command
 
+    def behind(self, window: Array) -> "AxisInformation":
+        """The same of levels whose commands are these levels convolved with a window of W steps: N - W + 1 levels."""
+        N, W = self.form.shape[-1], window.size
+        smear = np.zeros((N, N - W + 1))
+        for i, weight in enumerate(window):
+            smear[np.arange(N - W + 1) + i, np.arange(N - W + 1)] = weight
+        return replace(self, form=smear.T @ self.form @ smear)
+
     def errors(self, command: Array) -> Array:
         """Predicted standard errors of input and damping (shares of themselves) and delay [s], shape (3,)."""
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.information(command)))))
@@ -59,7 +68,7 @@ def axis_information(
 
     Args:
         dynamics: At which the sensitivities are taken; the damping must be positive.
-        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in `likelihood.Point`.
+        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in `point.Point`.
         duration: Of the flight, from its first command to its last pose [s].
         step: How long a command holds [s].
         pose_rate: Fresh poses a second, so the mocap's rate less its stale share [1/s].

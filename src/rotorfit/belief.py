@@ -42,6 +42,9 @@ UNKNOWN_SHARE = (0.5, 0.7)
 TRIM = (0.05, 0.05, 0.03, 0.02)
 """Standard deviation of the trim [m/s^2; rad/s^2 for yaw]: a tilt of 0.3 degrees is 0.05 m/s^2."""
 
+QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
+"""Where no flight has told of noise and wind."""
+
 NAMES = tuple(f"{axis}.{name}" for axis in AXES for name in COEFFICIENTS)
 """Order of the twelve coefficients in a covariance."""
 
@@ -99,15 +102,15 @@ def belief_from_card(card: Card) -> Belief:
     Raises:
         PlanError: The card does not say what a command reaches, and its vehicle is not known.
     """
-    parts, notes = [], []
-    for axis in AXES:
-        mean, covariance, note = _expected(card, axis)
-        parts.append((mean, covariance))
-        notes += [note] if note else []
-    notes.append("noise and wind: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2); a first flight tells more")
-    truth = with_coefficients(Truth(), np.concatenate([mean for mean, _ in parts]))
-    covariance = _blocks([covariance for _, covariance in parts])
-    return _checked(Belief(truth, covariance, TRIM, {}, f"card {card.name}", tuple(notes)))
+    belief = _assembled([_expected(card, axis) for axis in AXES], f"card {card.name}")
+    return _checked(replace(belief, notes=(*belief.notes, f"noise and wind: {QUIET}; a first flight tells more")))
+
+
+def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief:
+    """A belief from input, damping, delay, their covariance and a note of each axis."""
+    truth = with_coefficients(Truth(), np.concatenate([mean for mean, _, _ in parts]))
+    notes = tuple(note for _, _, note in parts if note)
+    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), TRIM, {}, source, notes)
 
 
 def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
@@ -220,15 +223,24 @@ def belief_from_model(model: Model, where: str) -> Belief:
 
 
 def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
-    """What is believed of the axes that a model does not know: the card's expectation, where it has any."""
-    try:
-        return belief_from_card(model.card)
-    except PlanError as error:
-        if not known:
-            raise PlanError(f"model {where}: it knows no axis, and {error}") from None
-        values = np.tile([1.0, 1.0, DELAY[0]], 4)
-        covariance = np.diag(np.tile([1.0, 1.0, DELAY[1] ** 2], 4))
-        return Belief(with_coefficients(Truth(), values), covariance, TRIM, {}, "", (str(error),))
+    """What is believed of the axes that a model does not know: the card's expectation, where it has any.
+
+    Notes are of these axes only: what the card would have made one expect of the others no longer counts.
+    """
+    parts = []
+    for axis in AXES:
+        try:
+            mean, covariance, note = _expected(model.card, axis)
+        except PlanError as error:
+            if not known:
+                raise PlanError(f"model {where}: it knows no axis, and {error}") from None
+            mean, covariance = np.array([1.0, 1.0, DELAY[0]]), np.diag([1.0, 1.0, DELAY[1] ** 2])
+            note = str(error)
+        parts.append((mean, covariance, "" if axis in known else note))
+    belief = _assembled(parts, "")
+    quiet = [axis for axis in AXES if axis in model.card.command and axis not in known]
+    notes = [f"noise and wind of {', '.join(quiet)}: {QUIET}"] if quiet else []
+    return replace(belief, notes=(*belief.notes, *notes))
 
 
 def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:

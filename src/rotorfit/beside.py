@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, column, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import column, split_source
 from rotorfit.clock import (
     GAP_PERIODS,
     GAP_TOLERANCE,

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.frames import AXES
 from rotorfit.guard import SERVO, SHARE, UNKNOWN_DELAY
 from rotorfit.plan import Four

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rotorfit.card import Channel, raw_column, table_of
+from rotorfit.card import Channel
+from rotorfit.card_columns import raw_column, table_of
 from rotorfit.errors import CardError
 from rotorfit.frames import Array
 from rotorfit.log import Log

@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import split_source
 from rotorfit.clock import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, increasing, rate, stamps_of
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight

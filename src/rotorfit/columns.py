@@ -10,7 +10,8 @@ from rotorfit.log import Column, Log, Table
 
 _CLOCKS = ("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed")
 _FEW_ROWS = 8  # quaternions, vectors, sticks
-_UNIT_SUFFIX = re.compile(r"_(deg|rad|mm|cm|m|ms|us|ns|s)$")
+_SPEED_SUFFIX = {"m_s": "m/s", "mps": "m/s", "cm_s": "cm/s", "rad_s": "rad/s", "deg_s": "deg/s", "dps": "deg/s"}
+_UNIT_SUFFIX = re.compile(rf"_({'|'.join(_SPEED_SUFFIX)}|deg|rad|mm|cm|m|ms|us|ns|s)$")
 
 
 def sample_count(table: Table) -> int:
@@ -72,7 +73,8 @@ def name_without_unit(name: str) -> str:
 def unit_of_name(name: str) -> str | None:
     """A unit that a name ends in, where it is not the default of its kind."""
     match = _UNIT_SUFFIX.search(plain_name(name))
-    return match[1] if match and match[1] not in ("m", "rad", "s") else None
+    unit = _SPEED_SUFFIX.get(match[1], match[1]) if match else None
+    return None if unit in ("m", "rad", "s", "m/s", "rad/s") else unit
 
 
 def source_of(log: Log, table: Table, name: str) -> str:

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.frames import AXES, Array

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from rotorfit.belief import belief_from_card
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LogError
 from rotorfit.fly import fly
 from rotorfit.forecast import CURVE
@@ -153,7 +153,7 @@ def demo(directory: Path, progress: Progress | None = None) -> Demo:
     save(fitted.model, model)
     save(regressed.model, paper)
     say(0.9, "the report")
-    write_report(fitted.model, fitted.flights, validation, flights, report)
+    write_report(fitted.model, fitted.flights, validation, flights, report, str(model))
     written = (*plans.values(), *recordings.values(), model, paper, report)
     return Demo(load_vehicle(VEHICLE).linear(), fitted.model, regressed.model, validation, written)
 

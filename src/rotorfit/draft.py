@@ -3,18 +3,28 @@
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rotorfit.answers import Answer, Answers, answers_of
-from rotorfit.card import Channel, builtin_card_text, card_from_mapping
+from rotorfit.answers import BETTER, Answer, Answers, answers_of
+from rotorfit.card import Channel
+from rotorfit.card_file import builtin_card_text, card_from_mapping
 from rotorfit.columns import shape_text, source_of
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import AXES
 from rotorfit.log import Log
 from rotorfit.proposal import proposal
-from rotorfit.recognition import Recognised, commands_in, pose_in, reference_in, windows_in
+from rotorfit.recognition import (
+    Recognised,
+    commands_in,
+    is_of_tello,
+    is_of_the_body,
+    pose_in,
+    reference_in,
+    velocity_in,
+    windows_in,
+)
 
 NED_FORMATS = ("ulog", "dataflash", "dataflash_text")
 """Logs of autopilots, whose world is north, east, down."""
@@ -45,14 +55,69 @@ def draft_card(log: Log) -> str:
     if proposed and proposed.name:
         text = builtin_card_text(proposed.name)
         return f"# A copy of the built-in card {proposed.name}, whose columns are all in {log.path.name}.\n{text}"
-    commands, pose = commands_in(log), pose_in(log)
-    text = _text(log, commands, pose, "heading", {})
-    told, why = _told(log, text)
+    found, told, why = _in_the_better_frame(log, _found(log))
     if told is None:
-        return _text(log, commands, pose, "heading", {}, f"The motion was not asked: {why}." if why else "")
-    moved, said = _by_motion(commands, told)
+        return _text(log, found, {}, f"The motion was not asked: {why}." if why else "")
+    moved, said = _by_motion(found.commands, told)
     turned = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
-    return _text(log, moved, pose, told.frame or "heading", said, f"Signs were checked against the motion.{turned}")
+    found = replace(found, commands=moved, frame=told.frame or "heading")
+    return _text(log, found, said, f"Signs were checked against the motion.{turned}")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a draft is made of.
+
+    Attributes:
+        commands: By their names, later with axes and signs by the motion.
+        pose: By its names.
+        velocity: The vehicle's own, by its names.
+        frame: Of the commands: `heading` or `world`.
+        velocity_frame: Likewise.
+    """
+
+    commands: Recognised
+    pose: Recognised
+    velocity: Recognised
+    frame: str
+    velocity_frame: str
+
+    @property
+    def alone(self) -> list[str]:
+        """Axes of which there is only a velocity."""
+        return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
+
+
+def _found(log: Log) -> _Found:
+    """What the names say."""
+    commands, pose = commands_in(log), pose_in(log)
+    velocity = velocity_in(log, commands, pose)
+    if is_of_tello(log, velocity):
+        dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
+        velocity = replace(velocity, channels=dm)
+    return _Found(commands, pose, velocity, "heading", "heading" if is_of_the_body(velocity) else "world")
+
+
+def _in_the_better_frame(log: Log, found: _Found) -> tuple[_Found, Answers | None, str]:
+    """What was found, and what the motion says; a velocity without a position in the frame that explains it better.
+
+    Where commands and velocity are in one frame, the motion does not tell which: then it is the heading frame, as
+    commands almost always are. The coefficients are the same.
+    """
+    told, why = _told(log, _text(log, found, {}))
+    if told is None or told.frame is None or "x" not in found.alone:
+        return found, told, why
+    other = replace(found, velocity_frame="world" if found.velocity_frame == "heading" else "heading")
+    turned, _ = _told(log, _text(log, other, {}))
+    if turned is None:
+        return found, told, ""
+    allowed = BETTER if told.frame == "heading" else 1 / BETTER
+    return (other, turned, "") if _left(turned) < allowed * _left(told) else (found, told, "")
+
+
+def _left(told: Answers) -> float:
+    """What commands leave of the horizontal velocity, as shares of its variance."""
+    return sum(1 - answer.explained for name, answer in told.of.items() if name in ("x", "y"))
 
 
 def _told(log: Log, text: str) -> tuple[Answers | None, str]:
@@ -99,24 +164,17 @@ def _remark(name: str, axis: str, answer: Answer | None, frame: str) -> str:
     return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
 
 
-def _text(
-    log: Log,
-    commands: Recognised,
-    pose: Recognised,
-    frame: str,
-    said: Mapping[str, str],
-    checked: str = "",
-) -> str:
+def _text(log: Log, found: _Found, said: Mapping[str, str], checked: str = "") -> str:
     """The draft."""
-    whole = {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
+    commands, pose = found.commands, found.pose
     columns = [(table, name) for table in log.tables.values() for name in table.columns]
     reference = reference_in(log, commands)
     body = [
         f"name = {_quoted(log.path.stem)}",
-        _frame_line(log),
+        _frame_line(log, found.velocity),
         "",
         "[command]",
-        f'frame = "{frame}"  # "world" where x and y do not turn with the vehicle',
+        f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
         "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
         _line("time", commands.time),
         *(_line(axis, commands.channels.get(axis), said.get(axis, "")) for axis in AXES),
@@ -126,9 +184,11 @@ def _text(
         "[pose]",
         *(["# Motive has y up: the axes are turned in a ring"] * (log.format == "motive")),
         _line("time", pose.time),
-        *(_line(axis, pose.channels.get(axis)) for axis in "xyz"),
-        _quaternion_line(pose) if whole else _line("yaw", pose.channels.get("yaw")),
+        *(_line(axis, pose.channels.get(axis)) for axis in "xyz" if axis not in found.alone),
+        *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
+        _quaternion_line(pose) if _is_whole(pose) else _line("yaw", pose.channels.get("yaw")),
         "",
+        *_velocity_lines(found),
         *(["[reference]", *(_line(axis, channel) for axis, channel in reference.items()), ""] if reference else []),
         *(line for source, says in windows_in(log) for line in _window_lines(source, says)),
         "# [limits]  # of the vehicle's settings during the flight",
@@ -139,18 +199,40 @@ def _text(
         f"# All columns of {log.path.name}; a row of a matrix is NAME[0], NAME[1] and so on:",
         *(f"#   {source_of(log, table, name)}{shape_text(table.columns[name])}" for table, name in columns),
     ]
-    return "\n".join([*_heading(log, commands, pose, whole), *([f"# {checked}"] if checked else []), *body]) + "\n"
+    return "\n".join([*_heading(log, found), *([f"# {checked}"] if checked else []), *body]) + "\n"
 
 
-def _frame_line(log: Log) -> str:
+def _velocity_lines(found: _Found) -> list[str]:
+    """The vehicle's own velocity: in place of a position, or beside it and not used unless the card says so."""
+    velocity = found.velocity
+    if not velocity.channels:
+        return []
+    use = "in place of a position" if found.alone else "not used beside a position unless it is independent of that"
+    return [
+        f"[velocity]  # {use}",
+        *([] if found.alone else ["# independent = true  # only where neither was made from the other"]),
+        f'frame = "{found.velocity_frame}"  # "world", or "heading" where x and y are forward and left: check',
+        _line("time", velocity.time),
+        *(_line(axis, velocity.channels[axis]) for axis in "xyz" if axis in velocity.channels),
+        "",
+    ]
+
+
+def _is_whole(pose: Recognised) -> bool:
+    return {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
+
+
+def _frame_line(log: Log, velocity: Recognised) -> str:
     """The frame of the pose, by the format."""
+    if is_of_tello(log, velocity):
+        return 'frame = "NED"  # as the Tello has it: y to the right, z down, yaw clockwise'
     if log.format in NED_FORMATS:
         return 'frame = "NED"  # as autopilots have it; "ENU" where z points up'
     return 'frame = "ENU"  # of the pose; "NED" where z points down'
 
 
 def _window_lines(source: str, says: str) -> list[str]:
-    return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.split("\n"), ""]
+    return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
 
 
 def write_draft(log: Log, path: Path) -> None:
@@ -166,16 +248,17 @@ def write_draft(log: Log, path: Path) -> None:
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it") from None
 
 
-def _heading(log: Log, commands: Recognised, pose: Recognised, whole: bool) -> list[str]:
+def _heading(log: Log, found: _Found) -> list[str]:
     """What a reader of the draft must know first."""
-    found = {
-        "[command] time": commands.time is not None,
-        "[command] x, y, z or yaw": bool(commands.channels),
+    pose = found.pose
+    there = {
+        "[command] time": found.commands.time is not None,
+        "[command] x, y, z or yaw": bool(found.commands.channels),
         "[pose] time": pose.time is not None,
-        **{f"[pose] {axis}": axis in pose.channels for axis in "xyz"},
-        "[pose] yaw or quaternion": whole or "yaw" in pose.channels,
+        **{f"[pose] {axis}": axis in pose.channels or axis in found.alone for axis in "xyz"},
+        "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
     }
-    missing = [what for what, there in found.items() if not there]
+    missing = [what for what, is_there in there.items() if not is_there]
     return [
         f"# Drafted from the names in {log.path.name}. Check every line, the signs of the commands above all:",
         "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",

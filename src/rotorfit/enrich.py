@@ -12,8 +12,9 @@ import numpy as np
 from rotorfit.estimate import Estimate, coupled, finished, free_of
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, heading_from_world, world_from_heading
-from rotorfit.likelihood import Point, segments
+from rotorfit.likelihood import segments
 from rotorfit.maximum import maximise
+from rotorfit.point import Point
 from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure
 

@@ -12,6 +12,9 @@
 What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with its trace.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class RotorfitError(Exception):
     """One line for the user: what, where, what to try."""
@@ -43,3 +46,10 @@ class PlanError(RotorfitError):
 
 class LinkError(RotorfitError):
     """The vehicle cannot be reached or must not be flown: no link, no pose, outside the box, an empty battery."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`; nearest: 'this'`, the end of an error's text; nothing where nothing is known."""
+    by_lower = {option.lower(): option for option in known}
+    match = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.0)
+    return f"; nearest: {by_lower[match[0]]!r}" if match else ""

@@ -9,9 +9,10 @@ import numpy as np
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.levels import start_levels
-from rotorfit.likelihood import Point, response, segments
+from rotorfit.likelihood import response, segments
 from rotorfit.maximum import Optimum, climb, maximise
 from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, search, start_point, without_input
+from rotorfit.point import Point
 from rotorfit.prior import GaussianPrior
 from rotorfit.record import Record, measured_by, record
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure

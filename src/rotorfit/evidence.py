@@ -219,8 +219,8 @@ def _horizon_chart(scores: Sequence[Score], what: str, unit: str, factor: float,
         y_label=f"RMSE [{unit}]",
         x=x,
         lines=lines,
-        reading="Lower is better. The gap to the dotted line is what the model knows beyond 'it keeps its velocity'; "
-        "the scale is logarithmic, so equal gaps are equal factors. Thin lines: what cannot be told from this model.",
+        reading="Lower is better: the gap to the dotted line is what the model knows beyond 'it keeps its velocity', "
+        "and equal gaps are equal factors.",
         summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
         y_log=True,
     )

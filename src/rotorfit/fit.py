@@ -40,6 +40,7 @@ from rotorfit.structure import FIRST_ORDER_DELAY, structure_named
 
 Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
 Progress = Callable[[float, str], None]
+Priors = Mapping[str, Mapping[str, Prior]]
 
 LIKELIHOOD = ("ml", "robust")
 """The methods that maximise the likelihood."""
@@ -109,30 +110,59 @@ def fit(
         flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
-    results: dict[str, Axis] = {}
-    covariances: Blocks = {}
-    estimates: dict[str, Estimate] = {}
-    remarks: dict[str, str] = {}
-    groups = _groups(flights, wanted)
+    found = _found(flights, wanted, method, structure, priors, paper, report)
+    report(1.0, "done")
+    model = with_clock_error(_model(flights, method, paper, found), flights)
+    late = {axis: delay_error(_serving(flights, e.records[0].axes), e) for axis, e in found.estimates.items()}
+    model = with_physics(with_delay_error(model, late, GROUPS))
+    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is found of some axes; estimates and remarks as in `Fit`."""
+
+    axes: Mapping[str, Axis]
+    covariance: Blocks
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
+
+
+def _found(
+    flights: Sequence[Flight],
+    wanted: Sequence[str],
+    method: Method,
+    structure: str,
+    priors: Priors,
+    paper: PaperFit,
+    report: Progress,
+) -> _Found:
+    """The axes that are wanted, group by group."""
+    groups, parts = _groups(flights, wanted), []
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
         if method in LIKELIHOOD:
-            estimated, found, covariance = _likelihood_group(flights, group, priors, structure)
-            estimates |= estimated
+            parts.append(_likelihood_group(flights, group, priors, structure))
         elif method == "paper":
-            found, covariance = _paper_group(flights, group, paper)
+            parts.append(_paper_group(flights, group, paper))
         else:
-            found, covariance, said = _rung_group(flights, group, method)
-            remarks |= said
-        results |= {axis: found[axis] for axis in group if axis in wanted}
-        covariances |= covariance
-    report(1.0, "done")
-    names, matrix = joined({k: v for k, v in covariances.items() if all(n.split(".")[0] in wanted for n in k)})
-    model = Model(
+            parts.append(_rung_group(flights, group, method))
+    return _Found(  # x may be fitted with y where only one of them is wanted
+        {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
+        {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
+        {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
+        {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
+    )
+
+
+def _model(flights: Sequence[Flight], method: Method, paper: PaperFit, found: _Found) -> Model:
+    """The model of what was found; axes that were not wanted or do not move are unknown in it."""
+    names, matrix = joined(found.covariance)
+    return Model(
         card=flights[0].card,
-        structure=_common_structure(results),
+        structure=_common_structure(found.axes),
         method=method,
-        axes={axis: results.get(axis, unknown_axis("not_excited")) for axis in AXES},
+        axes={axis: found.axes.get(axis, unknown_axis("not_excited")) for axis in AXES},
         covariance_names=names,
         covariance=matrix,
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
@@ -141,11 +171,6 @@ def fit(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if _moves(f, axis))) for f in flights
         ),
     )
-    kept = {axis: e for axis, e in estimates.items() if axis in wanted}
-    remarks = {axis: remark for axis, remark in remarks.items() if axis in wanted}
-    late = {axis: delay_error(_serving(flights, e.records[0].axes), e) for axis, e in kept.items()}
-    model = with_physics(with_delay_error(with_clock_error(model, flights), late, GROUPS))
-    return Fit(model, tuple(flights), paper, kept, remarks, outliers)
 
 
 def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
@@ -184,14 +209,12 @@ def _of_poses(flights: Sequence[Flight], method: Method, axes: Sequence[str]) ->
     return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
 
 
-def _likelihood_group(
-    flights: Sequence[Flight], group: Sequence[str], priors: Mapping[str, Mapping[str, Prior]], structure: str
-) -> tuple[dict[str, Estimate], dict[str, Axis], Blocks]:
+def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
     """The axes of one group by the likelihood, under the structure that is asked for."""
     estimates = _estimate_group(flights, group, priors)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
-        return estimates, axes, covariance
+        return _Found(axes, covariance, estimates)
     return _other_structures(flights, group, estimates, axes, covariance, structure)
 
 
@@ -213,7 +236,7 @@ def _other_structures(
     plain: dict[str, Axis],
     covariance: Blocks,
     structure: str,
-) -> tuple[dict[str, Estimate], dict[str, Axis], Blocks]:
+) -> _Found:
     """The axes of a group under another structure or the one that the data earn, with the default's numbers beside."""
     serving = _serving(flights, group)
     known = [axis for axis in group if plain[axis].predictor]
@@ -245,7 +268,7 @@ def _other_structures(
             axes[axis] = replace(
                 axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
             )
-    return found, axes, covariance
+    return _Found(axes, covariance, found)
 
 
 def _moves(flight: Flight, axis: str) -> bool:
@@ -272,9 +295,7 @@ def _serving(flights: Sequence[Flight], group: Sequence[str]) -> list[Flight]:
     return [f for f in flights if any(_moves(f, axis) for axis in group) and record(f, group)]
 
 
-def _estimate_group(
-    flights: Sequence[Flight], group: Sequence[str], priors: Mapping[str, Mapping[str, Prior]]
-) -> dict[str, Estimate]:
+def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
     """The likelihood of the axes of one group; none where the flights are too short."""
     serving = _serving(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
@@ -326,7 +347,7 @@ def with_delay_profiles(fit: Fit) -> Fit:
     return replace(fit, model=replace(fit.model, axes=axes))
 
 
-def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> tuple[dict[str, Axis], Blocks]:
+def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> _Found:
     """Axes by the paper's regression; the disturbance levels that prediction needs are settled at its coefficients."""
     results: dict[str, Axis] = {}
     covariance: Blocks = {}
@@ -357,12 +378,10 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
         )
         covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
     serving = [f for f in flights if any(_moves(f, axis) for axis in results if results[axis].predictor)]
-    return with_levels(serving, results), covariance
+    return _Found(with_levels(serving, results), covariance)
 
 
-def _rung_group(
-    flights: Sequence[Flight], group: Sequence[str], method: str
-) -> tuple[dict[str, Axis], Blocks, dict[str, str]]:
+def _rung_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
     """Axes by a rung between the paper and the likelihood, their covariance, and what it says of its numbers."""
     serving = [f for f in flights if any(_moves(f, axis) for axis in group)]
     found, covariance, remarks = axes_by_rung(serving, group, method)
@@ -371,4 +390,4 @@ def _rung_group(
         axis: replace(known, trim=tuple(None if place is None else known.trim[place] for place in places))
         for axis, known in found.items()
     }
-    return results, covariance, remarks
+    return _Found(results, covariance, remarks=remarks)

@@ -151,6 +151,11 @@ def predict_flight(
 def _predict_segment(
     flight: Flight, segment: Segment, dynamics: Mapping[str, Dynamics], longest: float, wanted: Sequence[str]
 ) -> Predictions | None:
+    """Predicts from every start of one segment; z and yaw first, since x and y need the heading that yaw predicts.
+
+    None where the segment has no start with a pose before and behind it. The poses of the longest delay at its
+    beginning are left out: what was commanded before it still acts there.
+    """
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
     begin = segment.start + max(0.0, *(axis.delay for axis in axes))
     seen = seen_in(flight, begin, segment.end)
@@ -167,6 +172,17 @@ def _predict_segment(
     index = np.minimum(first[:, None] + reach, t.size - 1)
 
     def run(pair: Sequence[int], yaw: Array, future: Array) -> tuple[Array, Array]:
+        """Filters two axes through the segment and predicts them from every start.
+
+        Args:
+            pair: Places of the two in `AXES`: x and y, which the heading turns into each other, or z and yaw.
+            yaw: Heading at the poses, which the filter sees, shape (N,) [rad]; 0 for z and yaw.
+            future: Heading on the way of each prediction, shape (S, E) [rad]: measured or predicted, never both.
+
+        Returns:
+            Position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4);
+            NaN where neither is wanted.
+        """
         chosen = [axes[i] for i in pair]
         if not any(AXES[i] in wanted for i in pair):
             return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan)

@@ -5,7 +5,8 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-from rotorfit.card import Card, Channel, card_for, fits
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import card_for, fits
 from rotorfit.errors import CardError
 from rotorfit.log import Log, Table
 

@@ -15,9 +15,10 @@ from rotorfit.estimate import Estimate, alone, free_of, together
 from rotorfit.flight import Flight, Note
 from rotorfit.frames import AXES
 from rotorfit.levels import start_levels
-from rotorfit.likelihood import Point, score
+from rotorfit.likelihood import score
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.modes import excerpt, start_point
+from rotorfit.point import Point
 from rotorfit.record import DELAY_RANGE, HALF_STEP, Record, record
 from rotorfit.velocity import moved
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from rotorfit.frames import Array, Mask
 from rotorfit.levels import START_LEVELS, level_range
-from rotorfit.likelihood import Point, Restriction, Score, inverted, restriction, score
+from rotorfit.likelihood import Restriction, Score, inverted, restriction, score
+from rotorfit.point import Point
 from rotorfit.prior import GaussianPrior, with_prior
 from rotorfit.record import Record
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from rotorfit.abort import operator_abort
-from rotorfit.card import card_from_mapping, load_card
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import LinkError, LogError
-from rotorfit.fly import Flown, Progress, fly
+from rotorfit.flown import Flown
+from rotorfit.fly import Progress, fly
 from rotorfit.links import Link, open_link
 from rotorfit.plan import Plan
 from rotorfit.plan_file import load_plan, plan_text
@@ -109,10 +110,11 @@ def check_new(output: Path) -> None:
         raise LogError(f"{output}: there is no folder {output.parent}; make it first")
 
 
-def flown_mapping(flown: Flown, ready: Ready) -> dict[str, Any]:
-    """A flight as plain JSON types."""
+def flown_mapping(flown: Flown, ready: Ready, live: bool) -> dict[str, Any]:
+    """A flight as plain JSON types; without how late commands were where time is simulated."""
     return {
         **asdict(flown),
+        **({} if live else {"jitter": None, "late": None}),
         "path": str(flown.path),
         "notes": [*ready.notes, *flown.notes],
         "preflight": [asdict(check) for check in ready.checks],

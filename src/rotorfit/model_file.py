@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit.accuracy import PriorUse, uncertainty_from_mapping
-from rotorfit.card import card_from_mapping
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import ModelError
 from rotorfit.finding import Finding
 from rotorfit.flight import Note

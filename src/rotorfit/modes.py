@@ -15,8 +15,9 @@ from rotorfit.flight import Flight, Segment
 from rotorfit.forecast import Dynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.frames import AXES, Array, Mask
 from rotorfit.levels import start_levels
-from rotorfit.likelihood import Point, inverted
+from rotorfit.likelihood import inverted
 from rotorfit.maximum import Optimum, climb, maximise
+from rotorfit.point import Point
 from rotorfit.record import BLOCK_RATE, Record, measured_by
 from rotorfit.structure import FIRST_ORDER_DELAY
 

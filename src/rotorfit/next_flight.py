@@ -21,7 +21,7 @@ WANTED = (0.02, 0.05, 0.005)
 """Standard errors that are wanted: of input and damping as shares, of the delay [s]. A judgement: a controller that is
 designed for a phase margin of 45 degrees feels none of them."""
 
-TRIED = ("multisine", "chirp")
+TRIED = ("multisine", "chirp", "optimal")
 """Designs that are compared where the user names none: those without hard steps, see `planning.HARD`."""
 
 

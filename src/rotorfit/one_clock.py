@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, table_of
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import table_of
 from rotorfit.clock import MISSING_STAMP, Stamps, stamps_of
 from rotorfit.clock_offset import Offset, clock_offset
 from rotorfit.errors import FlightError

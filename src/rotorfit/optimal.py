@@ -1,11 +1,13 @@
 """The commands of one axis that tell its coefficients best, within a room: optimal experiment design.
 
-Over commands u held for one step each,
+Over levels c held for one step each, and commands u that are these levels behind a window,
 
-    maximise   J(M(u)),  M_ij = u' Q_ij u                        (`axis_information`)
-    such that  |u| <= command, lower <= p <= upper, |v| <= speed at every step, from rest at 0 to rest at 0
+    maximise   J(M(u)),  M_ij = u' Q_ij u,  u = window * c        (`axis_information`)
+    such that  |c| <= command, lower <= p <= upper, |v| <= speed at every step, from rest at 0 to rest at 0
 
-with p, v the motion that the believed dynamics give. M is a convex quadratic form of u, so J rises towards the corners
+with p, v the motion that c would lead to by the believed dynamics. That of u is a weighted mean of it over the window,
+so it stays inside, too. The window keeps out what is fast: a vehicle with inner loops follows hard steps less than its
+model does. M is a convex quadratic form of u, so J rises towards the corners
 of the convex set of flights that stay inside. A linear programme finds the best corner by the gradient of J; a line
 search on the way to it, on the exact J, can only climb; where no corner is better to first order, the climb ends. That
 is a local optimum, of which there are many: several signals start the climb, then parts of the best are disturbed and
@@ -110,6 +112,7 @@ def optimal_signal(
     progress: Progress | None = None,
     *,
     step: float = 0.1,
+    smooth: float = 0.0,
     pose_rate: float = 120.0,
     known: Array | None = None,
 ) -> OptimalSignal:
@@ -117,7 +120,7 @@ def optimal_signal(
 
     Args:
         dynamics: Input, damping and delay as believed; the damping positive.
-        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `likelihood.Point`.
+        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `point.Point`.
         limits: What the motion by the believed dynamics must stay within, without wind. Shrink them by what wind and
             doubt about the dynamics may add.
         duration: Of the signal [s]; the vehicle is at rest again one delay after its end, at the latest.
@@ -126,6 +129,8 @@ def optimal_signal(
         seed: Of starts and disturbances. Different seeds give different signals of nearly the same score.
         progress: Told the share of the climbs that is done; raising in it cancels.
         step: How long a command holds at least [s].
+        smooth: Width of the Hann window that the levels pass [s]: what is faster than 2 pi over it loses more than half
+            of its amplitude, what is twice as fast nearly all. Up to a step: none, the commands are hard steps.
         pose_rate: Fresh poses a second [1/s].
         known: Information about (input / g, log b, tau) that earlier flights have given, shape (3, 3).
 
@@ -135,9 +140,9 @@ def optimal_signal(
     _check(dynamics, limits, duration)
     pieces = int(np.ceil(duration / LONGEST - 1e-9))
     belief = Dynamics(*dynamics)
-    form = axis_information(belief, levels, duration / pieces, step, pose_rate)
+    form, window = axis_information(belief, levels, duration / pieces, step, pose_rate), _window(smooth, step)
     prior = np.zeros((3, 3)) if known is None else np.asarray(known) / pieces
-    problem = _Problem(form, limits, criterion, prior)
+    problem = _Problem(form.behind(window), limits, criterion, prior, window)
     best, scores = _search(problem, np.random.default_rng(seed), progress)
     command = problem.inside(best.command)
     total = pieces * (problem.prior + form.information(command))
@@ -154,10 +159,6 @@ def optimal_signal(
     )
 
 
-AGAINST = 0.1
-"""How often the part of a signal changes that works against the feedback, a multiple of the command's period [s]."""
-
-
 def optimal_excitations(
     belief: Belief,
     room: Mapping[str, AxisLimits],
@@ -167,7 +168,8 @@ def optimal_excitations(
     criterion: Criterion = "d",
     seed: int = 0,
     progress: Progress | None = None,
-    step: Mapping[str, float] | float = 0.1,
+    smooth: Mapping[str, float] | None = None,
+    step: float = 0.1,
 ) -> tuple[Excitation, ...]:
     """Designs several axes that are flown together, ready for a plan without a ramp.
 
@@ -183,7 +185,8 @@ def optimal_excitations(
         criterion: As `optimal_signal` has it.
         seed: Of the searches.
         progress: Called with a fraction and a text; raising in it cancels.
-        step: How long a command holds at least, of all axes or of each, a multiple of `AGAINST` [s].
+        smooth: Axis to the width of its window [s], see `optimal_signal`; None for hard steps.
+        step: How long a command holds at least, a multiple of the period of the plan's commands [s].
 
     Raises:
         PlanError: Limits without room, or a duration that is too short.
@@ -192,14 +195,13 @@ def optimal_excitations(
     for place, (axis, limits) in enumerate(room.items()):
         a = AXES.index(axis)
         dynamics = Dynamics(truth.gamma[2 * a], truth.gamma[2 * a + 1], truth.delay[a])
-        held = step if isinstance(step, float) else step[axis]
         part = None if progress is None else functools.partial(_told, progress, place, len(room))
         signal = optimal_signal(
             dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
-            step=held, pose_rate=truth.pose_rate * (1 - truth.stale_share),
+            step=step, smooth=smooth[axis] if smooth else 0.0, pose_rate=truth.pose_rate * (1 - truth.stale_share),
         ).signal  # fmt: skip
         if feedback is not None and axis in feedback.axes:
-            signal = against_feedback(signal, axis, dynamics, feedback, duration, AGAINST)
+            signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
         out.append(Excitation(axis, "command", start, duration, signal))
     return tuple(out)
 
@@ -226,7 +228,7 @@ def _check(dynamics: tuple[float, float, float], limits: AxisLimits, duration: f
 
 @dataclass(frozen=True)
 class _Climb:
-    """Where a climb ended."""
+    """Where a climb ended: the levels, before their window."""
 
     command: Array
     gap: float
@@ -235,16 +237,17 @@ class _Climb:
 
 @dataclass(frozen=True)
 class _Problem:
-    """One piece of a flight: what its commands tell and what they must keep to."""
+    """One piece of a flight: what its levels tell behind their window, and what they must keep to."""
 
     form: AxisInformation
     limits: AxisLimits
     criterion: Criterion
     prior: Array
+    window: Array
 
     @property
     def n(self) -> int:
-        """Number of commands."""
+        """Number of levels."""
         return int(self.form.form.shape[-1])
 
     def score(self, information: Array) -> float:
@@ -321,12 +324,19 @@ class _Problem:
             command, products = command + SHARES[best] * direction, products + SHARES[best] * ahead
         return _Climb(command, gap, tuple(history))
 
-    def inside(self, command: Array) -> Array:
-        """The commands made a little smaller where the motion between the steps, or rounding, leaves the limits."""
-        limits = self.limits
+    def inside(self, level: Array) -> Array:
+        """The commands, a little smaller where the motion between the steps, or rounding, leaves the limits."""
+        limits, command = self.limits, np.convolve(level, self.window)
         low, high, speed = extremes(self.form.dynamics, command, self.form.step)
         reach = (np.abs(command).max() / limits.command, low / limits.lower, high / limits.upper, speed / limits.speed)
         return np.asarray(command / max(1.0, *reach))
+
+
+def _window(width: float, step: float) -> Array:
+    """Hann's window, of sum 1, on the steps; a single 1 where it is no wider than one."""
+    count = max(1, round(width / step))
+    window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2
+    return np.asarray(window / window.sum())
 
 
 def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | None) -> tuple[_Climb, tuple[float, ...]]:

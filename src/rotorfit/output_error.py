@@ -16,9 +16,10 @@ from rotorfit.filtered import CUT_OFF
 from rotorfit.flight import Flight
 from rotorfit.frames import Array, Mask
 from rotorfit.levels import START_LEVELS
-from rotorfit.likelihood import DAMPING_RANGE, Point, response, segments
+from rotorfit.likelihood import response, segments
 from rotorfit.model import Predictor
 from rotorfit.modes import start_point
+from rotorfit.point import DAMPING_RANGE, Point
 from rotorfit.problem import coefficients, problem_of, unfit
 from rotorfit.record import DELAY_RANGE, Record, record
 from rotorfit.rung import RungFit, without_numbers

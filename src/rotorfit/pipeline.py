@@ -8,7 +8,9 @@ from typing import Any, cast
 import numpy as np
 
 from rotorfit.advice import findings_of_fit
-from rotorfit.card import Card, card_from_mapping, fits, load_card, tables_of
+from rotorfit.card import Card
+from rotorfit.card_columns import fits, tables_of
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.doctor import findings_of_flight
 from rotorfit.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.finding import Finding, by_gravity
@@ -252,7 +254,7 @@ def compare_logs(
         validation, seen = validate_logs(load(path), logs, horizons=horizons, progress=report)
         validations.append(validation)
         flights.append(seen)
-    alike = [all(map(_same_motion, seen, flights[0])) for seen in flights]
+    alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
     notes = tuple(
         f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
         for number, same in enumerate(alike, 1)
@@ -261,7 +263,7 @@ def compare_logs(
     return Comparison(tuple(files), tuple(validations), _paired(validations, alike), notes)
 
 
-def _same_motion(one: Flight, other: Flight) -> bool:
+def same_motion(one: Flight, other: Flight) -> bool:
     """Whether two cards read the same poses at the same times, so that errors can be subtracted start by start."""
     pairs = ((one.pose_time, other.pose_time), (one.position, other.position), (one.yaw, other.yaw))
     return all(np.array_equal(a, b) for a, b in pairs)

@@ -1,21 +1,25 @@
 """The plan file: TOML that a person can read and edit. Plan -> file -> the same plan, everything checked."""
 
+import hashlib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from rotorfit import __version__
-from rotorfit.card import card_from_mapping
-from rotorfit.errors import CardError, PlanError
+from rotorfit.card_file import card_from_mapping
+from rotorfit.errors import CardError, PlanError, nearest
 from rotorfit.excitation import Chirp, Signal, Sines, Steps
 from rotorfit.frames import AXES
 from rotorfit.plan import Excitation, Feedback, Four, Plan, Space
 
 FORMAT = "rotorfit-plan"
 VERSION = 1
+
+RATES = (5.0, 500.0)
+"""Commands a second that can be flown: below, autopilots take a pause for a lost link (PX4 after half a second); above,
+the period is near what an ordinary kernel keeps."""
 
 PLAN_MARK = b'"rotorfit-plan"'
 """What the first bytes of a plan hold."""
@@ -32,6 +36,9 @@ _SIGNALS: Mapping[str, tuple[str, ...]] = {
 _SPACE = ("lower", "upper", "start", "speed", "climb")
 _FEEDBACK = ("axes", "stiffness", "damping", "filter_time")
 
+SEAL = "# as written: "
+"""Begins the last line of a plan, a checksum of what stands above it."""
+
 HEAD = """\
 # A flight for `rotorfit fly`. Times in s, lengths in m, angles in rad; axes are forward, left, up, counter-clockwise.
 # Commands are in the unit of the card below: fractions of full scale, or SI. What stands under [predicted] is what
@@ -45,10 +52,38 @@ def save_plan(plan: Plan, path: str | Path) -> None:
 
 
 def plan_text(plan: Plan) -> str:
-    """The plan as TOML, with a few words at its head."""
+    """The plan as TOML, with a few words at its head; its last line tells whether it was edited since."""
     import tomli_w
 
-    return HEAD + tomli_w.dumps(plan_mapping(plan))
+    return _sealed(HEAD + tomli_w.dumps(plan_mapping(plan)))
+
+
+def check_plan_destination(path: Path) -> None:
+    """Refuses to write over anything but a plan as it was written: plans are made to be edited.
+
+    Raises:
+        PlanError: The path is taken by something else, an edited plan for example, or its folder does not exist.
+    """
+    if path.exists() and not _as_written(path):
+        raise PlanError(
+            f"{path}: exists, and is not as `rotorfit plan` wrote it: not overwritten; choose another name or remove it"
+        )
+    if not path.parent.is_dir():
+        raise PlanError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def _as_written(path: Path) -> bool:
+    """Whether a file is a plan that nobody has edited."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    body, mark, _ = text.rpartition(SEAL)
+    return bool(mark) and text == _sealed(body)
+
+
+def _sealed(text: str) -> str:
+    return f"{text}{SEAL}{hashlib.sha256(text.encode()).hexdigest()[:16]}\n"
 
 
 def load_plan(path: str | Path) -> Plan:
@@ -150,7 +185,7 @@ def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
         name=_text(raw, "name", place),
         design=_text(raw, "design", place),
         card=_checked_card(_section(raw, "card", place), place),
-        rate=_positive(raw, "rate", place),
+        rate=_rate(raw, place),
         duration=duration,
         ramp=_not_negative(raw, "ramp", place),
         excitations=_excitations(raw, duration, place),
@@ -257,8 +292,7 @@ def _check(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
     """Refuses a key that nobody knows, and names the nearest."""
     for key in raw:
         if key not in known:
-            nearest = get_close_matches(key, list(known), n=1, cutoff=0.0)[0]
-            raise PlanError(f"{place}: unknown key {key!r}; nearest: {nearest!r}")
+            raise PlanError(f"{place}: unknown key {key!r}{nearest(key, known)}")
 
 
 def _value(raw: Mapping[str, Any], key: str, place: str) -> Any:
@@ -284,8 +318,7 @@ def _text(raw: Mapping[str, Any], key: str, place: str) -> str:
 def _choice(raw: Mapping[str, Any], key: str, known: tuple[str, ...], place: str) -> str:
     value = _text(raw, key, place)
     if value not in known:
-        nearest = get_close_matches(value, known, n=1, cutoff=0.0)[0]
-        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}; nearest: {nearest!r}")
+        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}{nearest(value, known)}")
     return value
 
 
@@ -304,6 +337,13 @@ def _positive(raw: Mapping[str, Any], key: str, place: str) -> float:
     value = _number(raw, key, place)
     if value <= 0:
         raise PlanError(f"{place}, {key}: must be positive, not {value:g}")
+    return value
+
+
+def _rate(raw: Mapping[str, Any], place: str) -> float:
+    value, (low, high) = _number(raw, "rate", place), RATES
+    if not low <= value <= high:
+        raise PlanError(f"{place}, rate: {value:g} commands a second cannot be flown; give {low:g} to {high:g}")
     return value
 
 

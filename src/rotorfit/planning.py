@@ -41,13 +41,13 @@ Faster signals would tell more of the model's vehicle, but the wrong thing of a 
 is in part an attitude loop, which follows slow commands whole and fast ones no longer.
 """
 
-HARD = ("doublets", "3211", "prbs", "optimal", "optimal_a")
+HARD = ("doublets", "3211", "prbs")
 """Designs of hard steps, whose harmonics lie above any band."""
 
 HARD_NOTE = (
     "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
-    "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine and chirp have no "
-    "such part"
+    "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine, chirp and optimal "
+    "have no such part"
 )
 
 CENTRING = Feedback(AXES, (0.3, 0.3, 0.6, 0.6), (0.5, 0.5, 1.0, 1.0))
@@ -173,9 +173,9 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
         if not hover.fits:
             return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
         limits, criterion = _limits(wanted, hover), OPTIMAL[wanted.design]
-        steps = {axis: max(0.1, round(np.pi / fastest(belief, axis), 1)) for axis in wanted.axes}
+        smooth = {axis: 2 * np.pi / fastest(belief, axis) for axis in wanted.axes}
         excitations = optimal_excitations(
-            belief, limits, QUIET, length, loop, criterion, wanted.seed, part_of(progress, 0, 2), steps
+            belief, limits, QUIET, length, loop, criterion, wanted.seed, part_of(progress, 0, 2), smooth
         )
         progress = part_of(progress, 1, 2)
     else:

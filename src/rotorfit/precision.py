@@ -132,7 +132,8 @@ def information_of(flight: Flight, truth: Truth, belief: Belief, axes: Sequence[
 def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequence[str]) -> Array:
     """Information of the axes of a group, all else unknown, in the order axis by axis, shape (3 K, 3 K)."""
     from rotorfit.estimate import free_of
-    from rotorfit.likelihood import Point, inverted, score
+    from rotorfit.likelihood import inverted, score
+    from rotorfit.point import Point
     from rotorfit.record import record
 
     rec, K = record(flight, group), len(group)

@@ -18,7 +18,8 @@ from rotorfit.disturbance import (
     update_rate,
 )
 from rotorfit.frames import Array
-from rotorfit.motion import MEAN, START, advance, demands, lag_series, longest_step
+from rotorfit.motion import advance, demands, longest_step
+from rotorfit.motion_step import MEAN, START, lag_series
 from rotorfit.response import transition
 from rotorfit.structure import DAMPING, ORDER, TRIM
 

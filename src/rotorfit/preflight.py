@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.belief import belief_from_mapping
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.guard import Limits, Watch, judged, limits_of, observed, room_left
 from rotorfit.links.link import Link
@@ -135,9 +136,11 @@ def _inside(watch: Watch, limits: Limits, now: int, take_off: bool) -> Check:
     left = room_left(watch, kept, now)
     place = ", ".join(f"{value:.2f}" for value in watch.pose[:3])
     if left < 0:
-        box = " to ".join(str(tuple(corner)) for corner in (limits.lower, limits.upper))
-        return Check("box", False, f"the vehicle is at ({place}) m, outside of {box}")
-    return Check("box", True, f"at ({place}) m, {left:.2f} m inside")
+        low, high = (", ".join(f"{value:.2f}" for value in corner) for corner in (limits.lower, limits.upper))
+        under = " or the room below it" if take_off else ""
+        return Check("box", False, f"the vehicle is at ({place}) m, outside of the box ({low}) to ({high}){under}")
+    to = "to the nearest side or top of the box, which it enters from below" if take_off else "inside"
+    return Check("box", True, f"at ({place}) m, {left:.2f} m {to}")
 
 
 def _start(plan: Plan, watch: Watch, take_off: bool) -> Check:
@@ -157,7 +160,8 @@ def _start(plan: Plan, watch: Watch, take_off: bool) -> Check:
 def _still(watch: Watch) -> Check:
     speed = math.hypot(*watch.velocity[:3])
     text = f"{speed:.2f} m/s"
-    return Check("rest", speed <= REST, text if speed <= REST else f"{text}; let it hover, below {REST:g} m/s")
+    more = f" over the ground, not below {REST:g} m/s: bring it to rest; does the wind carry it away?"
+    return Check("rest", speed <= REST, text if speed <= REST else text + more)
 
 
 def _battery(watch: Watch) -> list[Check]:

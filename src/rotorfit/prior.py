@@ -13,7 +13,8 @@ import numpy as np
 
 from rotorfit.card import Prior
 from rotorfit.frames import Array
-from rotorfit.likelihood import Point, Score
+from rotorfit.likelihood import Score
+from rotorfit.point import Point
 
 _NAMES = ("input", "damping", "delay")
 

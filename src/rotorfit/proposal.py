@@ -4,7 +4,9 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rotorfit.card import Card, card_from_mapping, fitting_cards
+from rotorfit.card import Card
+from rotorfit.card_columns import fitting_cards
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.log import Log

@@ -6,9 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.card import Channel, column
+from rotorfit.card import Channel
+from rotorfit.card_columns import column
 from rotorfit.clock import degrees_for_radians, increasing, stamps_of
-from rotorfit.columns import clock_of, clocks_of, name_without_unit, sample_count, series_of, source_of, unit_of_name
+from rotorfit.columns import (
+    clock_of,
+    clocks_of,
+    name_without_unit,
+    plain_name,
+    sample_count,
+    series_of,
+    source_of,
+    unit_of_name,
+)
 from rotorfit.frames import AXES
 from rotorfit.log import Log, Table
 
@@ -42,6 +52,16 @@ _POSE |= _HEADING
 _BODY = {axis: f"(?:.*_)?position_{axis}" for axis in "xyz"}
 _BODY |= {f"q{part}": f"(?:.*_)?(?:rotation|quaternion)_{part}" for part in "wxyz"}
 _Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
+_STATE = "(?:(?:twist|state|estimate|odom|drone|body|world|local|onboard|mocap|vicon|optitrack|velocity)_?)*"
+_VELOCITIES = (
+    {
+        axis: f"{_STATE}(?:v_?g?_?{axis}|(?:vel|velocity|speed|linear|lin)_?{axis}|(?:vel|velocity)_{i})"
+        for i, axis in enumerate("xyz")
+    },
+    {"x": "v_?n|vel_?north", "y": "v_?e|vel_?east", "z": "v_?d|vel_?down"},
+    {"x": "vf", "y": "vl", "z": "ve|vu"},  # forward, left, up
+)
+_OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
 _GOAL = "(?:ref|reference|goal|des|desired|target|setpoint|sp)"
 _REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
 _WINDOWS = (
@@ -85,7 +105,45 @@ def pose_in(log: Log) -> Recognised:
     if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
         return pose
     heading = _recognised(log, _attitude)
+    if not pose.channels:
+        return heading  # all that there is of a pose where only velocities are logged
     return replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
+    """Axis to column of the vehicle's own velocity, by their names: of the pose's table where that has one."""
+    taken = {channel.source for channel in commands.channels.values()}
+
+    def names_in(log: Log, table: Table) -> dict[str, str]:
+        known = () if _asked(log, table) or _is_twist_of(commands, table) else _VELOCITIES
+        found = max((_named(table, family) for family in known), key=len, default={})
+        free = {axis: name for axis, name in found.items() if source_of(log, table, name) not in taken}
+        return free if {"x", "y"} <= free.keys() or "z" in free else {}
+
+    beside = log.tables.get(pose.table or "")
+    if beside is not None and {"x", "y"} <= names_in(log, beside).keys():
+        return _recognised(log, lambda log, table: names_in(log, table) if table is beside else {})
+    found = _recognised(log, names_in)
+    return found if found.channels else Recognised({}, None)
+
+
+def is_of_the_body(velocity: Recognised) -> bool:
+    """Whether the names say that a velocity is forward and left: that of an odometry is of the child's frame.
+
+    Source: nav_msgs/Odometry.msg.
+    """
+    names = (velocity.table or "", *(str(channel.source) for channel in velocity.channels.values()))
+    return any(re.search(_OF_THE_BODY, plain_name(name.rpartition(":")[2])) for name in names)
+
+
+def is_of_tello(log: Log, velocity: Recognised) -> bool:
+    """Whether velocities are those of the state packets of a Tello, whose z is down and whose velocities are in dm/s.
+
+    Source: the names of its SDK; the unit is what flights show.
+    """
+    table = log.tables.get(velocity.table or "")
+    named = any(re.search(r"\bvg[xyz]$", str(channel.source)) for channel in velocity.channels.values())
+    return named or (table is not None and "tof" in table.columns)
 
 
 def reference_in(log: Log, commands: Recognised) -> dict[str, Channel]:
@@ -116,12 +174,14 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
 
 def lacking(log: Log) -> str:
     """What a log without a card lacks for a fit, by its names, as a clause; empty where nothing is missed."""
-    commands, pose = commands_in(log).channels, pose_in(log).channels
-    there = [axis for axis in "xyz" if axis in pose]
-    if not commands and there:
+    commands, pose = commands_in(log), pose_in(log)
+    there = [axis for axis in "xyz" if axis in pose.channels]
+    if not commands.channels and there:
         return "it holds poses but nothing that looks like commands: the log of the commands is needed, too"
-    if commands and not there:
-        return "it holds commands but nothing that looks like a position x, y, z"
+    if commands.channels and velocity_in(log, commands, pose).channels and not {"x", "y"} <= pose.channels.keys():
+        return "it holds commands and velocities but no position: it can be fitted in its velocities"
+    if commands.channels and not there:
+        return "it holds commands but nothing that looks like a position x, y, z or a velocity"
     return ""
 
 
@@ -131,25 +191,38 @@ def _has(log: Log, source: str) -> bool:
 
 
 def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> Recognised:
-    """The stream of the table in which most is recognised; between equals, of the one with more samples."""
+    """The stream of the table that is named as a command, in which most is recognised, and that has most samples.
+
+    Only commands are looked for in tables of such names: a Twist may also be what a motion capture has measured.
+    """
     best: tuple[Table, dict[str, str], int] | None = None
+    most = (False, 0, 0)
     for table in log.tables.values():
         names = names_in(log, table)
         count = series_of(table)[next(iter(names.values()))] if names else 0
-        if names and (best is None or (len(names), count) > (len(best[1]), best[2])):
-            best = table, names, count
+        if names and (rank := (_asked(log, table), len(names), count)) > most:
+            best, most = (table, names, count), rank
     if best is None:  # a file of matrices: at least its clock
         only = list(log.tables.values())[:1] if len(log.tables) == 1 else []
         return Recognised({}, clock_of(log, only[0], sample_count(only[0])) if only else None)
     table, names, count = best
     time = clock_of(log, table, count)
-    channels = {what: Channel(source_of(log, table, name), unit=unit_of_name(name)) for what, name in names.items()}
+    channels = {
+        what: Channel(source_of(log, table, name), unit=_unit(log, table, name)) for what, name in names.items()
+    }
     if time is not None and "yaw" in channels and names_in in (_pose, _attitude) and channels["yaw"].unit is None:
         stamps, yaw = stamps_of(log, time), column(log, channels["yaw"])
         clean = increasing(stamps)[: len(yaw)] & np.isfinite(yaw[: len(stamps)])
         if degrees_for_radians(stamps[: len(yaw)][clean], yaw[: len(stamps)][clean]):
             channels["yaw"] = replace(channels["yaw"], unit="deg")
     return Recognised(channels, time, table.name)
+
+
+def _unit(log: Log, table: Table, name: str) -> str | None:
+    """A unit that the name says, or the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
+    if log.format.startswith("dataflash") and table.name == "NTUN":
+        return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
+    return unit_of_name(name)
 
 
 def _commands(log: Log, table: Table) -> dict[str, str]:
@@ -162,7 +235,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
         families = families[-1:]
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
-    if len(log.tables) > 1 and not _named(table, _POSE).keys() & {"x", "y", "z"}:
+    if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
         families.append(_named(table, twist))
     return max(families, key=len)
 
@@ -186,9 +259,14 @@ def _attitude(log: Log, table: Table) -> dict[str, str]:
     return whole if len(whole) == 4 else {name: found[name] for name in ("yaw",) if name in found}
 
 
+def _is_twist_of(commands: Recognised, table: Table) -> bool:
+    """Whether the commands were recognised in a table: a Twist holds nothing else."""
+    return commands.table == table.name and any("linear" in str(one.source) for one in commands.channels.values())
+
+
 def _asked(log: Log, table: Table) -> bool:
-    """Whether a table of a log of several is named as a command or a set-point."""
-    return len(log.tables) > 1 and re.search(_ASKED, table.name.lower()) is not None
+    """Whether a table of a log of several, or a topic, is named as a command or a set-point."""
+    return (len(log.tables) > 1 or table.name.startswith("/")) and re.search(_ASKED, table.name.lower()) is not None
 
 
 def _z_up(body: Recognised) -> Recognised:

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import AXES, Array
-from rotorfit.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, as_log, simulate_flight
+from rotorfit.paper_log import as_log
+from rotorfit.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, simulate_flight
 from rotorfit.plan import Four, Plan
 from rotorfit.tracking import Tracker, command_at, reference_at
 

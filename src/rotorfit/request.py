@@ -1,12 +1,13 @@
 """Request: what a user asks of `plan`, in the words of the command line -> plans, and why."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rotorfit.belief import Belief, belief_from_card, belief_from_model
-from rotorfit.card import Card, card_from_mapping, load_card
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping, load_card
 from rotorfit.errors import PlanError
 from rotorfit.frames import AXES
 from rotorfit.model_file import load
@@ -73,14 +74,24 @@ def planned(request: Request, progress: Progress | None = None) -> tuple[list[Pl
         proposal = next_flight(
             card, space, belief, request.duration, design=request.design, axes=request.axes, **chosen
         )  # fmt: skip
+        proposal = replace(proposal, plan=_with_room_note(proposal.plan, request))
         return [proposal.plan], proposal
     axes = tuple(request.axes or (axis for axis in AXES if axis in card.command))
     make = plan_flights if request.separate else _one
-    return make(card, space, request.design or DESIGN, axes, request.duration, belief, **chosen), None
+    plans = make(card, space, request.design or DESIGN, axes, request.duration, belief, **chosen)
+    return [_with_room_note(plan, request) for plan in plans], None
 
 
 def _one(*asked: Any, **chosen: Any) -> list[Plan]:
     return [plan_flight(*asked, **chosen)]
+
+
+def _with_room_note(plan: Plan, request: Request) -> Plan:
+    """The plan with a note of the room, where the user has named none."""
+    if request.room or request.box:
+        return plan
+    note = f"no --room or --box: assumed is a room of {ROOM} m, the origin in the middle of its floor"
+    return replace(plan, predicted={**plan.predicted, "notes": [note, *plan.predicted.get("notes", ())]})
 
 
 def _believed(request: Request) -> tuple[Card, Belief]:

@@ -14,11 +14,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Literal
 
-from rotorfit.card import LIMIT_UNITS, Card, Channel
-from rotorfit.errors import CardError
+from rotorfit.card import Card, Channel
+from rotorfit.card_file import LIMIT_UNITS
+from rotorfit.errors import CardError, nearest
 
 Asked = Literal["tilt", "velocity", "vertical_speed", "yaw_rate"]
 
@@ -180,9 +180,8 @@ def limits_from_text(text: str) -> dict[str, Any]:
         if not equals or not number:
             raise CardError(f"limits {text!r}: {part!r} is not NAME=NUMBER with a unit, such as tilt=20deg")
         if name not in LIMIT_UNITS:
-            nearest = get_close_matches(name.lower(), LIMIT_UNITS, n=1, cutoff=0.0)[0]
             raise CardError(
-                f"limits {text!r}: no limit {name!r}; nearest: {nearest!r}, known are {', '.join(LIMIT_UNITS)}"
+                f"limits {text!r}: no limit {name!r}{nearest(name, LIMIT_UNITS)}, known are {', '.join(LIMIT_UNITS)}"
             )
         if name in limits:
             raise CardError(f"limits {text!r}: {name} is given twice")

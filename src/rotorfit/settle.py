@@ -8,10 +8,10 @@ import numpy as np
 from rotorfit.estimate import free_of
 from rotorfit.flight import Flight
 from rotorfit.levels import LEVELS_OF, start_levels
-from rotorfit.likelihood import DAMPING_RANGE
 from rotorfit.maximum import Optimum, maximise
 from rotorfit.model import Axis, Predictor
 from rotorfit.modes import start_point, trim_variance
+from rotorfit.point import DAMPING_RANGE
 from rotorfit.record import Record, measured_by, record
 
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, table_of
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import table_of
 from rotorfit.clock import MISSING_STAMP, stamps_of
 from rotorfit.log import Log
 from rotorfit.straight import straightened

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.beside import drawn, held_beside, is_beside, sampled, told
-from rotorfit.card import Card, Channel, column, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import column, split_source
 from rotorfit.clock import (
     GAP_PERIODS,
     GAP_TOLERANCE,

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card, fitting_cards, load_card
+from rotorfit.card import Card
+from rotorfit.card_columns import fitting_cards
+from rotorfit.card_file import load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import PlanError
 from rotorfit.excitation import motion, value
 from rotorfit.frames import AXES, Array

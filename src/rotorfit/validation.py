@@ -24,11 +24,12 @@ from rotorfit.forecast import (
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.held import without_held
 from rotorfit.levels import LEVELS_OF
-from rotorfit.likelihood import Point, response, whiten
+from rotorfit.likelihood import response, whiten
 from rotorfit.maximum import maximise
 from rotorfit.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.modes import start_point
 from rotorfit.paired import PairedTest, paired_test
+from rotorfit.point import Point
 from rotorfit.record import Record, record
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure, structure_named
 from rotorfit.whiteness import REACH, Innovations, ResidualTests, findings_of_residuals, residual_tests

@@ -4,12 +4,11 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from rotorfit.errors import VehicleError
+from rotorfit.errors import VehicleError, nearest
 from rotorfit.settings import GRAVITY
 
 Three = tuple[float, float, float]
@@ -317,8 +316,7 @@ def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
     known = {field.name: field for field in fields(noun)}
     for key in raw:
         if key not in known:
-            nearest = get_close_matches(key, known, n=1, cutoff=0.0)[0]
-            raise VehicleError(f"{place}: nobody knows key {key!r}; nearest: {nearest!r}")
+            raise VehicleError(f"{place}: nobody knows key {key!r}{nearest(key, known)}")
     missing = [name for name, field in known.items() if name not in raw and field.default is MISSING]
     if missing:
         raise VehicleError(f"{place}: {missing[0]} is missing")

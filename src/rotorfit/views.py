@@ -24,6 +24,9 @@ DRAWN_RATE = 30.0
 MOST_POINTS = 20_000
 """Points of a drawn line beyond which it is reduced to the extremes of its stretches."""
 
+MODEL_LOOKS = 6
+"""So many models have a colour and a dash of their own."""
+
 
 READING = {
     "velocity": "Every piece of the predicted line comes from data that end 0.5 to 1 s before it; from there on only "
@@ -97,6 +100,48 @@ class Chart:
 
 
 @dataclass(frozen=True)
+class Row:
+    """One row of a chart of rows.
+
+    Attributes:
+        name: At the left.
+        dots: Role and value; None has no dot.
+        low: Lower end of an interval of the first dot; None for an open or no end.
+        high: Upper end.
+        text: What the row says, in figures.
+    """
+
+    name: str
+    dots: tuple[tuple[str, float | None], ...]
+    text: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class RowChart:
+    """Values side by side, a row each.
+
+    Attributes:
+        title: Short.
+        x_label: With unit.
+        rows: From the top.
+        reading: One sentence: how to read it.
+        summary: One sentence: what is seen, in figures; the text alternative.
+        x_log: Whether the values are drawn on a logarithmic scale; all are then positive.
+        level: A vertical line and its name.
+    """
+
+    title: str
+    x_label: str
+    rows: tuple[Row, ...]
+    reading: str
+    summary: str
+    x_log: bool = False
+    level: tuple[float, str] | None = None
+
+
+@dataclass(frozen=True)
 class FlightView:
     """Measured against modelled motion of one flight.
 
@@ -152,6 +197,57 @@ def flight_view(
             charts.append(_motion_chart(kind, axis, time, drawn_lines, whole_lines))
     missing = tuple(axis for axis in moved_axes(flight) if axis not in axes)
     return FlightView(flight.path, role, flight.duration, tuple(charts), missing, drawn)
+
+
+def look_of(number: int) -> str:
+    """Role of a model's lines and dots among those of several; the looks begin again after `MODEL_LOOKS`."""
+    return f"model-{number % MODEL_LOOKS + 1}"
+
+
+def overlaid(views: Sequence[Sequence[Chart]], names: Sequence[str]) -> tuple[Chart, ...]:
+    """Charts of several models drawn over each other: what they share once, and a line each.
+
+    Args:
+        views: The charts of each model; those of one kind and axis become one, without the paper's lines and bands.
+        names: Of the models; their lines have the roles of `look_of`.
+    """
+    places = dict.fromkeys((chart.kind, chart.axis) for charts in views for chart in charts)
+    return tuple(
+        _one_over_the_other(
+            [(k, chart) for k, charts in enumerate(views) for chart in charts if (chart.kind, chart.axis) == place],
+            names,
+        )
+        for place in places
+    )
+
+
+def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str]) -> Chart:
+    """Lines with stamps of their own are drawn between them on those of all, which changes no line."""
+    first = charts[0][1]
+    alike = all(chart.x.size == first.x.size and bool(np.all(chart.x == first.x)) for _, chart in charts)
+    x = first.x if alike else np.unique(np.concatenate([chart.x for _, chart in charts]))
+    lines = [line for line in first.lines if line.role in ("measured", "hold")] if alike else []
+    for k, chart in charts:
+        for line in chart.lines:
+            if line.role == "model":
+                y = line.y if alike else np.interp(x, chart.x, line.y, np.nan, np.nan)
+                lines.append(Line(names[k], look_of(k), y))
+    marks = [
+        replace(mark, role=look_of(k), text=f"{names[k]}: {mark.text}")
+        for k, chart in charts
+        for mark in chart.marks
+        if mark.role == "chosen"
+    ]
+    ranges = [chart.y_range for _, chart in charts if chart.y_range is not None]
+    return replace(
+        first,
+        x=x,
+        lines=tuple(lines),
+        summary=" ".join(f"{names[k]}: {chart.summary}" for k, chart in charts),
+        marks=tuple(marks),
+        span=None,
+        y_range=(min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None,
+    )
 
 
 def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:

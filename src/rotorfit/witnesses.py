@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card import Card, Channel, column, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import column, split_source
 from rotorfit.clock import MISSING_STAMP, Stamps, fresh, increasing, stamps_of
 from rotorfit.frames import AXES, Array, heading_from_world, yaw_from_quaternion
 from rotorfit.lag_search import Seen, Witness

@@ -5,6 +5,7 @@ real drone go through the same code. Each kind of link is a module with `open_li
 imported when it is asked for.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
@@ -12,8 +13,8 @@ from types import MappingProxyType
 
 from rotorfit.card import Card
 from rotorfit.errors import LinkError
-from rotorfit.links.joined import join
 from rotorfit.links.link import Action, Link
+from rotorfit.links.poses_apart import join
 from rotorfit.plan import Four
 
 __all__ = ["INSTALL", "LINKS", "Action", "Link", "open_link"]
@@ -52,7 +53,7 @@ def open_link(
     """Opens a link.
 
     Args:
-        text: `NAME` or `NAME:ADDRESS`; what an address is, each link says.
+        text: `NAME`, `NAME:ADDRESS` or `NAME,OPTION=VALUE`; what an address is, each link says.
         card: Meaning and unit of the commands; for links that carry named messages, also which.
         start: Where a simulated vehicle is: x, y, z [m] and yaw [rad].
         seed: Of a simulated vehicle.
@@ -62,7 +63,8 @@ def open_link(
     Raises:
         LinkError: No such link, something to install is missing, or nobody answers.
     """
-    name, _, address = text.partition(":")
+    name = re.split("[:,]", text, maxsplit=1)[0]  # options may follow the name itself: `sim,wind=2`
+    address = text[len(name) :].removeprefix(":")
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
     with _told_to_install(name):

@@ -8,7 +8,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rotorfit.card import Card, Channel, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import split_source
 from rotorfit.errors import LinkError
 from rotorfit.frames import AXES, UNIT_SCALE
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorfit.card import Card, card_for, column
+from rotorfit.card import Card
+from rotorfit.card_columns import card_for, column
 from rotorfit.clock import stamps_of
 from rotorfit.errors import CardError, LinkError
 from rotorfit.frames import Array, Indices, yaw_from_quaternion

@@ -19,23 +19,23 @@ from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields, PoseFields
 from rotorfit.links.link import Action
 from rotorfit.links.ros_messages import (
+    ACTIONS,
     FAIL_SAFE,
+    PATIENCE,
     action_topic,
     check_pose,
     fill,
     is_stamped,
-    pose_in,
+    pose_samples,
     poses_of_type,
     ros_commands,
     ros_poses,
-    velocity_in,
+    velocity_samples,
 )
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
 
 DEBIAN = "/usr/lib/python3/dist-packages"
-PATIENCE = 5.0
-"""How long a driver may take to be found on the graph [s]."""
 
 
 def open_link(address: str, card: Card) -> "Ros1Link":
@@ -140,7 +140,7 @@ class Ros1Link:
     def _advertise(self, commands: CommandFields) -> dict[str, Any]:
         twist = _message_class("geometry_msgs/TwistStamped" if is_stamped(commands) else "geometry_msgs/Twist")
         kinds = {commands.table: ("command", twist)}
-        kinds |= {action_topic(commands, action): (action, _message_class("std_msgs/Empty")) for action in _ACTIONS}
+        kinds |= {action_topic(commands, action): (action, _message_class("std_msgs/Empty")) for action in ACTIONS}
         return {
             name: self._rospy.Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
             for topic, (name, kind) in kinds.items()
@@ -160,23 +160,15 @@ class Ros1Link:
             time.sleep(0.02)
 
     def _on_pose(self, message: Any) -> None:
-        received = wall_clock()
-        stamp = message.header.stamp.to_nsec() if self._poses.stamped else 0
-        values = pose_in(message, self._poses)
-        if values is not None:
-            self._inbox.append(Sample("pose", stamp or received, received, values))
-        if self._poses.velocity and self._poses.velocity_table == self._poses.table:
-            self._on_velocity(message)
+        self._inbox.extend(pose_samples(message, self._poses, _stamp))
 
     def _on_velocity(self, message: Any) -> None:
-        received = wall_clock()
-        stamp = message.header.stamp.to_nsec() if hasattr(message, "header") else 0
-        values = velocity_in(message, self._poses)
-        if values is not None:
-            self._inbox.append(Sample("velocity", stamp or received, received, values))
+        self._inbox.extend(velocity_samples(message, self._poses, _stamp))
 
 
-_ACTIONS = ("take_off", "land")
+def _stamp(message: Any) -> int:
+    """The stamp of a message's header [ns]."""
+    return int(message.header.stamp.to_nsec())
 
 
 def _node() -> Any:

@@ -13,24 +13,22 @@ from rotorfit.errors import LinkError
 from rotorfit.links.card_fields import CommandFields, PoseFields
 from rotorfit.links.link import Action
 from rotorfit.links.ros_messages import (
+    ACTIONS,
     FAIL_SAFE,
+    PATIENCE,
     action_topic,
     check_pose,
     fill,
     is_stamped,
-    pose_in,
+    pose_samples,
     poses_of_type,
     ros_commands,
     ros_poses,
-    velocity_in,
+    velocity_samples,
 )
 from rotorfit.links.wall_clock import seconds_until, wall_clock
 from rotorfit.log import Sample
 
-PATIENCE = 5.0
-"""How long a driver may take to be found on the graph [s]."""
-
-_ACTIONS = ("take_off", "land")
 _SECOND = 1_000_000_000
 
 
@@ -136,7 +134,7 @@ class Ros2Link:
         twist = _message_class("geometry_msgs/msg/TwistStamped" if is_stamped(commands) else "geometry_msgs/msg/Twist")
         empty = _message_class("std_msgs/msg/Empty")
         topics = {"command": (twist, commands.table)}
-        topics |= {action: (empty, action_topic(commands, action)) for action in _ACTIONS}
+        topics |= {action: (empty, action_topic(commands, action)) for action in ACTIONS}
         publishers = {
             name: (kind, self._node.create_publisher(kind, topic, 1)) for name, (kind, topic) in topics.items()
         }
@@ -160,20 +158,10 @@ class Ros2Link:
             self._rclpy.spin_once(self._node, timeout_sec=0.05)
 
     def _on_pose(self, message: Any) -> None:
-        received = wall_clock()
-        values = pose_in(message, self._poses)
-        if values is not None:
-            stamp = _stamp(message) if self._poses.stamped else 0
-            self._inbox.append(Sample("pose", stamp or received, received, values))
-        if self._poses.velocity and self._poses.velocity_table == self._poses.table:
-            self._on_velocity(message)
+        self._inbox.extend(pose_samples(message, self._poses, _stamp))
 
     def _on_velocity(self, message: Any) -> None:
-        received = wall_clock()
-        values = velocity_in(message, self._poses)
-        if values is not None:
-            stamp = _stamp(message) if hasattr(message, "header") else 0
-            self._inbox.append(Sample("velocity", stamp or received, received, values))
+        self._inbox.extend(velocity_samples(message, self._poses, _stamp))
 
 
 def _stamp(message: Any) -> int:

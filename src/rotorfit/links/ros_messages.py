@@ -1,6 +1,6 @@
 """What both versions of ROS share: topics and fields from the card, take-off and landing, messages filled and read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import attrgetter
 from typing import Any
@@ -16,6 +16,13 @@ from rotorfit.links.card_fields import (
     raw_values,
     velocity_values,
 )
+from rotorfit.links.wall_clock import wall_clock
+from rotorfit.log import Sample
+
+PATIENCE = 5.0
+"""How long a driver may take to be found on the graph [s]."""
+
+ACTIONS = ("take_off", "land")
 
 TWIST_FIELDS = tuple(f"{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
 _STAMPED = "twist."
@@ -102,14 +109,28 @@ def fill(message: Any, fields: CommandFields, command: Sequence[float]) -> Any:
     return message
 
 
-def pose_in(message: Any, fields: PoseFields) -> tuple[float, ...] | None:
-    """The pose in a message, as a Sample has it; None where a number is not finite."""
-    return pose_values(fields, lambda name: float(attrgetter(name)(message)))
+def pose_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
+    """The pose in a message, and the velocity beside it where the card names it there; none that is not finite.
+
+    Args:
+        message: As it has come.
+        fields: What the card names.
+        stamp_of: Message to the stamp of its header [ns]; 0 where the sender left it out.
+    """
+    received = wall_clock()
+    stamp = stamp_of(message) if fields.stamped else 0
+    values = pose_values(fields, lambda name: float(attrgetter(name)(message)))
+    samples = [] if values is None else [Sample("pose", stamp or received, received, values)]
+    beside = fields.velocity and fields.velocity_table == fields.table
+    return [*samples, *velocity_samples(message, fields, stamp_of)] if beside else samples
 
 
-def velocity_in(message: Any, fields: PoseFields) -> tuple[float, ...] | None:
-    """The velocity in a message, as a Sample has it; None where a number is not finite."""
-    return velocity_values(fields, lambda name: float(attrgetter(name)(message)))
+def velocity_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
+    """The velocity in a message; none that is not finite. Arguments as of `pose_samples`."""
+    received = wall_clock()
+    stamp = stamp_of(message) if hasattr(message, "header") else 0
+    values = velocity_values(fields, lambda name: float(attrgetter(name)(message)))
+    return [] if values is None else [Sample("velocity", stamp or received, received, values)]
 
 
 def check_pose(message: Any, fields: PoseFields) -> None:

@@ -1,6 +1,7 @@
 """The virtual flight room as a link, in simulated time: `receive` lets it pass.
 
 sim                        a Bebop 2 in still air
+sim,wind=2                 the same in wind
 sim:VEHICLE                a built-in vehicle, or a file of one
 sim:VEHICLE,wind=2,gusts=0.3   mean wind along the world's x, and standard deviation of gusts [m/s]
 """
@@ -9,7 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import LinkError
 from rotorfit.links.link import Action
 from rotorfit.log import Sample
@@ -93,7 +95,7 @@ class SimLink:
 def _wind(options: Sequence[str], address: str) -> "Wind":
     from rotorfit.air import Gusts, Wind
 
-    known = {"wind": 0.0, "gusts": 0.0}
+    known, given = {"wind": 0.0, "gusts": 0.0}, f"--link sim{'' if address.startswith(',') else ':'}{address}"
     for option in options:
         key, equal, text = option.partition("=")
         try:
@@ -102,8 +104,8 @@ def _wind(options: Sequence[str], address: str) -> "Wind":
             known[key] = float(text)
         except ValueError:
             wanted = ", ".join(f"{name}=NUMBER" for name in known)
-            raise LinkError(f"--link sim:{address}: {option!r} is not one of {wanted}, in m/s") from None
+            raise LinkError(f"{given}: {option!r} is not one of {wanted}, in m/s") from None
     sigma = known["gusts"]
     if not (math.isfinite(known["wind"]) and 0 <= sigma < math.inf):
-        raise LinkError(f"--link sim:{address}: wind and gusts are finite, gusts not negative")
+        raise LinkError(f"{given}: wind and gusts are finite, gusts not negative")
     return Wind((known["wind"], 0.0, 0.0), Gusts((sigma, sigma, sigma / 2)) if sigma else None)

@@ -3,17 +3,23 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from rotorfit.case import Case
 from rotorfit.flight import Flight
 from rotorfit.model import Model
 from rotorfit.validation import Validation
 
-__all__ = ["write_figures", "write_report"]
+__all__ = ["write_cases", "write_figures", "write_report"]
 
 
 def write_report(
-    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight], path: Path
+    model: Model,
+    training: Sequence[Flight],
+    validation: Validation,
+    flights: Sequence[Flight],
+    path: Path,
+    model_path: str = "model.json",
 ) -> None:
-    """Writes one self-contained HTML page: verdict, coefficients, evidence, findings, repairs, how to reproduce.
+    """Writes one self-contained HTML page: verdict, evidence, what to fly next, coefficients, findings, repairs.
 
     The page asks nothing of the network, works from a mail attachment, prints, and follows the reader's light or dark
     setting. Charts of flights zoom where scripts may run and are pictures where they may not.
@@ -24,11 +30,22 @@ def write_report(
         validation: Its scores; without flights where there are none.
         flights: The flights of the scores, in their order; empty where they are not at hand.
         path: Of the page; overwritten.
+        model_path: Of the model file, for the lines to type.
+    """
+    write_cases([Case(model_path, model, tuple(training), validation, tuple(flights))], path)
+
+
+def write_cases(cases: Sequence[Case], path: Path) -> None:
+    """The same for one model or for several on the same flights, side by side.
+
+    Args:
+        cases: The models with their proofs, see `case.cases_of`.
+        path: Of the page; overwritten.
     """
     from rotorfit.report.page import page
 
     # A path of undecodable bytes holds lone surrogates, which UTF-8 has no place for.
-    path.write_bytes(page(model, training, validation, flights).encode("utf-8", "replace"))
+    path.write_bytes(page(cases).encode("utf-8", "replace"))
 
 
 def write_figures(

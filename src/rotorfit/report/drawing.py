@@ -1,11 +1,12 @@
 """Chart -> Drawing: coordinates, ticks and paths of a small vector picture; the template writes them down."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.frames import Array
-from rotorfit.views import Chart, extremes
+from rotorfit.frames import Array, Indices
+from rotorfit.views import Chart, RowChart
 
 FINENESS = 4
 """Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
@@ -41,6 +42,14 @@ class Dot:
 
 
 @dataclass(frozen=True)
+class Stop:
+    """A place where pointer and arrow keys find figures: along the x axis, or of a chart of rows along y."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True)
 class Drawing:
     """A picture in its own units, y downwards; paths and dots are relative to the frame's upper left corner.
 
@@ -60,6 +69,8 @@ class Drawing:
         y_ticks: Along the left.
         x_label: With unit.
         y_label: With unit.
+        stops: In the order of their places.
+        along: The axis of the stops.
     """
 
     width: int
@@ -77,15 +88,18 @@ class Drawing:
     y_ticks: tuple[Tick, ...]
     x_label: str
     y_label: str
+    stops: tuple[Stop, ...] = ()
+    along: str = "x"
 
 
-def drawn(chart: Chart, width: int, height: int) -> Drawing:
+def drawn(chart: Chart, width: int, height: int, columns: int = COLUMNS) -> Drawing:
     """The picture of a chart.
 
     Args:
         chart: What to draw.
         width: Of the picture, in its own units, about a pixel each.
         height: Likewise.
+        columns: Stretches of a long line, each drawn by its extremes.
     """
     left, top, inner_width, inner_height = 46, 8, width - 46 - 10, height - 8 - 38
     x_range, y_range = _x_range(chart), _y_range(chart)
@@ -106,7 +120,7 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
     paths = tuple(
         (line.role, _bars(place_x(chart.x), place_y(line.y), float(place_y(0.0))))
         if chart.kind == "correlation" and line.role != "band"
-        else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height))
+        else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height, columns))
         for line in chart.lines
     )
     dots = [
@@ -137,7 +151,73 @@ def drawn(chart: Chart, width: int, height: int) -> Drawing:
         y_ticks=tuple(Tick(float(place_y(value)), text) for value, text in y_ticks),
         x_label=chart.x_label,
         y_label=chart.y_label,
+        stops=() if chart.kind in ("velocity", "acceleration") else _stops(chart, place_x),
     )  # fmt: skip
+
+
+def drawn_rows(chart: RowChart, width: int) -> Drawing:
+    """The picture of a chart of rows.
+
+    Args:
+        chart: What to draw.
+        width: Of the picture, in its own units, about a pixel each.
+    """
+    left, top, row = min(170, 18 + round(7.0 * max((len(each.name) for each in chart.rows), default=0))), 4, 24
+    inner_width, inner_height = width - left - 14, row * len(chart.rows)
+    values = [value for each in chart.rows for _, value in each.dots if value is not None]
+    values += [end for each in chart.rows for end in (each.low, each.high) if end is not None]
+    values += [chart.level[0]] if chart.level else []
+    low, high = (min(values), max(values)) if values else (0.5, 2.0)
+    if chart.x_log:
+        low, high = low / 1.3, high * 1.3
+    else:
+        margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+        low, high = low - margin, high + margin
+
+    def place(x: float) -> float:
+        at = np.log(x / low) / np.log(high / low) if chart.x_log else (x - low) / (high - low)
+        return float(np.clip(at, 0, 1)) * inner_width
+
+    paths, dots, middles = [], [], [row * (k + 0.5) for k in range(len(chart.rows))]
+    for each, y in zip(chart.rows, middles, strict=True):
+        known = [(role, value) for role, value in each.dots if value is not None]
+        if each.low is not None or each.high is not None:
+            ends = (0 if each.low is None else place(each.low), inner_width if each.high is None else place(each.high))
+            a, b, at = (round(FINENESS * value) for value in (*ends, y))
+            paths.append((f"interval {each.dots[0][0]}", f"M{a} {at}H{b}"))
+        dots += [Dot(place(value), y, role, each.text) for role, value in known]
+    if chart.level:
+        paths.insert(0, ("mark", f"M{round(FINENESS * place(chart.level[0]))} 0v{FINENESS * inner_height}"))
+    x_ticks = (log_ticks if chart.x_log else ticks)(low, high, max(2, inner_width // 60))
+    return Drawing(
+        width, top + inner_height + 38, left, top, inner_width, inner_height, FINENESS, tuple(paths), tuple(dots),
+        levels=(),
+        shade=None,
+        x_ticks=tuple(Tick(place(value), text) for value, text in x_ticks),
+        y_ticks=tuple(Tick(y, each.name) for each, y in zip(chart.rows, middles, strict=True)),
+        x_label=chart.x_label,
+        y_label="",
+        stops=tuple(Stop(y, each.text) for each, y in zip(chart.rows, middles, strict=True)),
+        along="y",
+    )  # fmt: skip
+
+
+def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop, ...]:
+    """What the lines say at each x."""
+    name, _, unit = chart.x_label.partition(" [")
+    unit = unit.rstrip("]")
+    shown = [line for line in chart.lines if line.role != "band"]
+    band = next((line.y for line in chart.lines if line.role == "band"), None) if chart.kind == "correlation" else None
+    stops = []
+    for i, x in enumerate(chart.x):
+        parts = [f"{line.name} {line.y[i]:.3g}" for line in shown if np.isfinite(line.y[i])]
+        if len(shown) == 1:
+            parts = [part.removeprefix(f"{shown[0].name} ") for part in parts]
+        limit = "" if band is None else f", 95 % band ±{band[i]:.2g}"
+        if parts:
+            text = f"{name} {x:.3g} {unit}: {', '.join(parts)} {_unit(chart) if '[' in chart.y_label else ''}".rstrip()
+            stops.append(Stop(float(place(x)), f"{text}{limit}".replace(" -", " −")))
+    return tuple(stops)
 
 
 def _unit(chart: Chart) -> str:
@@ -165,10 +245,11 @@ def _y_range(chart: Chart) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _path(x: Array, y: Array, height: float) -> str:
-    """Relative path in integer steps; broken at NaN, long lines by their extremes."""
-    if x.size > 4 * COLUMNS:
-        x, y = (column.ravel() for column in extremes(x, y[:, None], COLUMNS))
+def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
+    """Relative path in integer steps; broken at NaN, long lines by their peaks."""
+    if x.size > 2 * columns:
+        kept = peaks(y, columns)
+        x, y = x[kept], y[kept]
     y = np.clip(y, -height, 2 * height)
     finite = np.isfinite(y)
     points = np.round(np.stack([x, np.where(finite, y, 0)], axis=1) * FINENESS).astype(int)
@@ -180,6 +261,21 @@ def _path(x: Array, y: Array, height: float) -> str:
             last = point
         here = bool(good)
     return "".join(parts).replace(" -", "-")
+
+
+def peaks(y: Array, stretches: int) -> Indices:
+    """Where a line has its smallest and its largest value in each of equal stretches, its ends, where holes begin.
+
+    Args:
+        y: Shape (N,); NaN in holes.
+        stretches: How many.
+    """
+    place = np.arange(y.size) * stretches // y.size
+    order, known = np.lexsort((y, place)), np.isfinite(y)
+    order = order[known[order]]
+    ends = np.flatnonzero(np.diff(place[order], prepend=-1, append=-1))
+    holes = np.flatnonzero(~known & np.concatenate([[True], known[:-1]]))
+    return np.unique(np.concatenate([order[ends[:-1]], order[ends[1:] - 1], holes, [0, y.size - 1]]).astype(np.intp))
 
 
 def _bars(x: Array, y: Array, zero: float) -> str:

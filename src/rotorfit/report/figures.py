@@ -48,7 +48,7 @@ STYLE: dict[Any, Any] = {
 }
 
 LOOK: Mapping[str, Mapping[str, Any]] = {
-    "measured": {"color": "#8b96a5", "linewidth": 1.3},
+    "measured": {"color": "#7a8593", "linewidth": 1.3},
     "model": {"color": "#0b57b7", "linewidth": 0.8},
     "paper": {"color": "#b4470b", "linewidth": 0.8, "linestyle": (0, (5, 2))},
     "hold": {"color": "#6f42c1", "linewidth": 0.9, "linestyle": (0, (1, 1.5))},

@@ -1,13 +1,75 @@
-"""Validation -> rows of the page's tables of scores, paired tests and residual tests, ready to print."""
+"""Model, validation, verdict -> rows of the page's tables, ready to print."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from rotorfit.evidence import LENGTH, SPEED, Score
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES
+from rotorfit.model import Model
 from rotorfit.paired import Difference, Paired
+from rotorfit.report.usable import Use
+from rotorfit.report.verdict import Verdict, better, errors_text
+from rotorfit.report.words import figure, sentences
 from rotorfit.validation import FlightScores, Validation
 from rotorfit.whiteness import ResidualTests
+
+ANSWERS = {
+    "yes": ("✓", "proven"),
+    "limited": ("~", "in part"),
+    "unproven": ("?", "not proven"),
+    "no": ("✗", "no"),
+    "missing": ("–", "no model"),
+}
+"""Answer to its sign and its word."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One axis at one horizon: answer, sign and word, errors of velocity and position, ratio, and all in a sentence."""
+
+    answer: str
+    sign: str
+    word: str
+    velocity: str
+    position: str
+    times: str
+    told: str
+
+
+def ahead_rows(verdict: Verdict) -> tuple[tuple[float, ...], list[tuple[str, list[Cell]]]]:
+    """Horizons, and for every axis and for the model as a whole a cell each."""
+    horizons = tuple(sorted({use.horizon for use in verdict.uses}))
+    rows = [(axis, [_cell(use) for use in verdict.uses if use.axis == axis]) for axis in AXES]
+    return horizons, [*rows, ("all", [_cell(use) for use in verdict.weakest])]
+
+
+def _cell(use: Use) -> Cell:
+    sign, word = ANSWERS[use.answer]
+    (reason,) = sentences([use.reason]) if use.reason else ("",)
+    place = f"{use.axis}, {use.horizon:g} s ahead: {word}."
+    if use.velocity is None:
+        return Cell(use.answer, sign, word, "", "", "", f"{place} {reason}")
+    told = f"{place} Errors {errors_text(use)}{better(use.times)}, over {use.n} predictions. {reason}".rstrip()
+    short = [text.replace("deg", "°") for text in errors_text(use).split(" and ")]
+    times = "" if use.times is None else f"{figure(use.times)} ×"
+    return Cell(use.answer, sign, word, short[0], short[1] if len(short) > 1 else "", times, told)
+
+
+def mode_rows(model: Model) -> list[list[str]]:
+    """The optima of every axis that has a model, the chosen one first."""
+    rows = []
+    for name in AXES:
+        axis = model.axes[name]
+        base = next((mode.log_likelihood for mode in axis.modes if mode.chosen), 0.0)
+        unit, factor = SPEED[name]
+        for mode in axis.modes if axis.predictor else ():
+            error = "—" if mode.prediction is None else f"{factor * mode.prediction:.3g} {unit}"
+            likelihood = f"{mode.log_likelihood - base:+.1f}".replace("-", "−")
+            word = "chosen" if mode.chosen else "rejected"
+            values = (f"{mode.delay:.3f} s", f"{mode.damping:.3g} 1/s", f"{mode.input:.3g}")
+            rows.append([name, word, *values, likelihood, error, str(mode.starts)])
+    return rows
 
 
 def score_rows(validation: Validation) -> list[list[str]]:

@@ -1,22 +1,30 @@
-"""Can this model be used, and how far ahead does it predict? In plain words, with a traffic light per axis."""
+"""Can this model be used, and how far ahead? In plain words, with traffic lights that agree with every test."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorfit.evidence import LENGTH, SPEED, Score
 from rotorfit.frames import AXES
 from rotorfit.model import Axis, Model
-
-USEFUL = 2.0
-"""How many times better than holding the velocity a model must predict to be called usable."""
-
-USELESS = 1.1
-"""Below this it is no better than holding the velocity."""
+from rotorfit.paired import PairedTest
+from rotorfit.report.usable import USEFUL, Use, reach, uses_of, weakest
+from rotorfit.report.words import and_list, chance, figure, sentences
+from rotorfit.whiteness import FINDING_LEVEL, LEVEL, ResidualTests
 
 PLANNING = 1.0
-"""Horizon that the verdict is about [s]."""
+"""Horizon that the headline is about [s]."""
 
-WORDS = {"green": "use it", "yellow": "with care", "red": "do not use", "grey": "no model"}
+COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", "missing": "grey"}
+"""Answer of the predictions to the colour of their lamp; `open` is an unlit lamp with a question mark."""
+
+DOUBT = 0.01
+"""p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
+
+MOST_REASONS = 2
+"""So many reasons stand beside a lamp; the rest are among the findings."""
+
+GRAVITY = ("red", "grey", "open", "yellow", "green")
+"""Colours from the worst to the best."""
 
 STATUS = {
     "not_excited": "its commands explain nothing of the motion",
@@ -27,16 +35,26 @@ STATUS = {
 
 
 @dataclass(frozen=True)
+class Lamp:
+    """One question about an axis: `green`, `yellow`, `red`, `open` (not proven) or `grey` (nothing to ask)."""
+
+    question: str
+    colour: str
+    word: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Light:
     """What is said of one axis.
 
     Attributes:
         axis: Name.
-        colour: `green`, `yellow`, `red`, or `grey` where there is no model.
-        word: In two words.
+        colour: The worst of its lamps.
+        word: In few words.
         error: Velocity error at the planning horizon, with unit; None where it was not scored.
         sentences: How well it predicts.
-        reasons: Why the light is not green.
+        lamps: The questions behind it: predictions, coefficients, residuals.
     """
 
     axis: str
@@ -44,7 +62,7 @@ class Light:
     word: str
     error: str | None
     sentences: tuple[str, ...]
-    reasons: tuple[str, ...]
+    lamps: tuple[Lamp, ...]
 
 
 @dataclass(frozen=True)
@@ -52,76 +70,138 @@ class Verdict:
     """The first thing that a reader sees.
 
     Attributes:
-        headline: One sentence.
-        horizon: That it is about [s].
+        headline: The answer for the planning horizon.
+        whole: What holds for all axes together, one or two sentences.
+        horizon: The planning horizon [s].
         lights: Of x, y, z, yaw.
+        uses: Every axis at every horizon.
+        weakest: Its weakest axis at every horizon.
     """
 
     headline: str
+    whole: str
     horizon: float
     lights: tuple[Light, ...]
+    uses: tuple[Use, ...]
+    weakest: tuple[Use, ...]
 
 
-def verdict_of(model: Model, scores: Sequence[Score]) -> Verdict:
-    """Judges a model by its scores on validation flights, its statuses and its findings.
+def verdict_of(
+    model: Model,
+    scores: Sequence[Score],
+    paired: Sequence[PairedTest] = (),
+    residuals: Sequence[Mapping[str, ResidualTests]] = (),
+    speeds: Mapping[str, float] | None = None,
+) -> Verdict:
+    """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
-    Green: scored on flights that command the axis and at least `USEFUL` times better than holding the velocity, all
-    coefficients known, no warning. Red: below `USELESS` times, or a finding that forbids its use. Grey: no model.
-    Yellow: all else, with the reasons.
+    Each axis has three lamps. Predictions: see `usable.uses_of`, at the planning horizon. Coefficients: green where
+    every one is known and no finding warns. Residuals: green where no test speaks against the model at 95 %. The light
+    of the axis is the worst of the three.
 
     Args:
         model: With its findings.
         scores: As `evidence.scores_of` gives them.
+        paired: Of the model against the baselines.
+        residuals: Axis to tests, a mapping a validation flight.
+        speeds: Axis to the speed up to which it was tested, SI.
     """
-    lights = tuple(_light(model, axis, [score for score in scores if score.axis == axis]) for axis in AXES)
-    horizon = _planning(scores).horizon if scores else PLANNING
-    return Verdict(_headline(lights, horizon), horizon, lights)
+    known = [axis for axis in AXES if model.axes[axis].predictor is not None]
+    uses = uses_of(scores, paired, known)
+    horizon = min({use.horizon for use in uses}, key=lambda h: abs(h - PLANNING))
+    lights = tuple(
+        _light(
+            model, axis, [use for use in uses if use.axis == axis], horizon,
+            [score for score in scores if score.axis == axis],
+            [each[axis] for each in residuals if axis in each],
+            (speeds or {}).get(axis),
+        )
+        for axis in AXES
+    )  # fmt: skip
+    wanted = [axis for axis in AXES if axis in model.card.command or axis in known]
+    together = weakest(uses, wanted)
+    return Verdict(_headline(lights), _whole(lights, together, uses, wanted, horizon), horizon, lights, uses, together)
 
 
-def _planning(scores: Sequence[Score]) -> Score:
-    """The score whose horizon is nearest to the one of the verdict."""
-    return min(scores, key=lambda score: abs(score.horizon - PLANNING))
-
-
-def _light(model: Model, axis: str, scores: Sequence[Score]) -> Light:
-    known = model.axes[axis]
+def _light(
+    model: Model,
+    axis: str,
+    uses: Sequence[Use],
+    horizon: float,
+    scores: Sequence[Score],
+    tests: Sequence[ResidualTests],
+    speed: float | None,
+) -> Light:
+    known, use = model.axes[axis], next(use for use in uses if use.horizon == horizon)
     if known.predictor is None:
-        colour = "red" if known.status["input"] == "diverged" else "grey"
-        return Light(axis, colour, "no model", None, (), _sentences([STATUS.get(known.status["input"], "no numbers")]))
-    forbidden = [f.evidence for f in model.findings if f.axis in (axis, None) and f.severity == "error"]
-    doubts = [f.evidence for f in model.findings if f.axis in (axis, None) and f.severity == "warning"]
-    planning = _planning(scores) if scores else None
-    error = planning.velocity.get("model") if planning else None
-    if planning is None or error is None:
-        told = "no validation flight commands this axis for long enough: how well it predicts is not known"
-        colour = "red" if forbidden else "yellow"
-        return Light(axis, colour, WORDS[colour], None, (), _sentences([*forbidden, told, *doubts]))
-    gain = _times(planning.velocity.get("hold"), error)
-    weak = []
-    if gain is not None and gain < USELESS:
-        forbidden.append(f"{planning.horizon:g} s ahead it predicts no better than holding the velocity")
-    elif gain is not None and gain < USEFUL:
-        weak.append("only a little better than holding the velocity on these flights: they may hardly move this axis")
-    reasons = [*forbidden, *weak, *doubts, *_unknown(known, model.method)]
-    colour = "red" if forbidden else "yellow" if reasons else "green"
+        status = known.status["input"]
+        colour = "red" if status == "diverged" else "grey"
+        (reason,) = sentences([STATUS.get(status, "no numbers")])
+        return Light(axis, colour, "no model", None, (), (Lamp("coefficients", colour, "unknown", reason),))
+    lamps = (_predictions(use), _coefficients(model, axis), _residuals(tests))
+    colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
     unit, factor = SPEED[axis]
-    said = _sentences([*_said(axis, planning, scores, model.method), *_answers(known)])
-    return Light(axis, colour, WORDS[colour], f"{figure(factor * error)} {unit}", said, _sentences(reasons))
+    error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
+    said = [] if use.velocity is None else _said(use, scores, model.method)
+    if use.velocity is not None and speed is not None:
+        said.append(f"tested at up to {_speed(axis, speed)}")
+    return Light(axis, colour, _word(colour, reach(uses)), error, sentences([*said, *_answers(known)]), lamps)
 
 
-def _times(other: float | None, own: float) -> float | None:
-    """How many times smaller the own error is."""
-    return other / own if other is not None and own > 0 else None
+def _word(colour: str, furthest: float | None) -> str:
+    upto = "" if furthest is None else f" up to {furthest:g} s"
+    return {"green": f"usable{upto}", "yellow": f"with care{upto and ',' + upto}", "open": "not proven"}.get(
+        colour, "do not use"
+    )
+
+
+def _predictions(use: Use) -> Lamp:
+    words = {"yes": "proven", "limited": "partly", "unproven": "not proven", "no": "useless"}
+    (text,) = sentences([use.reason or f"errors at most 1/{USEFUL:g} of holding the velocity, and that is no chance"])
+    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text)
+
+
+def _coefficients(model: Model, axis: str) -> Lamp:
+    """Whether they are known and nothing was found that warns of them."""
+    mine = [f for f in model.findings if f.axis in (axis, None) and not f.code.startswith("residuals_")]
+    forbidden = [f.evidence for f in mine if f.severity == "error"]
+    doubts = [*_unknown(model.axes[axis], model.method), *(f.evidence for f in mine if f.severity == "warning")]
+    if forbidden or doubts:
+        told = [*forbidden, *doubts]
+        more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
+        colour, word = ("red", "unusable") if forbidden else ("yellow", "in part")
+        return Lamp("coefficients", colour, word, " ".join(sentences(told[:MOST_REASONS])) + more)
+    return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
+
+
+def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
+    """Whether any test of any flight speaks against the model at 95 %."""
+    found = [(each.white_p, "not white") for each in tests]
+    found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
+    if not found:
+        return Lamp("residuals", "grey", "not tested", "No flight is long enough for the tests, or none is at hand.")
+    against = sorted(each for each in found if each[0] < LEVEL)
+    if not against:
+        return Lamp("residuals", "green", "clean", f"{len(found)} tests, the smallest {chance(min(found)[0])}.")
+    follows = [each for each in against if each[1] != "not white" and each[0] < FINDING_LEVEL]
+    p, what = (follows or against)[0]
+    if p >= DOUBT:
+        text = f"{what} ({chance(p)}): weak evidence, of tests of a right model one in 20 falls below 0.05"
+        return Lamp("residuals", "yellow", "in doubt", sentences([text])[0])
+    means = "the model leaves out part of the answer, other motion may be predicted worse"
+    text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
+    return Lamp("residuals", "yellow", "not clean", sentences([text])[0])
 
 
 def _unknown(known: Axis, method: str) -> list[str]:
     """Coefficients without numbers."""
-    lacking = {name: status for name, status in known.status.items() if status != "ok"}
-    told = [f"the {name} alone cannot be told: {STATUS.get(status, status)}" for name, status in lacking.items()]
-    if method == "paper" and "delay" in lacking:
-        told[list(lacking).index("delay")] = (
-            "the paper's method knows no delay: it predicts as if commands acted at once"
-        )
+    by: dict[str, list[str]] = {}
+    for name, status in known.status.items():
+        if status != "ok" and not (method == "paper" and name == "delay"):
+            by.setdefault(status, []).append(name)
+    told = [f"{and_list(names)} alone cannot be told: {STATUS.get(status, status)}" for status, names in by.items()]
+    if method == "paper":
+        told.append("the paper's method knows no delay: it predicts as if commands acted at once")
     return told
 
 
@@ -133,35 +213,44 @@ def _answers(known: Axis) -> list[str]:
     return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
 
 
-def _said(axis: str, planning: Score, scores: Sequence[Score], method: str) -> list[str]:
-    """How far off the predictions are, against the baselines, and at the longest horizon."""
-    unit, factor = SPEED[axis]
-    error = planning.velocity["model"]
-    assert error is not None
-    hold, paper = (_times(planning.velocity.get(name), error) for name in ("hold", "paper"))
-    ahead, quantity = f"{planning.horizon:g} s ahead", "yaw rate" if axis == "yaw" else f"{axis} velocity"
-    said = [f"{ahead} the {quantity} is off by {figure(factor * error)} {unit}{_better(hold, 'holding the velocity')}"]
-    if paper is not None and method != "paper":
-        said.append(f"beside the paper's coefficients: {_ratio(paper)}")
+def _said(use: Use, scores: Sequence[Score], method: str) -> list[str]:
+    """How far off the predictions are at the planning horizon and at the longest, against the baselines."""
+    said = [f"{use.horizon:g} s ahead: off by {errors_text(use)}{better(use.times)}"]
     last = max(scores, key=lambda score: score.horizon)
-    position = last.position.get("model")
-    if position is not None and last.horizon > planning.horizon:
-        unit, factor = LENGTH[axis]
-        other = _times(last.position.get("hold"), position)
-        what = "heading" if axis == "yaw" else "position"
-        off = f"the {what} is off by {figure(factor * position)} {unit}"
-        said.append(f"{last.horizon:g} s ahead {off}{_better(other, 'holding the velocity')}")
+    position, hold = last.position.get("model"), last.position.get("hold")
+    if position is not None and last.horizon > use.horizon:
+        times = hold / position if hold is not None and position > 0 else None
+        said.append(f"{last.horizon:g} s ahead: {_length(use.axis, position)}{better(times)}")
+    now = next(score for score in scores if score.horizon == use.horizon)
+    paper = now.velocity.get("paper")
+    if paper is not None and use.velocity and method != "paper":
+        said.append(f"beside the paper's coefficients: {_ratio(paper / use.velocity)}")
     return said
 
 
-def _better(times: float | None, than: str) -> str:
+def errors_text(use: Use) -> str:
+    """Velocity and position error with units, such as `1.7 cm/s and 0.85 cm`."""
+    unit, factor = SPEED[use.axis]
+    assert use.velocity is not None
+    speed = f"{figure(factor * use.velocity)} {unit}"
+    return speed if use.position is None else f"{speed} and {_length(use.axis, use.position)}"
+
+
+def _length(axis: str, position: float) -> str:
+    unit, factor = LENGTH[axis]
+    return f"{figure(factor * position)} {unit}"
+
+
+def _speed(axis: str, speed: float) -> str:
+    return f"{figure(SPEED['yaw'][1] * speed)} deg/s" if axis == "yaw" else f"{figure(speed)} m/s"
+
+
+def better(times: float | None) -> str:
+    """Comparison with holding the velocity, to be added to a sentence."""
     if times is None:
         return ""
-    return (
-        f", {figure(times)} times better than {than}"
-        if times >= 1
-        else f", {figure(1 / times)} times worse than {than}"
-    )
+    word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
+    return f", {figure(size)} times {word} than holding the velocity"
 
 
 def _ratio(times: float) -> str:
@@ -170,36 +259,51 @@ def _ratio(times: float) -> str:
     return f"{figure(times)} times better" if times > 1 else f"{figure(1 / times)} times worse"
 
 
-def _headline(lights: Sequence[Light], horizon: float) -> str:
-    """One sentence for all axes."""
-    by = {colour: [light.axis for light in lights if light.colour == colour] for colour in WORDS}
+def _headline(lights: Sequence[Light]) -> str:
+    """The answer for all axes, in the order yes, with care, not proven, no, no model."""
+    by = {colour: [light.axis for light in lights if light.colour == colour] for colour in GRAVITY}
     if len(by["grey"]) == len(lights):
         return "There is no model yet: no axis has numbers."
-    parts = []
-    if by["green"]:
-        parts.append(f"use it for {_and(by['green'])}")
-    if by["yellow"]:
-        parts.append(
-            f"with care for {_and(by['yellow'])}" if by["green"] else f"use it with care for {_and(by['yellow'])}"
+    words = {"green": "yes", "yellow": "with care", "open": "not proven", "red": "no"}
+    parts = [f"{word} for {and_list(by[colour])}" for colour, word in words.items() if by[colour]]
+    if len(parts) == 1 and not by["grey"]:
+        parts = [f"{parts[0].partition(' for ')[0]}, for every axis"]
+    missing = f" There is no model of {and_list(by['grey'])}." if by["grey"] else ""
+    told = "; ".join(parts)
+    return f"{told[:1].upper()}{told[1:]}.{missing}"
+
+
+def _whole(
+    lights: Sequence[Light], together: Sequence[Use], uses: Sequence[Use], wanted: Sequence[str], horizon: float
+) -> str:
+    """What holds for all axes that the card commands, taken together."""
+    if all(light.colour == "grey" for light in lights):
+        return "Nothing can be predicted."
+    now = next(use for use in together if use.horizon == horizon)
+    if now.answer == "missing":
+        lacking = and_list(
+            [u.axis for u in uses if u.horizon == horizon and u.answer == "missing" and u.axis in wanted]
         )
-    if by["red"]:
-        parts.append(f"not for {_and(by['red'])}" if parts else f"do not use it for {_and(by['red'])}")
-    missing = f" There is no model of {_and(by['grey'])}." if by["grey"] else ""
-    return f"To plan {horizon:g} s ahead, {', '.join(parts)}.{missing}"
+        return f"As a whole: no. There is no model of {lacking}, which can be commanded."
+    if now.answer == "unproven":
+        lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "unproven"])
+        return f"As a whole: not proven. No flight that was not fitted moves {lacking} for long enough."
+    if forbidden := _because(lights, "red"):
+        return f"As a whole: no, because of {forbidden}."
+    doubted, furthest = _because(lights, "yellow"), reach(together)
+    answer = f"with care, because of {doubted}" if doubted else "yes"
+    upto = f". The predictions are proven up to {furthest:g} s" if furthest else ""
+    return (
+        f"As a whole: {answer}{upto}; {horizon:g} s ahead the weakest axis is {now.axis}, off by {errors_text(now)}"
+        f"{better(now.times)}."
+    )
 
 
-def _and(names: Sequence[str]) -> str:
-    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
-
-
-def _sentences(texts: Sequence[str]) -> tuple[str, ...]:
-    """Each with a capital and a full stop, unless it begins with the name of an axis."""
-    return tuple(f"{t if t.split(' ')[0].strip(':') in AXES else t[:1].upper() + t[1:]}." for t in texts)
-
-
-def figure(value: float) -> str:
-    """A positive number with two digits, never in exponents: 0.92, 2.7, 11, 184."""
-    if value >= 10:
-        return f"{value:.0f}"
-    digits = 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
-    return f"{value:.{digits}f}"
+def _because(lights: Sequence[Light], colour: str) -> str:
+    """Which lamps of which axes have a colour: `the residuals of y and z`."""
+    by: dict[str, list[str]] = {}
+    for light in lights:
+        for lamp in light.lamps:
+            if lamp.colour == colour:
+                by.setdefault(lamp.question, []).append(light.axis)
+    return and_list([f"the {question} of {and_list(axes)}" for question, axes in by.items()])

@@ -1,8 +1,10 @@
 """Words of the page: definitions on hover, names of axes, numbers for people."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor, log10
 from types import MappingProxyType
+
+from rotorfit.frames import AXES
 
 TERMS: Mapping[str, str] = MappingProxyType(
     {
@@ -12,11 +14,37 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "steady gain": "g / b: speed that is reached in the end per unit of a command that lasts.",
         "total lag": "delay + 1 / b: by how much the speed trails behind a command that changes slowly.",
         "standard error": "Standard deviation that the estimate would have over repetitions of the flights.",
+        "estimate": "The most likely value, with as many digits as its uncertainty deserves.",
         "95 % interval": "Range that holds the true value in 95 of 100 repetitions, if the model is right.",
         "status": "ok; not excited: the command explains nothing; not identifiable: the data do not pin it down; "
         "diverged: no optimum; too short: too little data.",
         "paper": "What the paper's linear regression, without a delay, gives on the same training flights.",
         "RMS": "Root mean square: the typical size of an error.",
+        "velocity error": "Root mean square error of the predicted velocity, over all steps up to the horizon, on "
+        "flights that were not fitted.",
+        "position error": "Root mean square of the error of the predicted position (yaw: heading) at the end of the "
+        "horizon, on flights that were not fitted.",
+        "times better": "Error of holding the velocity over error of the model; of velocity and position the smaller.",
+        "proven": "The errors of velocity and position are at most half of those of holding the velocity, and a paired "
+        "test shows that this is no chance (95 %).",
+        "in part": "Better than holding the velocity, but less than twice, or not shown to be no chance.",
+        "not proven": "No flight that was not fitted moves this axis for long enough.",
+        "no": "Less than 1.1 times better than holding the velocity, or shown to be worse.",
+        "difference": "Error of this model less that of the other on the same starts, with its standard error; below "
+        " 0 this model is better.",
+        "at 95 %": "better, worse: the difference is no chance; no difference shown: it may be; too short: unknown.",
+        "predictions": "How many starts, 0.5 s apart, were predicted.",
+        "Ljung-Box": "Sum of squared autocorrelations; near the number of lags where the residuals are white.",
+        "past commands": "Whether the residuals follow commands from before them: then part of the answer is left out.",
+        "variance": "Size of the residuals beside that of the fit; more: this flight has more wind or noise.",
+        "too narrow by": "Factor by which the intervals would be too narrow for residuals of this colour.",
+        "expected": "What the meaning and the limits of the card make one expect.",
+        "ratio": "Estimate over what is expected.",
+        "log-likelihood": "How well the data agree, relative to the chosen optimum; a difference of 2 is notable.",
+        "count": "Number of samples, stamps or rows that were concerned.",
+        "span": "Seconds of the log that were used, from the first command on.",
+        "wanted": "2 % of the input gain, 5 % of the damping, 5 ms of the delay: what a controller does not feel.",
+        "beside wanted": "Standard error over what is wanted; above 1 another flight helps.",
         "RMSE": "Root mean square error over all predictions.",
         "horizon": "How long before the predicted instant the last measurement was made.",
         "holding the velocity": "Naive prediction: the vehicle keeps the velocity that it has.",
@@ -44,6 +72,11 @@ COEFFICIENT = MappingProxyType(
 """Coefficient to its term."""
 
 
+def slug(term: str) -> str:
+    """A term as part of an anchor."""
+    return "".join(c if c.isalnum() else "-" for c in term)
+
+
 def term_of(name: str) -> str:
     """Term of a coefficient, a further parameter of a structure, or a combination."""
     return COEFFICIENT.get(name, name.replace("_", " "))
@@ -69,3 +102,26 @@ def rounded(value: float | None, scale: float | None = None) -> str:
     if digits > 6 or abs(value) >= 1e6:
         return f"{value:.3g}"
     return f"{round(value, digits):.{max(digits, 0)}f}".replace("-", "−")
+
+
+def figure(value: float) -> str:
+    """A positive number with two digits, never in exponents: 0.92, 2.7, 11, 184."""
+    if value >= 10:
+        return f"{value:.0f}"
+    digits = 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
+    return f"{value:.{digits}f}"
+
+
+def chance(p: float) -> str:
+    """A p-value for people."""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+
+
+def and_list(names: Sequence[str]) -> str:
+    """`x, y and z`."""
+    return " and ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
+
+
+def sentences(texts: Sequence[str]) -> tuple[str, ...]:
+    """Each with a capital and a full stop, unless it begins with the name of an axis."""
+    return tuple(f"{t if t.split(' ')[0].strip(':') in AXES else t[:1].upper() + t[1:]}." for t in texts)

@@ -1,6 +1,6 @@
 """What all bags share: messages, one after the other, become tables with `log_time`."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,7 +36,7 @@ class _Stream:
         blocks: Times and messages, before those, that came many at once.
         rows: Messages that wait to be decoded.
         waiting: Bytes of them.
-        columns: Name to what is decoded, with room for more at the end: memory that is not written to is not taken.
+        columns: Name to what is decoded, with room for more at the end.
         filled: Rows decoded.
         uneven: Names of columns that differ in shape from message to message.
     """
@@ -125,6 +125,22 @@ class Collector:
     def pass_over(self, topic: Topic, count: int) -> None:
         """Counts messages of a topic that is not wanted."""
         self._of_topic[topic].count += count
+
+    def passed_over(self, topics: Mapping[int, Topic], index: Mapping[int, Sized]) -> bool:
+        """Only counts the messages that the index of a chunk names, if it names known topics and none that is wanted.
+
+        Args:
+            topics: Those known so far, by number.
+            index: Number of a topic to the places of its messages in the chunk.
+
+        Returns:
+            Whether the chunk need not be unpacked.
+        """
+        if not index or not all(number in topics and not self.wants(topics[number]) for number in index):
+            return False
+        for number, places in index.items():
+            self.pass_over(topics[number], len(places))
+        return True
 
     def add(self, topic: Topic, time: int, data: bytes) -> None:
         """Takes one message, recorded at `time` [ns].
@@ -256,6 +272,10 @@ class Collector:
             types = self._types_of(topic)
         except DamageError as error:
             return _Stream(topic, None, str(error))
+        if topic.msgtype.endswith("/TFMessage"):
+            return _Stream(
+                topic, None, "lists of transforms; record the vehicle's pose as PoseStamped or TransformStamped"
+            )
         if not has_numbers(types, topic.msgtype):
             return _Stream(topic, None, "holds no numbers outside of lists of other types")
         return _Stream(topic, types, "")
@@ -328,16 +348,15 @@ def _append(stream: _Stream, batch: dict[str, Column]) -> None:
     """Puts a batch behind what is decoded; columns that are not alike in all batches are left out."""
     start, stop = stream.filled, stream.filled + len(batch["log_time"])
     if start == 0:
-        stream.columns = batch
+        stream.columns = {name: np.array(values, order="C") for name, values in batch.items()}  # its own: it will grow
     else:
         alike = {name for name, values in stream.columns.items() if name in batch and _are_alike(values, batch[name])}
         stream.uneven |= (stream.columns.keys() | batch.keys()) - alike
         stream.columns = {name: values for name, values in stream.columns.items() if name in alike}
         for name, values in stream.columns.items():
-            if len(values) < stop:  # twice the room: all copies together are as much as the column
-                stream.columns[name] = np.empty((2 * stop, *values.shape[1:]), values.dtype)
-                stream.columns[name][:start] = values[:start]
-            stream.columns[name][start:stop] = batch[name]
+            if len(values) < stop:  # in its place: the system moves large ones without a copy
+                values.resize((stop + stop // 8, *values.shape[1:]), refcheck=False)
+            values[start:stop] = batch[name]
     stream.filled = stop
 
 

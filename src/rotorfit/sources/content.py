@@ -9,11 +9,12 @@ import numpy as np
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Event, Table
 
-LIMIT = 1 << 30
+LIMIT = 1 << 29
 """Most bytes that one log's decoded numbers, or one of its arrays, may take: about 15 hours of poses at 120 Hz."""
 
-BLOCK_LIMIT = 1 << 28
-"""Most bytes that one record, or one packed block, of a bag may take: recorders end a chunk at about one MiB."""
+BLOCK_LIMIT = 1 << 26
+"""Most bytes that one record, or one packed block, of a bag may take: recorders end a chunk at about one MiB. A block
+of tiny messages takes four times as much while it is taken apart."""
 
 WIDEST = 64
 """Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""

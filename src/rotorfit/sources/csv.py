@@ -1,7 +1,8 @@
 """CSV: one header row of names, then rows of numbers between commas, semicolons or tabs.
 
 Spreadsheets of half the world write `0,5` for a half and put semicolons between: that is understood. Lines with a
-wrong number of cells (a cut last line, a line torn by a full disk) are left out with a note.
+wrong number of cells (a cut last line, a line torn by a full disk) are left out with a note. Dates of ISO 8601 become
+nanoseconds since 1970, times of day since midnight; stamps in two columns of seconds and nanoseconds get one besides.
 """
 
 import csv
@@ -26,6 +27,9 @@ _SEPARATORS = ",;\t"
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _BLOCK = 1 << 20
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+_COMMENTS = (b"#", b"%")
+_DATE = r"^(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:\.\d{1,9})?)(Z|[+-]\d\d:?\d\d)?$"
+_STAMP_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
@@ -51,12 +55,39 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
     """Whether text begins: a row of names (or numbers), below it, if anything, cells with a number among them."""
     if head.startswith(_UTF16_MARKS):
         return True
-    text = head.removeprefix(UTF8_MARK).decode("utf-8", errors="replace")
-    lines = [line for line in text.split("\n")[:100] if line.strip()][:2]
-    if not lines or not all(char.isprintable() or char in "\t\r" for line in lines for char in line):
+    head = head.removeprefix(UTF8_MARK)
+    start, end = _header(head)
+    lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:2]
+    text = [line.decode("utf-8", errors="replace") for line in lines if line.strip()]
+    if not text or not all(char.isprintable() or char in "\t\r" for line in text for char in line):
         return False
-    names, *rows = (cells(line, separator_of(lines[0])) for line in lines)
-    return len(names) > 1 and all(len(row) > 1 and any(map(NUMBER.fullmatch, row)) for row in rows)
+    names, *rows = (cells(line, separator_of(text[0])) for line in text)
+    return len(names) > 1 and all(len(row) > 1 and any(map(_is_value, row)) for row in rows)
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number or a date."""
+    return NUMBER.fullmatch(cell) is not None or re.match(_DATE, cell) is not None
+
+
+def _header(data: bytes) -> tuple[int, int]:
+    """Where the row of names begins and ends: below comments, or the last of these where numbers follow at once."""
+    last, end = (0, 0), -1
+    while True:
+        start = end + 1
+        while data[start : start + 1].isspace():
+            start += 1
+        end = data.find(b"\n", start)
+        end = len(data) if end < 0 else end
+        if not data[start:end].startswith(_COMMENTS):
+            break
+        while data[start : start + 1] in _COMMENTS or data[start : start + 1] == b" ":
+            start += 1
+        last = start, end
+    first, names = (data[low:high].decode(errors="replace") for low, high in ((start, end), last))
+    row = cells(first, separator_of(first))
+    named = last[1] and len(row) == len(cells(names, separator_of(names))) and any(map(NUMBER.fullmatch, row))
+    return last if named else (start, end)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a CSV is one table
@@ -67,18 +98,30 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     """
     notes: list[str] = []
     data = text_of(path)
-    blank = len(data) - len(data.lstrip())
-    end = data.find(b"\n", blank)
-    end = len(data) if end < 0 else end
-    header = data[blank:end].decode()
+    start, end = _header(data)
+    header = data[start:end].decode()
     separator = separator_of(header)
     names = cells(header, separator)
     if len(names) < 2:
         raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
     if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
-    columns = columns_below(path, data, (end + 1, len(data)), names, separator, notes)
+    columns = _with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+
+
+def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
+    """Stamps in two columns (`header.stamp.secs`, `header.stamp.nsecs`) are put together as one besides."""
+    stamps: dict[str, Column] = {}
+    for whole, rest in _STAMP_PARTS:
+        for name, seconds in columns.items():
+            stem = name.removesuffix(whole)
+            part = columns.get(stem + rest)
+            if part is None or not name.endswith((f".{whole}", f"_{whole}")) or stem[:-1] in {"", *columns}:
+                continue
+            if seconds.dtype == part.dtype == np.int64:
+                stamps[stem[:-1]] = seconds * 1_000_000_000 + part
+    return stamps | columns
 
 
 def text_of(path: Path) -> bytes:
@@ -294,7 +337,9 @@ def _numbers(series: "pl.Series") -> Column | None:
         folded = series.str.to_lowercase()
         if folded.is_in(["true", "false"]).all() and not series.null_count():
             return (folded == "true").to_numpy(writable=True)
-        series = next((parsed for parsed in _parsed(series) if parsed.null_count() == series.null_count()), series)
+        whole = series.null_count()
+        series = next((parsed for parsed in _parsed(series) if parsed.null_count() == whole), series)
+        series = series if series.dtype != pl.String or whole else _dates(series)
     if series.dtype in (pl.Int64, pl.Boolean) and not series.null_count():
         return series.to_numpy(writable=True)
     if series.dtype.is_numeric() or series.dtype == pl.Boolean:
@@ -307,3 +352,21 @@ def _parsed(text: "pl.Series") -> "list[pl.Series]":
     import polars as pl
 
     return [text.cast(pl.Int64, strict=False), text.cast(pl.Float64, strict=False)]
+
+
+def _dates(text: "pl.Series") -> "pl.Series":
+    """A column of dates as nanoseconds since 1970, of times of day since midnight; else the text as it was."""
+    import polars as pl
+
+    days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))
+    if clock.null_count() or days.null_count() not in (0, len(days)):
+        return text
+    joined = days.fill_null("1970-01-01") + "T" + clock
+    stamps = joined.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False).to_physical()
+    if stamps.null_count():
+        return text
+    digits = zone.str.replace(":", "").str.extract(r"^[+-](\d{4})$", 1).cast(pl.Int64).fill_null(0)
+    ahead = (digits // 100 * 3600 + digits % 100 * 60) * (
+        1 - 2 * zone.str.starts_with("-").fill_null(False).cast(pl.Int64)
+    )
+    return stamps - ahead * 1_000_000_000

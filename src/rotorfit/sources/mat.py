@@ -18,7 +18,7 @@ import numpy as np
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
-from rotorfit.sources.content import LIMIT, Content, DamageError, check_size, column_from, listed, one_line
+from rotorfit.sources.content import LIMIT, Content, DamageError, column_from, listed, one_line
 
 _Order = Literal["little", "big"]
 
@@ -32,6 +32,7 @@ _CLASSES = dict(zip(range(6, 16), ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4
 _STRUCT, _OPAQUE = 2, 17  # the second is not in the format's document: an object, which has a name but no sizes
 _LOGICAL, _COMPLEX = 0x0200, 0x0800
 _DEEPEST = 16
+_PIECE = 1 << 20  # bytes that are unpacked at once
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
             try:
                 _take(kind, file.read(length), order, columns, others, notes)
             except DamageError as error:
-                notes.append(f"a variable left out because it is damaged: {error}")
-            check_size(path, columns.values())
+                notes.append(f"a variable left out because it is damaged or too large: {error}")
     if others:
         notes.append(f"variables left out because they are not arrays of numbers: {listed(others)}")
     if not columns:
@@ -87,8 +87,9 @@ def _take(
     kind: int, content: bytes, order: _Order, columns: dict[str, Column], others: list[str], notes: list[str]
 ) -> None:
     """Puts one variable of the file into the columns."""
+    room = LIMIT - _size(columns)
     if kind == _COMPRESSED:
-        kind, inner = next(_elements(memoryview(_inflated(content)), order), (0, memoryview(b"")))
+        kind, inner = next(_elements(memoryview(_inflated(content, order, room)), order), (0, memoryview(b"")))
     else:
         inner = memoryview(content)
     if kind != _MATRIX:
@@ -97,20 +98,38 @@ def _take(
     if not matrix.name:  # MATLAB's own store behind objects
         return
     found: dict[str, Column] = {}
-    _gather(matrix, matrix.name, order, found, others, 0)
+    _gather(matrix, matrix.name, order, found, others, room, 0)
     notes += [f"{name} is there more than once; the last one is used" for name in found if name in columns]
     columns |= found
 
 
-def _inflated(content: bytes) -> bytes:
-    """A compressed variable unpacked."""
+def _size(columns: dict[str, Column]) -> int:
+    return sum(values.nbytes for values in columns.values())
+
+
+def _inflated(content: bytes, order: _Order, room: int) -> bytearray:
+    """A compressed variable unpacked, as long as its own head says, which is checked before anything is unpacked."""
     inflater = zlib.decompressobj()
+    plain, filled = bytearray(8), 0
     try:
-        plain = inflater.decompress(content, LIMIT)
+        for start in range(0, len(content), _PIECE):
+            rest = content[start : start + _PIECE]
+            while rest:
+                part = inflater.decompress(rest, _PIECE if filled else 8)
+                rest = inflater.unconsumed_tail
+                end = min(filled + len(part), len(plain))
+                plain[filled:end] = part[: end - filled]
+                if filled == 0 and end == 8:
+                    size = 8 + int.from_bytes(plain[4:], order)
+                    if size > room:
+                        raise DamageError(f"with it the file unpacks to more than {LIMIT >> 20} MiB")
+                    plain = bytearray(size)  # pages that are not written to take no memory
+                    plain[:8] = part
+                filled = end
+                if not part:
+                    break
     except zlib.error as error:
         raise DamageError(f"it does not unpack ({one_line(error)})") from error
-    if inflater.unconsumed_tail:
-        raise DamageError(f"it unpacks to more than {LIMIT >> 20} MiB")
     if not inflater.eof:
         raise DamageError("it ends before its checksum")
     return plain
@@ -148,15 +167,15 @@ def _matrix(content: memoryview, order: _Order) -> _Matrix:
 
 
 def _gather(
-    matrix: _Matrix, name: str, order: _Order, columns: dict[str, Column], others: list[str], depth: int
+    matrix: _Matrix, name: str, order: _Order, columns: dict[str, Column], others: list[str], room: int, depth: int
 ) -> None:
     """Puts an array, or the arrays in a structure, into the columns."""
     if matrix.kind == _STRUCT and prod(matrix.sizes) == 1 and depth < _DEEPEST:
         for label, content in _fields(matrix, order):
             if len(content):  # MATLAB writes an empty field without a head
-                _gather(_matrix(content, order), f"{name}.{label}", order, columns, others, depth + 1)
+                _gather(_matrix(content, order), f"{name}.{label}", order, columns, others, room, depth + 1)
     elif matrix.kind in _CLASSES and not matrix.flags & _COMPLEX and sum(size != 1 for size in matrix.sizes) <= 2:
-        columns[name] = _array(matrix, order)
+        columns[name] = _array(matrix, order, room - _size(columns))
     else:
         others.append(name)
 
@@ -175,18 +194,18 @@ def _fields(matrix: _Matrix, order: _Order) -> Iterator[tuple[str, memoryview]]:
         yield bytes(text[start : start + width]).partition(b"\0")[0].decode("utf-8", errors="replace"), content
 
 
-def _array(matrix: _Matrix, order: _Order) -> Column:
+def _array(matrix: _Matrix, order: _Order, room: int) -> Column:
     """Numbers of a matrix, in MATLAB's type, columns first as MATLAB stores them."""
     kind, content = next(matrix.elements, (0, memoryview(b"")))
     number = bool if matrix.flags & _LOGICAL else _CLASSES[matrix.kind]
-    if prod(matrix.sizes) * np.dtype(number).itemsize > LIMIT:
-        raise DamageError(f"an array of more than {LIMIT >> 20} MiB")
+    if prod(matrix.sizes) * np.dtype(number).itemsize > room:
+        raise DamageError(f"with it there are more than {LIMIT >> 20} MiB of numbers")
     stored = _numbers(kind, content, order) if prod(matrix.sizes) else np.zeros(0)
     if len(stored) != prod(matrix.sizes) or any(size < 0 for size in matrix.sizes):
         raise DamageError(f"{len(stored)} numbers for sizes {matrix.sizes}")
     values = stored.reshape(matrix.sizes, order="F")
     with np.errstate(invalid="ignore"):  # damaged numbers may not fit
-        return column_from(values.astype(number))
+        return column_from(values.astype(number, copy=False))
 
 
 def _numbers(kind: int, content: memoryview, order: _Order) -> Column:

@@ -4,6 +4,7 @@ HDF5 stores MATLAB's arrays by rows where MATLAB has columns: they come transpos
 """
 
 from collections.abc import Collection
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from rotorfit.errors import LogError
 from rotorfit.log import Column, Table
-from rotorfit.sources.content import LIMIT, Content, check_size, column_from, listed, one_line
+from rotorfit.sources.content import BLOCK_LIMIT, LIMIT, Content, check_size, column_from, listed, one_line
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512  # where MATLAB writes its own header
@@ -39,7 +40,6 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     try:
         with h5py.File(path, "r") as file:
             _gather(file, "", columns, others, 0)
-            check_size(path, columns.values())
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise LogError(f"{path}: damaged HDF5 ({one_line(error)}); copy the file again") from error
     if not columns:
@@ -63,6 +63,7 @@ def _gather(group: Any, prefix: str, columns: dict[str, Column], others: list[st
             _gather(item, f"{name}.", columns, others, depth + 1)
         elif isinstance(item, h5py.Dataset) and _is_numeric(item):
             columns[name] = _array(item)
+            check_size(Path(item.file.filename), columns.values())
         else:
             others.append(name)
 
@@ -73,6 +74,7 @@ def _is_numeric(item: Any) -> bool:
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
     inside = not item.external and not item.is_virtual
     small = item.dtype.kind in "biuf" and item.size is not None and item.size * item.dtype.itemsize <= LIMIT
+    small = small and prod(item.chunks or (0,)) * item.dtype.itemsize <= BLOCK_LIMIT  # one is unpacked as a whole
     return kind in _CLASSES and inside and small and sum(length != 1 for length in item.shape) <= 2
 
 

@@ -128,7 +128,10 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, start: int, length: int) -> None:
 
 def _take(file: BinaryIO, chunk: _Chunk | None, known: _Known, collector: Collector) -> None:
     """Takes the messages of a chunk; damage inside costs the rest of this chunk only."""
-    if chunk is None or _passed_over(chunk, known.topics, collector):
+    if chunk is None:
+        return
+    eventful = any(number in known.topics and _tells_events(known.topics[number]) for number in chunk.index)
+    if not eventful and collector.passed_over(known.topics, chunk.index):
         return
     try:
         plain, size = _plain(_data(file, chunk.start, chunk.length))
@@ -138,17 +141,6 @@ def _take(file: BinaryIO, chunk: _Chunk | None, known: _Known, collector: Collec
     except DamageError as error:
         end = chunk.start + chunk.length
         collector.note(f"the chunk that ends at byte {end} is damaged ({error}); read up to the damage")
-
-
-def _passed_over(chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> bool:
-    """Only counts the messages of a chunk whose index names known topics and none that is wanted."""
-    if not chunk.index or not all(number in topics for number in chunk.index):
-        return False
-    if any(_tells_events(topics[number]) or collector.wants(topics[number]) for number in chunk.index):
-        return False
-    for number, places in chunk.index.items():
-        collector.pass_over(topics[number], len(places))
-    return True
 
 
 def _plain(data: bytes) -> tuple[bytes, int]:

@@ -12,7 +12,8 @@ from rotorfit.log import Column
 if TYPE_CHECKING:
     import polars as pl
 
-_ADDRESSES = 4  # times the bound on numbers: what allocators reserve and never use counts
+_PROCESS = 900 << 20  # bytes that the process may write to, 135 MiB of polars' own among them
+_LONGEST = 4  # columns of the longest kind that fit: each is unpacked and copied as a whole
 
 
 def columns_to(path: Path, folder: Path, limit: int) -> dict[str, list[str]]:
@@ -32,7 +33,7 @@ def columns_to(path: Path, folder: Path, limit: int) -> dict[str, list[str]]:
         schema = pl.read_parquet_schema(path)
         count = int(pl.scan_parquet(path).select(pl.len()).collect().item())
         names = [name for name, kind in schema.items() if kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean]
-        if count * len(names) * 8 > limit:
+        if count * len(names) * 8 > limit or count * 8 > limit / _LONGEST:
             return {"problem": [f"more than {limit >> 20} MiB of numbers; cut the log to the flight that you need"]}
         for index, name in enumerate(names):
             series = pl.read_parquet(path, columns=[name], use_statistics=False).to_series()
@@ -57,18 +58,18 @@ def _numbers(series: "pl.Series") -> Column:
     return np.ascontiguousarray(series.to_numpy())
 
 
-def _bound_memory(limit: int) -> None:
+def _bound_memory() -> None:
     """Keeps a file that claims huge sizes from taking the memory of the machine, where the system can."""
     try:
         import resource
     except ImportError:  # not on Windows
         return
-    resource.setrlimit(resource.RLIMIT_AS, (limit * _ADDRESSES, limit * _ADDRESSES))
+    resource.setrlimit(resource.RLIMIT_DATA, (_PROCESS, _PROCESS))
 
 
 def _main(words: list[str]) -> None:
     path, folder, limit = Path(words[0]), Path(words[1]), int(words[2])
-    _bound_memory(limit)
+    _bound_memory()
     answer: dict[str, Any] = columns_to(path, folder, limit)
     (folder / "columns.json").write_text(json.dumps(answer), encoding="utf-8")
 

@@ -125,7 +125,7 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, header: _Header, start: int, leng
 
 def _take(file: BinaryIO, chunk: _Chunk | None, topics: dict[int, Topic], collector: Collector) -> None:
     """Takes the messages of a chunk; damage inside costs the rest of this chunk only."""
-    if chunk is None or _passed_over(chunk, topics, collector):
+    if chunk is None or collector.passed_over(topics, chunk.index):
         return
     try:
         size = _number(chunk.header, b"size", _U32)
@@ -138,17 +138,6 @@ def _take(file: BinaryIO, chunk: _Chunk | None, topics: dict[int, Topic], collec
     except DamageError as error:
         end = chunk.start + chunk.length
         collector.note(f"the chunk that ends at byte {end} is damaged ({error}); read up to the damage")
-
-
-def _passed_over(chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> bool:
-    """Only counts the messages of a chunk whose index names known topics and none that is wanted."""
-    if not chunk.index or not all(number in topics for number in chunk.index):
-        return False
-    if any(collector.wants(topics[number]) for number in chunk.index):
-        return False
-    for number, places in chunk.index.items():
-        collector.pass_over(topics[number], len(places))
-    return True
 
 
 def _messages(plain: bytes, hints: Places, topics: dict[int, Topic], collector: Collector) -> None:

@@ -14,13 +14,13 @@ from rotorfit.errors import LogError
 from rotorfit.sources import mcap
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import ZSTD_MAGIC, unpack_file
-from rotorfit.sources.content import BLOCK_LIMIT, LIMIT, Content, DamageError, one_line
+from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, one_line
 from rotorfit.sources.messages import Topic, normal_type
 from rotorfit.sources.sqlite_leaves import rows_left, rows_of_table
 
 _MAGIC = b"SQLite format 3\0"
 _FIRST_ROW = -(1 << 63)
-_UNPACKED_LIMIT = 16 * LIMIT  # on disk
+_UNPACKED_LIMIT = 1 << 34  # on disk
 
 _Row = tuple[int, object, object, object]  # rowid, topic, time, message, of whatever types a stranger chose
 

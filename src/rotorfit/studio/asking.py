@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from rotorfit.card import builtin_card_text
+from rotorfit.card_file import builtin_card_text
 from rotorfit.errors import RotorfitError
 from rotorfit.frames import AXES, Array
 from rotorfit.structure import STRUCTURES

@@ -6,7 +6,8 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from rotorfit.card import Card, card_from_mapping
+from rotorfit.card import Card
+from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError
 from rotorfit.frames import AXES, UNIT_SCALE
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from rotorfit.card import raw_column, table_of
+from rotorfit.card_columns import raw_column, table_of
 from rotorfit.clock import MISSING_STAMP, stamps_of
 from rotorfit.columns import clock_of
 from rotorfit.errors import LogError, RotorfitError

@@ -11,16 +11,16 @@ from rotorfit import __version__
 from rotorfit.clock import rate, stamps_of
 from rotorfit.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.errors import CardError
-from rotorfit.evidence import coefficient_rows, horizon_charts, profile_charts, scores_of
+from rotorfit.evidence import horizon_charts, profile_charts, scores_of
 from rotorfit.flight import Flight
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES, Array
 from rotorfit.log import Log
 from rotorfit.model import Model, with_findings
 from rotorfit.pipeline import Comparison
+from rotorfit.report.coefficient_table import coefficient_table
 from rotorfit.report.rows import pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import verdict_of
-from rotorfit.report.words import rounded, term_of
 from rotorfit.studio.card_lines import QUANTITIES, card_from_text, parsed
 from rotorfit.studio.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
 from rotorfit.summary import summary_of_model
@@ -44,7 +44,7 @@ def session_mapping(session: Session, running: Running | None) -> dict[str, Any]
 
 def constants_mapping() -> dict[str, Any]:
     """What does not change while the studio runs."""
-    from rotorfit.card import LIMIT_UNITS, builtin_cards
+    from rotorfit.card_file import LIMIT_UNITS, builtin_cards
     from rotorfit.structure import STRUCTURES
 
     return {
@@ -130,13 +130,17 @@ def result_mapping(
     """What the page shows of a fit."""
     model = with_findings(model, (*model.findings, *validation.findings))
     scores = scores_of(validation, flights)
-    verdict = verdict_of(model, scores)
+    verdict = verdict_of(model, scores, validation.paired, validation.residuals)
     with_paper = model.method != "paper"
     return {
         "headline": verdict.headline,
+        "whole": verdict.whole,
+        "horizon": verdict.horizon,
         "summary": summary_of_model(model),
         "lights": [asdict(light) for light in verdict.lights],
-        "coefficients": _coefficients(model),
+        "coefficients": [
+            {"axis": axis, "rows": [asdict(row) for row in rows]} for axis, rows in coefficient_table(model)
+        ],
         "findings": [asdict(finding) for finding in model.findings],
         "pooled": pooled_rows(scores),
         "scores": score_rows(validation) if len(validation.flights) > 1 else [],
@@ -153,29 +157,6 @@ def result_mapping(
             for source in model.flights
         ],
     }
-
-
-def _coefficients(model: Model) -> list[dict[str, Any]]:
-    """Rows of the table, with texts that have as many digits as the intervals earn."""
-    rows = []
-    for row in coefficient_rows(model):
-        width = None if row.low is None or row.high is None else (row.high - row.low) / 4
-        scale = row.stderr or width
-        ends = ["open" if end is None else rounded(end, scale) for end in (row.low, row.high)]
-        rows.append(
-            {
-                "axis": row.axis,
-                "name": term_of(row.name),
-                "combination": row.name in model.axes[row.axis].combinations,
-                "value": rounded(row.value, scale),
-                "interval": "—" if row.low is None and row.high is None else f"{ends[0]} to {ends[1]}",
-                "unit": row.unit,
-                "status": row.status.replace("_", " "),
-                "paper": rounded(row.paper, scale),
-                "numbers": [row.value, row.low, row.high, row.paper],
-            }
-        )
-    return rows
 
 
 def _view_mapping(view: FlightView) -> dict[str, Any]:

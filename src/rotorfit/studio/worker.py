@@ -16,7 +16,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from rotorfit.card import load_card
+from rotorfit.card_file import load_card
 from rotorfit.errors import RotorfitError
 from rotorfit.flight import Flight
 from rotorfit.forecast import CURVE
@@ -80,7 +80,7 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     _write_result(folder, result)
     progress(PROVING + 0.02, "writing the report")
     write_report(fitted.model, fitted.flights, validation, flights, folder / "report.html")
-    return str(result["headline"])
+    return f"{result['horizon']:g} s ahead: {result['headline']}"
 
 
 def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:

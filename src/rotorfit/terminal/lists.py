@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 
 from rich.text import Text
 
-from rotorfit.card import Card, Channel, split_source
+from rotorfit.card import Card, Channel
+from rotorfit.card_columns import split_source
 from rotorfit.terminal.tables import View, indented, table, title
 
 FORMATS = {

@@ -6,19 +6,20 @@ import {DrawnChart, legendOf} from "./plot.js";
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
 const OPEN = 2; // flights that are unfolded from the start
-const LIGHT = {green: "use it", yellow: "with care", red: "do not use", grey: "no model"};
 
 export function resultView(fit, found) {
   const file = name => `/api/fits/${fit.id}/${name}`;
   const validation = found.flights.filter(one => one.role === "validation"), training = found.flights.filter(one => one.role === "training");
   return [
     h("article", {className: "panel verdict"},
+      h("p", {className: "muted question"}, `Can I use this model for a controller that looks ${found.horizon} s ahead?`),
       h("h2", {className: "headline"}, found.headline),
       h("div", {className: "lights"}, found.lights.map(light => h("div", {className: `light ${light.colour}`},
-        h("h3", {}, light.axis, h("span", {className: "word"}, light.word || LIGHT[light.colour])),
-        light.error ? h("p", {className: "error-figure"}, h("strong", {}, light.error), " off, 1 s ahead") : null,
+        h("h3", {}, light.axis, h("span", {className: "word"}, light.word)),
+        light.error ? h("p", {className: "error-figure"}, h("strong", {}, light.error), ` off, ${found.horizon} s ahead`) : null,
         light.sentences.map(line => h("p", {}, line)),
-        light.colour === "grey" ? light.reasons.map(line => h("p", {className: "muted"}, line)) : light.reasons.length ? h("details", {}, h("summary", {}, `${light.reasons.length} ${light.reasons.length === 1 ? "reason" : "reasons"} for care`), h("ul", {}, light.reasons.map(line => h("li", {}, line)))) : null))),
+        h("ul", {className: "lamps"}, light.lamps.map(lamp => h("li", {className: lamp.colour}, h("strong", {}, lamp.question), " ", h("span", {className: "word"}, lamp.word), lamp.colour === "green" ? null : h("p", {className: "muted"}, lamp.text))))))),
+      h("p", {}, found.whole),
       h("p", {className: "muted"}, found.summary),
       h("div", {className: "bar downloads"},
         h("a", {className: "button primary", href: `${file("report.html")}`, target: "_blank", rel: "noopener"}, "Open the report"),
@@ -47,28 +48,22 @@ function lazily(make) { // charts have no width before they are shown
   return place;
 }
 
-function coefficients(rows) {
-  const axes = [...new Set(rows.map(row => row.axis))];
+function coefficients(axes) {
   return h("div", {className: "scroll"}, h("table", {className: "coefficients"},
     h("thead", {}, h("tr", {}, ["Axis", "Coefficient", "Estimate", "95 % interval", "◇ paper", "Unit", "Status", "Paper"].map((head, i) => h("th", {className: [2, 7].includes(i) ? "number" : ""}, head)))),
-    axes.map(axis => h("tbody", {}, rows.filter(row => row.axis === axis).map((row, i) => h("tr", {className: row.combination ? "combination" : ""},
-      h("th", {}, i ? "" : axis), h("td", {}, row.name), h("td", {className: "number strong"}, row.value), h("td", {}, row.interval), h("td", {className: "bar-cell"}, interval(row)),
-      h("td", {className: "muted"}, row.unit), h("td", {className: `status ${row.status === "ok" ? "ok" : "missing"}`}, row.combination && row.status === "ok" ? "" : row.status), h("td", {className: "number muted"}, row.paper)))))));
+    axes.map(({axis, rows}) => h("tbody", {}, rows.map((row, i) => h("tr", {className: row.kind},
+      h("th", {}, i ? "" : axis), h("td", {}, row.term), h("td", {className: "number strong"}, row.value), h("td", {}, row.interval), h("td", {className: "bar-cell"}, interval(row.bar)),
+      h("td", {className: "muted"}, row.unit), h("td", {className: `status ${row.kind}`}, row.kind === "combination" ? "" : row.status), h("td", {className: "number muted"}, row.paper)))))));
 }
 
-function interval({numbers: [value, low, high, paper]}) { // a picture of the interval, its estimate, and the paper's value
-  const known = [value, low, high].filter(one => one !== null);
-  if (known.length < 2) return null;
-  let [from, to] = [Math.min(...known), Math.max(...known)];
-  const pad = 1.2 * (to - from) || 1;
-  if (paper !== null) { const near = Math.max(from - 2 * pad, Math.min(to + 2 * pad, paper)); from = Math.min(from, near); to = Math.max(to, near); }
-  from -= 0.15 * pad; to += 0.15 * pad;
-  const at = one => 4 + 112 * Math.max(0, Math.min(1, (one - from) / (to - from)));
+function interval(bar) { // a picture of the interval, its estimate, and the paper's value
+  if (!bar) return null;
+  const at = one => 4 + 1.12 * one;
   const svg = (tag, attributes) => { const one = document.createElementNS("http://www.w3.org/2000/svg", tag); for (const [name, set] of Object.entries(attributes)) one.setAttribute(name, set); return one; };
   const picture = svg("svg", {viewBox: "0 0 120 18", width: 120, height: 18, "aria-hidden": "true"});
-  picture.append(svg("line", {x1: low === null ? 1 : at(low), x2: high === null ? 119 : at(high), y1: 9, y2: 9, class: "range"}));
-  if (paper !== null) { const x = at(paper); picture.append(svg("path", {d: `M${x} 4.5 L${x + 4.5} 9 L${x} 13.5 L${x - 4.5} 9 Z`, class: "diamond"})); }
-  if (value !== null) picture.append(svg("circle", {cx: at(value), cy: 9, r: 3.6, class: "estimate"}));
+  picture.append(svg("line", {x1: at(bar.low), x2: at(bar.high), y1: 9, y2: 9, class: "range"}));
+  if (bar.paper !== null) { const x = at(bar.paper); picture.append(svg("path", {d: `M${x} 4.5 L${x + 4.5} 9 L${x} 13.5 L${x - 4.5} 9 Z`, class: "diamond"})); }
+  if (bar.value !== null) picture.append(svg("circle", {cx: at(bar.value), cy: 9, r: 3.6, class: "estimate"}));
   return picture;
 }
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from rotorfit.errors import LinkError
-from rotorfit.links import joined
-from rotorfit.links.joined import Joined, join
+from rotorfit.links import poses_apart
 from rotorfit.links.link import Action
+from rotorfit.links.poses_apart import Joined, join
 from rotorfit.log import Sample
 
 
@@ -54,7 +54,7 @@ def test_the_other_link_is_opened_for_poses_alone_by_its_address(monkeypatch: py
         assert name == "rotorfit.links.ros1"
         return type("", (), {"open_poses": staticmethod(lambda address: addresses.append(address) or Half())})
 
-    monkeypatch.setattr(joined, "import_module", module)
+    monkeypatch.setattr(poses_apart, "import_module", module)
 
     assert join(Half(), "ros1:/vicon/tello/tello").live
     assert addresses == ["/vicon/tello/tello"]

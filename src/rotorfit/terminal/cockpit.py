@@ -3,7 +3,7 @@
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -11,7 +11,7 @@ from rich.text import Text
 from rotorfit.terminal.tables import View, bullets, indented, title
 
 if TYPE_CHECKING:
-    from rotorfit.fly import Flown, Status
+    from rotorfit.flown import Flown, Jitter, Status
     from rotorfit.plan import Plan
     from rotorfit.preflight import Ready
 
@@ -29,23 +29,30 @@ def preflight_view(plan: "Plan", link: str, ready: "Ready", fail_safe: str) -> V
     yield indented(f"If the link is lost: {fail_safe}")
 
 
-def flown_view(flown: "Flown") -> View:
-    """How a flight ended."""
+def flown_view(flown: "Flown", live: bool) -> View:
+    """How a flight ended; how late its commands were where the link is live: simulated time is never late."""
     yield title(f"Flown: {flown.text}.")
     yield indented(
         f"{flown.duration:.1f} s of the plan, {flown.commands} commands, {flown.poses} poses; "
         f"{'landing' if flown.landed else 'hovering'}"
     )
-    yield indented(jitter_line(flown))
+    if live:
+        yield indented(jitter_line(flown.jitter, flown.late))
     if flown.outliers:
         yield indented(f"{flown.outliers} poses could not be true and were left out")
     yield from bullets(flown.notes)
 
 
-def jitter_line(flown: "Flown") -> str:
-    """By how much commands came later than they were due."""
-    p50, p99, most = (1e3 * value for value in (flown.jitter.p50, flown.jitter.p99, flown.jitter.max))
-    late = f", {flown.late} more than three periods" if flown.late else ""
+def ended_early(flown: "Flown") -> str:
+    """One line about a flight that something ended."""
+    when = f"after {flown.duration:.1f} s of the plan" if flown.duration else "before the plan began"
+    return f"ended early, {when}: {flown.text}; the log so far: {flown.path}"
+
+
+def jitter_line(jitter: "Jitter", count: int) -> str:
+    """By how much commands came later than they were due, and how many by more than three periods."""
+    p50, p99, most = (1e3 * value for value in (jitter.p50, jitter.p99, jitter.max))
+    late = f", {count} more than three periods" if count else ""
     return f"commands late by {p50:.2f} ms (median), {p99:.2f} ms (99 %), {most:.2f} ms (most){late}"
 
 
@@ -67,12 +74,13 @@ def status_line() -> Iterator[Callable[["Status"], None] | None]:
     over = threading.Event()
 
     def run() -> None:
-        while not over.wait(PERIOD):
-            if last[0] is not None:
-                sys.stderr.write(f"\r\033[K{status_text(last[0])}")
-                sys.stderr.flush()
-        sys.stderr.write("\r\033[K")
-        sys.stderr.flush()
+        with suppress(OSError):  # a terminal that was closed
+            while not over.wait(PERIOD):
+                if last[0] is not None:
+                    sys.stderr.write(f"\r\033[K{status_text(last[0])}")
+                    sys.stderr.flush()
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
 
     def told(status: "Status") -> None:
         last[0] = status

@@ -1,4 +1,3 @@
-"use strict";
 // Turns the drawn pictures of the flights into charts that zoom. Without it the pictures stay.
 (() => {
   const flights = JSON.parse(document.getElementById("series").textContent);
@@ -10,7 +9,7 @@
     return Array.from(new Float32Array(bytes.buffer), v => Number.isNaN(v) ? null : v);
   };
   const colour = name => getComputedStyle(root).getPropertyValue("--" + name).trim();
-  const DASH = {paper: [6, 3], hold: [2, 3]};
+  const DASH = {paper: [6, 3], hold: [2, 3], "model-2": [7, 3], "model-3": [2, 2], "model-4": [8, 3, 2, 3], "model-5": [4, 2], "model-6": [12, 4]};
   const charts = new Map(); // panel -> its chart
   const range = new Map(); // flight -> [from, to] that its charts show; absent: all
   let spreading = false;
@@ -42,6 +41,49 @@
     };
   };
 
+  const clamp = (flight, from, to) => { // within the flight, as wide as asked
+    const first = flight.t[0], last = flight.t[flight.t.length - 1], width = Math.min(to - from, last - first);
+    from = Math.max(first, Math.min(from, last - width));
+    spread(flight, from, from + width);
+  };
+  const act = (flight, what) => {
+    const first = flight.t[0], last = flight.t[flight.t.length - 1];
+    const [from, to] = range.get(flight) || [first, last], half = (to - from) / 2, middle = (from + to) / 2;
+    if (what === "in") clamp(flight, middle - half / 2, middle + half / 2);
+    if (what === "out") clamp(flight, middle - 2 * half, middle + 2 * half);
+    if (what === "left") clamp(flight, from - half, to - half);
+    if (what === "right") clamp(flight, from + half, to + half);
+    if (what === "all") clamp(flight, first, last);
+  };
+  const KEYS = {"+": "in", "=": "in", "-": "out", "0": "all", Home: "all"};
+  const read = (chart, unit, step) => { // the arrow keys walk through what is shown, a hundredth of it at a time
+    const t = chart.data[0], {min, max} = chart.scales.x;
+    const last = chart.cursor.idx, stride = (max - min) / 100;
+    let at = (last == null ? min : t[last]) + step * stride;
+    at = Math.max(min, Math.min(max, at));
+    const left = chart.valToPos(at, "x"), box = chart.over.getBoundingClientRect();
+    chart.setCursor({left, top: box.height / 2});
+    const k = chart.cursor.idx;
+    if (k == null) return;
+    const values = chart.series.slice(1).map((line, i) => {
+      const value = chart.data[i + 1][k];
+      return line.label + " " + (value == null ? "–" : value.toFixed(3));
+    });
+    figures.say(t[k].toFixed(2) + " s", values.join(", ") + " " + unit, box.left + left, box.top, box.bottom);
+  };
+  const keyed = (panel, place) => {
+    place.tabIndex = 0;
+    place.addEventListener("keydown", event => {
+      const flight = flights[panel.closest(".flight").dataset.flight], chart = charts.get(panel);
+      const step = {ArrowLeft: -1, ArrowRight: 1}[event.key], what = KEYS[event.key];
+      if (!chart || event.ctrlKey || event.metaKey || event.altKey || !(step || what)) return;
+      event.preventDefault();
+      if (step && event.shiftKey) act(flight, step < 0 ? "left" : "right");
+      else if (step) read(chart, flight.charts[panel.dataset.chart].unit, step);
+      else act(flight, what);
+    });
+  };
+
   const draw = panel => {
     const flight = flights[panel.closest(".flight").dataset.flight];
     const data = flight.charts[panel.dataset.chart];
@@ -49,6 +91,7 @@
     data.y = data.y || data.lines.map(line => numbers(line.y));
     const place = panel.querySelector(".live");
     panel.classList.add("drawn");
+    if (!place.hasAttribute("tabindex")) keyed(panel, place);
     const chart = new uPlot(options(flight, data, place.clientWidth), [flight.t, ...data.y], place);
     charts.set(panel, chart);
     (flight.charts_drawn = flight.charts_drawn || new Set()).add(chart);
@@ -79,24 +122,17 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     for (const panel of [...charts.keys()]) { erase(panel); draw(panel); }
   });
-  addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(d => { d.open = true; }));
+  const folded = () => document.querySelectorAll("details:not([open]):not(.data):not(.second)");
+  let unfolded = [];
+  addEventListener("beforeprint", () => { unfolded = [...folded()]; unfolded.forEach(d => { d.open = true; }); });
+  addEventListener("afterprint", () => unfolded.forEach(d => { d.open = false; }));
 
   document.querySelectorAll(".flight").forEach(element => {
     const flight = flights[element.dataset.flight];
     element.querySelector(".tools").addEventListener("click", event => {
       const what = event.target.dataset.do;
       if (!what || !flight.charts_drawn) return;
-      const first = flight.t[0], last = flight.t[flight.t.length - 1];
-      let [from, to] = range.get(flight) || [first, last];
-      const half = (to - from) / 2, middle = (from + to) / 2;
-      if (what === "in") [from, to] = [middle - half / 2, middle + half / 2];
-      if (what === "out") [from, to] = [middle - 2 * half, middle + 2 * half];
-      if (what === "left") [from, to] = [from - half, to - half];
-      if (what === "right") [from, to] = [from + half, to + half];
-      if (what === "all") [from, to] = [first, last];
-      const width = Math.min(to - from, last - first);
-      from = Math.max(first, Math.min(from, last - width));
-      spread(flight, from, from + width);
+      act(flight, what);
     });
   });
 })();

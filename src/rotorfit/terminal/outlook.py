@@ -134,7 +134,10 @@ def next_view(proposal: NextFlight) -> View:
         left = ", ".join(
             f"{name} {value:.2g}" for name, value in sorted(proposal.tried.items(), key=lambda each: each[1])
         )
-        yield indented(f"Error over wanted that each design would leave on them: {left}.")
+        yield indented(
+            "What each design would leave, standard error over wanted, root mean square over their coefficients "
+            f"(1: as wanted; less is better): {left}."
+        )
     yield ""
     shown = table("standard error", "before", "after", "wanted", gap=3)
     for name, before, after, wanted in _rows(proposal):

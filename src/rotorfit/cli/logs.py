@@ -1,0 +1,109 @@
+"""What is known before any fit: logs, cards, formats; and the demo."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from rotorfit.cli.options import (
+    JSON,
+    LOGS,
+    card_option,
+    file_at,
+)
+from rotorfit.cli.output import print_json, progress_bar
+
+
+@click.command()
+@click.argument("directory", metavar="[DIR]", type=file_at(file_okay=False), default=Path("rotorfit-demo"))
+@JSON
+def demo(directory: Path, as_json: bool) -> None:
+    """Simulate, fit, validate, report: no drone needed.
+
+    Six simulated flights, both methods, the proof and the report go to DIR (./rotorfit-demo).
+    """
+    from rotorfit.demo import demo as run
+    from rotorfit.demo import demo_mapping
+
+    with progress_bar() as progress:
+        result = run(directory, progress)
+    if as_json:
+        return print_json(demo_mapping(result))
+    from rotorfit.terminal import show
+    from rotorfit.terminal.tour import demo_view
+
+    return show(demo_view(result))
+
+
+@click.command()
+@LOGS
+@card_option("the one that fits")
+@click.option(
+    "--draft-card",
+    "draft",
+    type=file_at(dir_okay=False),
+    metavar="FILE",
+    help="Write a card for the log, to be edited.",
+)
+@JSON
+def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
+    """Show what is inside logs.
+
+    Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
+    """
+    from dataclasses import asdict
+
+    from rotorfit.draft import write_draft
+    from rotorfit.sources import read
+    from rotorfit.survey import survey_draft, survey_logs
+
+    if draft and len(logs) > 1:
+        raise click.UsageError("--draft-card drafts for one log: give one")
+    if draft:
+        write_draft(read(logs[0]), draft)
+    surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
+    if as_json:
+        return print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
+    from rotorfit.terminal import show
+    from rotorfit.terminal.contents import survey_view
+
+    for number, survey in enumerate(surveys):
+        show([*([""] if number else []), *survey_view(survey)])
+    if draft:
+        click.echo(f"\nCard written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
+    return None
+
+
+@click.command()
+@click.argument("name", required=False)
+@JSON
+def cards(name: str | None, as_json: bool) -> None:
+    """List the built-in cards, or print the one that is named."""
+    from rotorfit.card_file import builtin_card_text, builtin_cards
+
+    if name and not as_json:
+        return click.echo(builtin_card_text(name), nl=False)
+    known = builtin_cards()
+    if name:
+        builtin_card_text(name)
+        return print_json(dict(known[name].raw))
+    if as_json:
+        return print_json({"cards": {name: card.raw for name, card in known.items()}})
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import cards_view
+
+    return show(cards_view(known))
+
+
+@click.command()
+@JSON
+def formats(as_json: bool) -> None:
+    """List the formats of logs that can be read."""
+    from rotorfit.sources import FORMATS
+    from rotorfit.terminal import show
+    from rotorfit.terminal.lists import FORMATS as WORDS
+    from rotorfit.terminal.lists import formats_view
+
+    if as_json:
+        return print_json({"formats": {name: WORDS[name] for name in FORMATS}})
+    return show(formats_view(FORMATS))
