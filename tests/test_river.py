@@ -105,6 +105,7 @@ RIVER = (
     "plausibility",
     "summary",
     "pipeline",
+    "exports",
     "views",
     "evidence",
     "excitation",

@@ -35,7 +35,7 @@ class ModelError(RotorfitError):
 
 
 class ExportError(RotorfitError):
-    """The model cannot be exported so: unknown format, no axis that is known, a structure that the format cannot hold."""
+    """The model cannot be exported so: unknown format, no known axis, a structure that the format cannot hold."""
 
 
 class VehicleError(RotorfitError):

@@ -44,8 +44,8 @@ class Format:
 
 FORMATS: Mapping[str, Format] = {
     "python-control": Format(
-        ".py", "linear state space at a heading: continuous, sampled with the exact delay, Pade", "python_control.py.j2",
-        linear=True, needs="pip install 'rotorfit[control]'",
+        ".py", "linear state space at a heading: continuous, sampled with the exact delay, Pade",
+        "python_control.py.j2", linear=True, needs="pip install 'rotorfit[control]'",
     ),
     "casadi": Format(
         ".py", "CasADi functions for MPC: right-hand side, exact-delay step, model for acados", "casadi.py.j2",
@@ -64,7 +64,8 @@ FORMATS: Mapping[str, Format] = {
         needs="pip install 'rotorfit[rotorpy]'",
     ),
     "gazebo": Format(
-        ".xacro", "gains of Gazebo's MulticopterVelocityControl; what it cannot hold is said", "gazebo.xacro.j2", plain=True
+        ".xacro", "gains of Gazebo's MulticopterVelocityControl; what it cannot hold is said", "gazebo.xacro.j2",
+        plain=True,
     ),
 }  # fmt: skip
 """Every format by its name."""
@@ -123,7 +124,8 @@ def export(
         name: Of the vehicle in the file; default: that of the path, else of the format.
 
     Raises:
-        ExportError: Unknown format, a structure that the format cannot hold, or no axis left.
+        ExportError: Unknown format, a structure that the format cannot hold, no axis left, or a MATLAB file whose name
+            is no name of a function.
         ModelError: The model file cannot be read.
 
     Source: the laws of `structure`; commands act after the delay to the fraction of a sample.
@@ -140,6 +142,8 @@ def export(
         known, wanted, origin, digest, dt=dt, predictor=predictor, physical=physical, round_delay=round_delay
     )
     check(subject, to, form)
+    if path and to == "matlab" and Path(path).stem != subject.name:
+        raise ExportError(f"{path}: MATLAB wants the file to have the name of its function; call it {subject.name}.m")
     mark = f"Written by rotorfit export {__version__}, format {to}."
     lines = header(subject, told(subject, to), trained_on(training), scores(known, validation), mark)
     text = written(subject, to, form, lines)

@@ -105,7 +105,7 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
         damping += f" - {c('cross_damping')} * {SPEEDS[{'x': 'y', 'y': 'x'}[axis]]}"
     demand = f"{c('input')} * {_answered(axis, names, c, language)}"
     if "cross_input" in names:
-        demand += f" + {c('cross_input')} * u_{ {'x': 'y', 'y': 'x'}[axis]}"
+        demand += f" + {c('cross_input')} * u_{ {'x': 'y', 'y': 'x'}[axis] }"
     if structure.order == 2:
         return Equation(axis, demand, q, f"({w} + {trim} - {damping} - {q}) / {c('lag')}", f"{w} - {damping}")
     if structure.order == 1:

@@ -126,11 +126,13 @@ def _disturbance(subject: Subject) -> Iterator[str]:
 
 def _provenance(subject: Subject) -> Iterator[str]:
     yield "Provenance:"
-    yield f"  model    {subject.origin}, sha256 {subject.sha256}"
+    yield f"  model    {subject.origin}"
+    yield f"           sha256 {subject.sha256}"
     yield f"  fitted   by rotorfit {subject.original.rotorfit}, method {subject.original.method}"
     if subject.original.conversion:
         yield "  after    a conversion to other limits than those of its flights"
     for flight in subject.original.flights:
         start, end = flight.span
         axes = f" for {', '.join(flight.axes)}" if flight.axes else ""
-        yield f"  flight   {flight.path}, {start:g} to {end:g} s{axes}, sha256 {flight.sha256}"
+        yield f"  flight   {flight.path}, {start:g} to {end:g} s{axes}"
+        yield f"           sha256 {flight.sha256}"

@@ -119,7 +119,9 @@ def subject_of(
         ExportError: No axis remains, the sample period is none, or the card does not say what physical commands need.
     """
     if not 1e-4 <= dt <= 10:
-        raise ExportError(f"a sample period of {dt:g} s cannot be used; give seconds between 0.0001 and 10, such as 0.02")
+        raise ExportError(
+            f"a sample period of {dt:g} s cannot be used; give seconds between 0.0001 and 10, such as 0.02"
+        )
     kept, notes = _kept(model, predictor)
     if physical:
         kept, said = _physical(kept)
@@ -184,7 +186,9 @@ def _physical(model: Model) -> tuple[Model, list[str]]:
         meaning = meaning_of(model.card, name)
         if meaning.asked is None or (meaning.limit and meaning.setting is None):
             why = meaning.reason or f"the card does not say what its limit of {meaning.limit} was"
-            raise ExportError(f"physical commands: {why}; add it to the card and fit again, or export without --physical")
+            raise ExportError(
+                f"physical commands: {why}; add it to the card and fit again, or export without --physical"
+            )
         if meaning.limit and meaning.setting:
             axes[name] = replace(axis, predictor=scaled(axis.predictor, 1 / meaning.setting))
             notes.append(
@@ -212,7 +216,9 @@ def _rounded(model: Model, dt: float) -> tuple[Model, list[str]]:
 def _command(model: Model, axis: str, physical: bool) -> Command:
     meaning: Meaning = meaning_of(model.card, axis)
     if meaning.asked is None:
-        return Command(f"as sent, by the card {model.card.name}; what it asks for is not known", "unit of command", None)
+        return Command(
+            f"as sent, by the card {model.card.name}; what it asks for is not known", "unit of command", None
+        )
     if meaning.limit and not physical:
         size = f" ({limit_text(meaning.limit, meaning.setting)})" if meaning.setting else ""
         return Command(f"fraction of the {meaning.limit} limit{size}, from -1 to 1", "fraction", 1.0)

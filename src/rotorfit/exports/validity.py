@@ -45,7 +45,7 @@ def _largest(parts: Sequence[Array]) -> str:
 
 
 def scores(model: Model, validation: Validation | None) -> list[str]:
-    """One line an axis and flight with the errors of predictions; of the validation, else of the model file's own proof.
+    """One line an axis and flight with errors of predictions: of the validation, else of the model file's own proof.
 
     Args:
         model: Its `leave_one_out` stands in where there is no validation.

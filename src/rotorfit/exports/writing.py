@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
+from itertools import pairwise
 from typing import Any
 
 from rotorfit.errors import ExportError
@@ -113,7 +114,9 @@ def _context(subject: Subject, to: str) -> dict[str, Any]:
         "constants": tuple(constants(subject)),
         "units": {axis: units[f"INPUT_{axis.upper()}"] for axis in subject.axes},
         "extra_units": {
-            axis: {extra.name: units[f"{extra.name.upper()}_{axis.upper()}"] for extra in subject.structure(axis).extras}
+            axis: {
+                extra.name: units[f"{extra.name.upper()}_{axis.upper()}"] for extra in subject.structure(axis).extras
+            }
             for axis in subject.axes
         },
         "equations": laws,
@@ -121,6 +124,8 @@ def _context(subject: Subject, to: str) -> dict[str, Any]:
         "lagged": subject.lagged,
         "longest": subject.longest,
         "space": _space(subject) if subject.linear else None,
+        "states": [f'"{sign}{axis}"' for sign in ("", "v_") for axis in subject.axes]
+        + [f'"q_{axis}"' for axis in subject.lagged],
         "parts": parts,
         "memory": max(age for _, ages in parts for age in ages),
         "steady": steady,
@@ -165,8 +170,7 @@ def segments(subject: Subject, dt: float) -> list[tuple[float, tuple[int, ...]]]
     rest = [r if r > 1e-9 * dt else 0.0 for r in rest]
     cuts = sorted({0.0, dt, *rest})
     return [
-        (end - start, tuple(n + (start < r) for n, r in zip(whole, rest, strict=True)))
-        for start, end in zip(cuts, cuts[1:], strict=False)
+        (end - start, tuple(n + (start < r) for n, r in zip(whole, rest, strict=True))) for start, end in pairwise(cuts)
     ]
 
 
