@@ -3,8 +3,10 @@
 import ast
 import importlib
 import json
+import re
 import subprocess
 import sys
+import tomllib
 import types
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -30,6 +32,7 @@ from rotorfit.model_file import save
 from rotorfit.validation import FlightScores, Validation
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
+PAGE = (BENCH.parent / "docs" / "exports.md").read_text(encoding="utf-8")
 POINTS = {"x": (3.7, 0.18, 0.1664), "y": (3.6, 0.41, 0.1973), "z": (2.3, 2.05, 0.0529), "yaw": (4.4, 2.7, 0.0754)}
 STEPPED, EXACT = 1e-6, 1e-9  # m, rad and their rates, over 20 s: by Runge-Kutta steps, in closed form
 SLOW_TO_WALK = ("casadi", "jax")  # build a function for every stretch between two irregular events
@@ -58,7 +61,8 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 @pytest.fixture
 def motion(run: ModuleType) -> ModuleType:
-    return importlib.import_module("export_motion")
+    """The commands, and what they lead to."""
+    return sys.modules[run.walked.__module__]
 
 
 @pytest.fixture
@@ -100,7 +104,7 @@ def test_what_is_exported_moves_as_the_model_does(
     if to == "rotorpy" and not dt:
         pytest.skip("RotorPy has a fixed step")
     straight = to in run.STRAIGHT
-    short = to.startswith("ros") and to != "rotorpy" or (to in SLOW_TO_WALK and not dt)
+    short = to in ("ros1", "ros2") or (to in SLOW_TO_WALK and not dt)
     given = motion.drive(
         3, dt, duration=4.0 if short else 20.0, turning=not straight, heading=0.0 if to == "gazebo" else 0.7
     )
@@ -111,11 +115,10 @@ def test_what_is_exported_moves_as_the_model_does(
 
 
 def test_the_reference_itself_agrees_with_an_integrator_that_knows_only_the_equations(
-    motion: ModuleType, model: Model, run: ModuleType
+    motion: ModuleType, model: Model
 ) -> None:
     given = motion.drive(5, 0.0, duration=5.0)
 
-    assert run is not None
     assert np.abs(motion.reference(model, given) - motion.integrated(model, given)).max() < 3e-8
 
 
@@ -138,7 +141,7 @@ def test_every_law_is_exported_exactly_or_refused(
 ) -> None:
     needed(run, to)
     axes = ("x", "y") if name == "coupled" else AXES
-    other, linear = with_laws(model, {axis: (name, OTHERS[name]) for axis in axes}), to == "python-control"
+    other, linear = with_laws(model, dict.fromkeys(axes, (name, OTHERS[name]))), to == "python-control"
     given = motion.drive(6, 0.05, duration=4.0, turning=not linear)
     if linear and name == "saturation":
         with pytest.raises(ExportError, match=r"linear laws only.*x saturation.*--to casadi"):
@@ -154,7 +157,7 @@ def test_the_laws_of_a_lagged_vehicle_run_in_octave_too(
     run: ModuleType, motion: ModuleType, model: Model, tmp_path: Path
 ) -> None:
     needed(run, "matlab")
-    other = with_laws(model, {axis: ("second_order", {"lag": 0.3}) for axis in AXES})
+    other = with_laws(model, dict.fromkeys(AXES, ("second_order", {"lag": 0.3})))
 
     assert (run.deviation(other, "matlab", tmp_path, motion.drive(7, 0.05, duration=4.0)) < STEPPED).all()
 
@@ -162,7 +165,7 @@ def test_the_laws_of_a_lagged_vehicle_run_in_octave_too(
 def test_steps_err_with_the_fourth_power_of_their_length(
     run: ModuleType, motion: ModuleType, model: Model, tmp_path: Path
 ) -> None:
-    undelayed = with_laws(model, {axis: ("first_order", {}) for axis in AXES})
+    undelayed = with_laws(model, dict.fromkeys(AXES, ("first_order", {})))
     given = motion.drive(8, 0.1, duration=5.0)
     made, truth = export(undelayed, "numpy", name="bebop"), motion.integrated(undelayed, given)
     errors = []
@@ -230,7 +233,7 @@ def test_a_structures_further_parameter_that_is_not_known_leaves_the_axis_out(mo
 
 
 def test_an_axis_that_is_coupled_with_one_that_is_left_out_goes_too(model: Model) -> None:
-    coupled = with_laws(model, {axis: ("coupled", OTHERS["coupled"]) for axis in ("x", "y")})
+    coupled = with_laws(model, dict.fromkeys(("x", "y"), ("coupled", OTHERS["coupled"])))
 
     assert export(untold(coupled, "y", "input"), "casadi").axes == ("z", "yaw")
 
@@ -350,7 +353,7 @@ def test_the_k_of_drone_dev_is_gamma_in_its_order_and_needs_all_four_axes(model:
     assert "There is no K" in export(untold(model, "z"), "ros1").text
 
 
-def test_parameters_are_doubles_for_a_reader_of_ros(model: Model) -> None:
+def test_parameters_are_doubles_for_a_reader_of_ros() -> None:
     from ruamel.yaml import YAML
 
     reader = YAML(typ="safe", pure=True)
@@ -374,9 +377,8 @@ def test_python_control_designs_a_regulator_that_holds_the_model(run: ModuleType
     gain, _, poles = control.dlqr(plant, Q, np.eye(4))
 
     assert np.abs(poles).max() < 1
-    x, now = np.zeros(plant.nstates), simulate
+    x = np.zeros(plant.nstates)
     x[:4] = 0.5
-    assert now is simulate
     for _ in range(200):
         x = plant.dynamics(0.0, x, -gain @ x)
     assert np.abs(x).max() < 0.02
@@ -429,7 +431,7 @@ def test_jax_differentiates_through_the_delay(run: ModuleType, model: Model, tmp
     slope = jax.jit(jax.grad(reach))(commands)
     nudged = commands.copy()
     nudged[2, 0] += 1e-6
-    assert slope[2, 0] == pytest.approx((reach(nudged) - reach(commands)) / 1e-6, rel=1e-4)
+    assert float(slope[2, 0]) == pytest.approx(float(reach(nudged) - reach(commands)) / 1e-6, rel=1e-4)
     assert (np.asarray(slope[-3:, 0]) == 0).all()  # still on their way at the end
     assert slope[-4, 0] > 0
 
@@ -491,7 +493,7 @@ def test_gazebo_holds_the_default_law_only(model: Model) -> None:
 
 def test_what_the_flights_of_the_fit_cover_is_told_axis_by_axis() -> None:
     t = np.arange(0.0, 10.0, 0.02)
-    flight = by_hand(t, np.full((t.size, 4), [0.3, 0.0, 0.0, 0.0]), t, np.column_stack([0.5 * t, 0 * t, 0 * t, 0 * t]))
+    flight = by_hand(t, np.outer(t, [0.5, 0.0, 0.0, 0.0]), t, np.full((t.size, 4), [0.3, 0.0, 0.0, 0.0]))
 
     told = trained_on([replace(flight, axes=("x",))])
 
@@ -502,7 +504,7 @@ def test_scores_are_those_of_the_validation_or_of_the_models_own_proof(model: Mo
     axes = {axis: AxisScore({"1": Horizon(0.0123, 0.0456, 20)}, 90.0) for axis in AXES}
     flight = FlightScores("proof.csv", (0.0, 60.0), axes, "predicted", moved=("x",))
 
-    lines = scores(model, Validation((flight,), {}))
+    lines = scores(model, Validation((flight,), {}, residuals=({},)))
 
     assert lines == ["x on proof.csv: 1 s 0.0123 m/s and 0.0456 m"]
     assert "Not known" in scores(model, None)[0]
@@ -552,3 +554,41 @@ def test_the_verb_never_writes_over_what_is_no_export(model: Model, tmp_path: Pa
         assert refused.exit_code == 1
         assert "not overwritten" in refused.output
     assert cli("export", path, "--to", "c").exit_code == 2
+
+
+def example(language: str) -> str:
+    (found,) = re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def test_the_mpc_of_the_page_tracks_a_step_in_thirty_lines_or_so(run: ModuleType, model: Model, tmp_path: Path) -> None:
+    needed(run, "casadi")
+    code = example("python")
+    export(model, "casadi", tmp_path / "bebop.py")
+    (tmp_path / "mpc.py").write_text(code)
+
+    done = subprocess.run([sys.executable, "mpc.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 32
+    assert float(done.stdout.rpartition(":")[2]) < 0.002
+
+
+def test_the_c_program_of_the_page_runs(run: ModuleType, model: Model, tmp_path: Path) -> None:
+    needed(run, "c")
+    program = run.compiled(export(model, "c", name="bebop"), tmp_path, example("c"))
+
+    at, later, speed = (float(word) for word in re.findall(r"\d\.\d{3}", subprocess.check_output([program], text=True)))
+
+    sent, hover = np.array([0.2, 0.0, 0.0, 0.0]), np.zeros(4)
+    truth = simulate(model, np.array([-1.0, 0.0, 1.0]), np.array([hover, sent, hover]), np.array([0.0, 1.0, 1.5]))
+    assert [at, later, speed] == pytest.approx([*truth.pose[1:, 0], truth.velocity[2, 0]], abs=6e-4)
+
+
+def test_the_page_lists_every_format_and_every_extra() -> None:
+    project = tomllib.loads((BENCH.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    listed = re.findall(r"^\| `([\w-]+)` \|", PAGE, re.MULTILINE)
+
+    assert listed == list(FORMATS)
+    for form in FORMATS.values():
+        for extra in re.findall(r"rotorfit\[(\w+)\]", form.needs):
+            assert extra in project["optional-dependencies"]

@@ -1,5 +1,6 @@
 """Subject -> text of a file, by a template."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -8,7 +9,7 @@ from typing import Any
 
 from rotorfit.errors import ExportError
 from rotorfit.exports import Format
-from rotorfit.exports.equations import Language, constants, equations, number
+from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
 from rotorfit.exports.subject import Command, Subject
 from rotorfit.frames import AXES
 from rotorfit.model import Model, state_space
@@ -120,7 +121,11 @@ def _context(subject: Subject, to: str) -> dict[str, Any]:
             for axis in subject.axes
         },
         "equations": laws,
-        "used": [axis for axis in AXES if any(f"u_{axis}" in law.demand for law in laws.values())],
+        "used": [axis for axis in AXES if mentioned(f"u_{axis}", [law.demand for law in laws.values()])],
+        "turned": [
+            v for v in ("forward", "left") if mentioned(v, [f"{x.acceleration} {x.lagged}" for x in laws.values()])
+        ],
+        "settling": [v for v in (*SPEEDS.values(), *(f"u_{axis}" for axis in AXES)) if mentioned(v, _settling(laws))],
         "lagged": subject.lagged,
         "longest": subject.longest,
         "space": _space(subject) if subject.linear else None,
@@ -133,6 +138,16 @@ def _context(subject: Subject, to: str) -> dict[str, Any]:
         "fastest": max(abs(subject.point(axis).damping) for axis in subject.axes),
         "K": paper_coefficients(subject),
     }
+
+
+def mentioned(variable: str, expressions: Sequence[str]) -> bool:
+    """Whether a variable stands in one of the expressions."""
+    return any(re.search(rf"\b{variable}\b", expression) for expression in expressions)
+
+
+def _settling(laws: Mapping[str, Equation]) -> list[str]:
+    """What the start of a lag is computed from."""
+    return [f"{law.demand} {law.settled}" for law in laws.values() if law.settled]
 
 
 def _space(subject: Subject) -> dict[str, Any]:
