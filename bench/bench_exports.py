@@ -97,9 +97,7 @@ def coarser_delays(model: Model) -> None:
         with tempfile.TemporaryDirectory() as folder:
             made = export(model, "numpy", dt=dt, round_delay=True, name="bebop")
             off = np.abs(run_numpy(made, Path(folder), given) - reference(model, given)).max(axis=0)
-        print(
-            f"delays rounded to {dt:g} s would be off by {off[:3].max():.3f} m, {off[3]:.3f} rad, {off[4:7].max():.3f} m/s"
-        )
+        print(f"delays rounded to {dt:g} s: off by {off[:3].max():.3f} m, {off[3]:.3f} rad, {off[4:7].max():.3f} m/s")
 
 
 def output(program: Path) -> str:
