@@ -16,6 +16,8 @@ FRAMES = (
     "z up, yaw counter-clockwise; it turns with the vehicle. A command holds until the next one."
 )
 
+TURNED = "The vehicle itself takes commands of x and y in the world frame: turn those of this file by yaw before they are sent."
+
 
 def header(
     subject: Subject, told: str, trained: Mapping[str, str], scored: Sequence[str], mark: str
@@ -39,6 +41,7 @@ def header(
         *(_row(axis, _law(subject, axis)) for axis in AXES),
         "",
         *_wrapped(FRAMES),
+        *(_wrapped(TURNED) if subject.model.card.command_frame == "world" else []),
         "",
         "Commands:",
         *(_row(axis, _command(subject, axis)) for axis in subject.axes),

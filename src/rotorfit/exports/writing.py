@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 from rotorfit.errors import ExportError
-from rotorfit.exports import Format
 from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
+from rotorfit.exports.formats import Format
 from rotorfit.exports.subject import Command, Subject
 from rotorfit.frames import AXES
 from rotorfit.model import Model, state_space
