@@ -10,7 +10,7 @@ import tomllib
 import types
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -508,6 +508,13 @@ def test_scores_are_those_of_the_validation_or_of_the_models_own_proof(model: Mo
     lines = scores(model, Validation((flight,), {}, residuals=({},)))
 
     assert lines == ["x on proof.csv: 1 s 0.0123 m/s and 0.0456 m"]
+    proof = {"flights": [asdict(replace(flight, fitted=True))]}
+    assert scores(replace(model, leave_one_out=proof), None) == [
+        f"{lines[0]}; the model was fitted to part of it, which proves nothing"
+    ]
+    assert scores(model, Validation((flight,), {}, residuals=({},)), ("z",)) == [
+        "None: no flight was long enough to be predicted."
+    ]
     assert "Not known" in scores(model, None)[0]
 
 

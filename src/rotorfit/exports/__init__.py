@@ -96,7 +96,7 @@ def export(
     if path and to == "matlab" and Path(path).stem != subject.name:
         raise ExportError(f"{path}: MATLAB wants the file to have the name of its function; call it {subject.name}.m")
     mark = f"Written by rotorfit export {__version__}, format {to}."
-    lines = header(subject, told(subject, to), trained_on(training), scores(known, validation), mark)
+    lines = header(subject, told(subject, to), trained_on(training), scores(known, validation, subject.axes), mark)
     text = written(subject, to, form, lines)
     if path:
         Path(path).write_text(text, encoding="utf-8")

@@ -16,7 +16,18 @@ FRAMES = (
     "z up, yaw counter-clockwise; it turns with the vehicle. A command holds until the next one."
 )
 
-TURNED = "The vehicle itself takes commands of x and y in the world frame: turn those of this file by yaw before they are sent."
+DISTURBED = (
+    "For an estimator, the disturbance as fitted: beside the commanded motion every axis has a slow velocity s with "
+    "s'' = -alpha s' - kappa alpha^2 / 4 s + sqrt(q) xi, and white noise of variance r on the pose. wind_power is q "
+    "[unit^2/s^5], wind_damping alpha [1/s], wind_overlap kappa, pose_variance r [unit^2], velocity_variance that of a "
+    "measured velocity, trim_variance that of c [unit^2/s^4]; the unit is m, of yaw rad:"
+)
+"""Source: module `disturbance`."""
+
+TURNED = (
+    "The vehicle itself takes commands of x and y in the world frame: turn those of this file by yaw before they are "
+    "sent."
+)
 
 
 def header(
@@ -115,7 +126,7 @@ def _disturbance(subject: Subject) -> Iterator[str]:
     """What an estimator takes over, and what belongs to the flights only."""
     noisy = {axis: subject.original.axes[axis].noise for axis in subject.axes if subject.original.axes[axis].noise}
     if noisy:
-        yield "For an estimator, the disturbance as fitted (see the model file for its units):"
+        yield from _wrapped(DISTURBED)
         for axis, noise in noisy.items():
             yield _row(axis, ", ".join(f"{name} {value:.3g}" for name, value in noise.items()))
     trims = {axis: [c for c in subject.original.axes[axis].trim if c is not None] for axis in subject.axes}

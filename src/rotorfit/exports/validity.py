@@ -44,12 +44,13 @@ def _largest(parts: Sequence[Array]) -> str:
     return f"{np.percentile(np.concatenate(parts), RARE):.3g}"
 
 
-def scores(model: Model, validation: Validation | None) -> list[str]:
+def scores(model: Model, validation: Validation | None, axes: Sequence[str] = AXES) -> list[str]:
     """One line an axis and flight with errors of predictions: of the validation, else of the model file's own proof.
 
     Args:
         model: Its `leave_one_out` stands in where there is no validation.
         validation: Scores on other flights.
+        axes: Those that are exported.
     """
     if validation:
         mapping: Mapping[str, Any] = to_mapping(validation)
@@ -60,7 +61,7 @@ def scores(model: Model, validation: Validation | None) -> list[str]:
     lines = [
         line
         for flight in mapping["flights"]
-        for axis in AXES
+        for axis in axes
         if axis in flight["moved"] and (line := _line(axis, flight))
     ]
     return lines or ["None: no flight was long enough to be predicted."]
