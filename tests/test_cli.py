@@ -21,7 +21,21 @@ from rotorfit.model_file import load, to_mapping
 from rotorfit.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.sources import FORMATS
 
-VERBS = ["demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "plan", "fly", "cards", "formats"]
+VERBS = [
+    "demo",
+    "info",
+    "fit",
+    "ladder",
+    "validate",
+    "compare",
+    "report",
+    "convert",
+    "export",
+    "plan",
+    "fly",
+    "cards",
+    "formats",
+]
 ANSI = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 

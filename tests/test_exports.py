@@ -492,6 +492,13 @@ def test_gazebo_holds_the_default_law_only(model: Model) -> None:
         export(with_laws(model, {"y": MIXED["y"]}), "gazebo")
 
 
+def test_gazebo_needs_an_axis_that_settles_wherever_it_has_a_gain(model: Model) -> None:
+    with pytest.raises(ExportError, match="gazebo holds a velocity on all four axes, and z is left out"):
+        export(untold(model, "z"), "gazebo")
+    with pytest.raises(ExportError, match="and x is left out or has no positive damping"):
+        export(model_of({**POINTS, "x": (3.7, -0.1, 0.1)}), "gazebo")
+
+
 def test_what_the_flights_of_the_fit_cover_is_told_axis_by_axis() -> None:
     t = np.arange(0.0, 10.0, 0.02)
     flight = by_hand(t, np.outer(t, [0.5, 0.0, 0.0, 0.0]), t, np.full((t.size, 4), [0.3, 0.0, 0.0, 0.0]))

@@ -54,10 +54,10 @@ def told(subject: Subject, to: str) -> str:
 
 
 def check(subject: Subject, to: str, form: Format) -> None:
-    """Refuses a structure that a format cannot hold.
+    """Refuses a structure that a format cannot hold, and axes that it cannot do without.
 
     Raises:
-        ExportError: With the axes, and what holds them.
+        ExportError: With the axes, and what to try.
     """
     bent = [axis for axis in subject.axes if not subject.structure(axis).linear]
     other = [axis for axis in subject.axes if subject.structure(axis).name not in _PLAIN]
@@ -68,6 +68,12 @@ def check(subject: Subject, to: str, form: Format) -> None:
         raise ExportError(
             f"{to} holds {kind} only, and the model has {laws}; export --to casadi, numpy, jax, matlab or c, or fit "
             "the default structure"
+        )
+    unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
+    if to == "gazebo" and unsteady:
+        raise ExportError(
+            f"gazebo holds a velocity on all four axes, and {', '.join(unsteady)} is left out or has no positive damping; "
+            "fit a flight that moves it, try --predictor, or export to another format"
         )
 
 
