@@ -64,6 +64,9 @@ def main() -> None:
     off = np.abs(reference(model, given) - integrated(model, given)).max(axis=0)
     print(f"the reference itself, from DOP853 at 1e-12, turning: {off[:4].max():.1e} | {off[4:].max():.1e}")
     coarser_delays(model)
+    with tempfile.TemporaryDirectory() as folder:
+        off = deviation(model, "gazebo", Path(folder), drive(SEED, 0.02, turning=False))
+    print(f"gazebo at a heading of 0.7 rad: off by {off[0]:.2f} m")
     if missing("c"):
         return print("gcc is not there: no time of a step")
     with tempfile.TemporaryDirectory() as folder:

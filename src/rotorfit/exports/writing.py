@@ -72,8 +72,8 @@ def check(subject: Subject, to: str, form: Format) -> None:
     unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
     if to == "gazebo" and unsteady:
         raise ExportError(
-            f"gazebo holds a velocity on all four axes, and {', '.join(unsteady)} is left out or has no positive damping; fit "
-            "a flight that moves it, try --predictor, or export to another format"
+            f"gazebo holds a velocity on all four axes, and {', '.join(unsteady)} is left out or has no positive "
+            "damping; fit a flight that moves it, try --predictor, or export to another format"
         )
 
 
