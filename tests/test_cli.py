@@ -22,7 +22,21 @@ from rotorfit.paper_log import write_bag
 from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.sources import FORMATS
 
-VERBS = ["demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "plan", "fly", "cards", "formats"]
+VERBS = [
+    "demo",
+    "info",
+    "fit",
+    "ladder",
+    "validate",
+    "compare",
+    "report",
+    "convert",
+    "export",
+    "plan",
+    "fly",
+    "cards",
+    "formats",
+]
 ANSI = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 
