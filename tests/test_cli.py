@@ -23,9 +23,21 @@ from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.sources import FORMATS
 
 VERBS = [
-    "demo", "info", "fit", "ladder", "validate", "compare", "report", "convert", "plan", "fly", "cards", "formats",
+    "demo",
+    "info",
+    "fit",
+    "ladder",
+    "validate",
+    "compare",
+    "report",
+    "convert",
+    "export",
+    "plan",
+    "fly",
+    "cards",
+    "formats",
     "studio",
-]  # fmt: skip
+]
 ANSI = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 

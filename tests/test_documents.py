@@ -58,7 +58,7 @@ CHECKS = (
 )  # fmt: skip
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (
-    "RotorfitError", "__version__", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
+    "RotorfitError", "__version__", "export", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
     "studio", "validate",
 )  # fmt: skip
 

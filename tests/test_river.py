@@ -110,6 +110,7 @@ RIVER = (
     "summary",
     "pipeline",
     "case",
+    "exports",
     "views",
     "evidence",
     "excitation",

@@ -147,6 +147,9 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     model = load(tmp_path / "model.json")
     assert model.axes["x"].status["input"] == "ok"
     assert model.flights[0].span[0] == pytest.approx(1.0, abs=0.05)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Export").click()
+    assert download.value.suggested_filename == "model_1.py"
     with page.expect_popup() as popup:
         page.get_by_text("Open the report").click()
     expect(popup.value.locator("h1")).to_be_visible()

@@ -30,7 +30,7 @@ def page(studio: Studio) -> TestClient:
 def every_request(studio: Studio) -> list[tuple[str, str]]:
     """Method and address of all that the studio answers."""
     known = [route for route in studio._routes() if isinstance(route, Route)]
-    fill = {"{name}": "main.js", "{log}": "1", "{fit}": "1", "{file}": "model.json"}
+    fill = {"{name}": "main.js", "{log}": "1", "{fit}": "1", "{file}": "model.json", "{format}": "numpy"}
     out = []
     for route in known:
         path = route.path

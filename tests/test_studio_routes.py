@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from starlette.testclient import TestClient
 
 from rotorfit.card_file import card_from_mapping
 from rotorfit.derivative import local_polynomial
+from rotorfit.errors import RotorfitError
+from rotorfit.exports import FORMATS, export
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import heading_from_world
 from rotorfit.model_file import load
@@ -272,6 +275,28 @@ def test_the_model_is_that_of_the_library_with_the_same_card_and_spans(fitted: t
     assert model.gamma == alone.model.gamma
     assert model.paper == alone.model.paper
     assert model.flights[0].sha256 == alone.model.flights[0].sha256
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_every_export_is_the_one_of_the_library(fitted: tuple[Studio, TestClient], name: str) -> None:
+    studio, page = fitted
+    path = studio.workspace.folder / "fits" / "1" / "model.json"
+
+    answer = page.get(f"/api/fits/1/exports/{name}")
+
+    with suppress(RotorfitError):
+        assert answer.text == export(path, name, name="model_1").text
+        assert answer.headers["content-disposition"] == f'attachment; filename="model_1{FORMATS[name].suffix}"'
+        return
+    with pytest.raises(RotorfitError) as refusal:
+        export(path, name, name="model_1")
+    assert answer.status_code == 422
+    assert answer.json()["error"] == " ".join(str(refusal.value).split())
+
+
+@pytest.mark.parametrize("name", ["no-such", "..%2fmodel.json", "numpy.py.j2"])
+def test_an_unknown_export_is_refused(fitted: tuple[Studio, TestClient], name: str) -> None:
+    assert fitted[1].get(f"/api/fits/1/exports/{name}").status_code in (404, 422)
 
 
 def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studio, TestClient]) -> None:

@@ -16,6 +16,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from rotorfit.card_file import load_card
     from rotorfit.errors import RotorfitError
+    from rotorfit.exports import export
     from rotorfit.fit import fit
     from rotorfit.flight import flight_from_log
     from rotorfit.model import simulate
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "RotorfitError",
     "__version__",
+    "export",
     "fit",
     "flight_from_log",
     "load",
@@ -40,6 +42,7 @@ __all__ = [
 
 _HOMES = {
     "RotorfitError": "rotorfit.errors",
+    "export": "rotorfit.exports",
     "fit": "rotorfit.fit",
     "flight_from_log": "rotorfit.flight",
     "load": "rotorfit.model_file",

@@ -5,6 +5,7 @@
     |-- CardError          a card that is wrong, or that names what the log does not hold
     |-- FlightError        a log that holds no usable flight: no pose, no commands, time that runs backwards
     |-- ModelError         a model file that is missing, damaged, or too new; a model asked for what it does not hold
+    |-- ExportError        a model that a format cannot hold, an unknown format
     |-- VehicleError    a vehicle of the flight room that is wrong, or that nobody knows
     |-- PlanError          a plan that cannot be made, read, or flown within its limits
     `-- LinkError          a vehicle that cannot be reached, or that must not be flown as it stands
@@ -34,6 +35,10 @@ class FlightError(RotorfitError):
 
 class ModelError(RotorfitError):
     """The model file cannot be used: missing, damaged, of a newer version, or without the axis that was asked for."""
+
+
+class ExportError(RotorfitError):
+    """The model cannot be exported so: unknown format, no known axis, a structure that the format cannot hold."""
 
 
 class VehicleError(RotorfitError):

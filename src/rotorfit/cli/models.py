@@ -139,3 +139,48 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     show(model_view(model, AXES))
     click.echo(f"\nModel written to {output}.")
     return None
+
+
+@click.command()
+@click.argument("model_path", metavar="[MODEL]", required=False)
+@click.argument("logs", metavar="[LOG...]", nargs=-1)
+@click.option("--to", "to", metavar="NAME", help="The format; without it, the formats are listed.")
+@click.option(
+    "-o", "output", type=file_at(), metavar="FILE", help="The file to write; its name is that of the vehicle."
+)
+@click.option("--dt", type=float, default=0.02, metavar="S", help="Sample period of the C header; default: 0.02.")
+@click.option("--predictor", is_flag=True, help="Also axes that the data cannot tell, by the point that predicts best.")
+@click.option("--physical", is_flag=True, help="Commands in rad, m/s and rad/s instead of fractions of limits.")
+@click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file says by how much.")
+@JSON
+def export(
+    model_path: str | None, logs: Sequence[str], to: str | None, output: Path | None, as_json: bool, **asked: Any
+) -> None:
+    """Write a model for a controller, an estimator or a simulator.
+
+    With LOGs the file also states the errors of predictions on them. Without --to, lists the formats.
+    """
+    from dataclasses import asdict
+
+    from rotorfit.exports import FORMATS, MARK
+    from rotorfit.exports import export as write
+    from rotorfit.terminal import show
+    from rotorfit.terminal.export import export_formats_view, export_mapping, export_view
+
+    if to is None:
+        if as_json:
+            return print_json({"formats": {name: asdict(form) for name, form in FORMATS.items()}})
+        return show(export_formats_view(FORMATS))
+    if model_path is None or output is None:
+        raise click.UsageError("give a model and -o FILE: rotorfit export model.json --to NAME -o FILE")
+    from rotorfit.model_file import load
+    from rotorfit.pipeline import check_destination, parse_log, training_flights, validate_logs
+
+    check_destination(output, MARK)
+    model = load(model_path)
+    with progress_bar() as progress:
+        validation = validate_logs(model, [parse_log(log) for log in logs], progress=progress)[0] if logs else None
+    made = write(model_path, to, output, training=training_flights(model)[0], validation=validation, **asked)
+    if as_json:
+        return print_json(export_mapping(made, str(output)))
+    return show(export_view(made, str(output)))

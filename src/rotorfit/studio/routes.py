@@ -18,6 +18,7 @@ from rotorfit.answers import answers_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.draft import draft_card
 from rotorfit.errors import LogError, RotorfitError
+from rotorfit.exports import FORMATS, export
 from rotorfit.frames import AXES
 from rotorfit.studio.asking import edits_from, fit_request, ranges_from, window_from
 from rotorfit.studio.gate import SANDBOX, Gate, cookie_name, refused
@@ -74,6 +75,7 @@ class Studio:
             Route("/api/fits", _changing(self.fit), methods=["POST"]),
             Route("/api/fits/{fit}", _changing(self.remove_fit), methods=["DELETE"]),
             Route("/api/fits/{fit}/cancel", _changing(self.cancel), methods=["POST"]),
+            Route("/api/fits/{fit}/exports/{format}", self.exported),
             Route("/api/fits/{fit}/{file}", self.result),
         ]
 
@@ -215,6 +217,17 @@ class Studio:
             headers["content-security-policy"] = SANDBOX
             headers["x-frame-options"] = "SAMEORIGIN"
         return FileResponse(path, media_type=RESULTS[name], headers=headers)
+
+    def exported(self, request: Request) -> Response:
+        """The model of a fit in the form that a controller or a simulator takes, to keep."""
+        fit, wanted = self._fit(request), request.path_params["format"]
+        path = self.workspace.fit_folder(fit) / "model.json"
+        if fit.status != "done" or not path.is_file():
+            return refused(404, "there is no such result")
+        name = f"model_{fit.id}"
+        made = export(path, wanted, name=name)
+        kept = {"content-disposition": f'attachment; filename="{name}{FORMATS[wanted].suffix}"'}
+        return Response(made.text, media_type="text/plain; charset=utf-8", headers=kept)
 
     def _upload(self, request: Request) -> Upload:
         return self.workspace.upload(request.path_params["log"])

@@ -12,6 +12,7 @@ from rotorfit.clock import rate, stamps_of
 from rotorfit.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.errors import CardError
 from rotorfit.evidence import horizon_charts, profile_charts, scores_of
+from rotorfit.exports import FORMATS
 from rotorfit.flight import Flight
 from rotorfit.forecast import HORIZONS
 from rotorfit.frames import AXES, Array
@@ -57,6 +58,7 @@ def constants_mapping() -> dict[str, Any]:
         "limits": LIMIT_UNITS,
         "cards": {name: card.name for name, card in builtin_cards().items()},
         "structures": ["auto", *STRUCTURES],
+        "exports": {name: form.text for name, form in FORMATS.items()},
         "methods": ["ml", "robust", "paper", "svf", "weak", "iv", "oe"],
         "largest_log": LARGEST_LOG,
         "most_logs": MOST_LOGS,

@@ -18,6 +18,11 @@ export async function send(method, path, body = {}) {
   return (await answered(response)).json();
 }
 
+export async function file(path) { // something to keep, with the name that the server gives it
+  const response = await answered(await fetch(path));
+  return {blob: await response.blob(), name: /filename="([^"]+)"/.exec(response.headers.get("content-disposition"))[1]};
+}
+
 export async function windowOf(path, from, to, width, signal) {
   const address = new URL(path, location.origin);
   if (from !== null) { address.searchParams.set("from", from); address.searchParams.set("to", to); }

@@ -1,14 +1,15 @@
 // What came of a fit: verdict, coefficients, proof, findings, and the files to keep.
 
-import {fill, findingList, h} from "./dom.js";
+import {file} from "./api.js";
+import {fill, findingList, h, labelled, notice, options} from "./dom.js";
 import {DrawnChart, legendOf} from "./plot.js";
 
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
 const OPEN = 2; // flights that are unfolded from the start
 
-export function resultView(fit, found) {
-  const file = name => `/api/fits/${fit.id}/${name}`;
+export function resultView(fit, found, formats) {
+  const place = name => `/api/fits/${fit.id}/${name}`;
   const validation = found.flights.filter(one => one.role === "validation"), training = found.flights.filter(one => one.role === "training");
   return [
     h("article", {className: "panel verdict"},
@@ -22,10 +23,10 @@ export function resultView(fit, found) {
       h("p", {}, found.whole),
       h("p", {className: "muted"}, found.summary),
       h("div", {className: "bar downloads"},
-        h("a", {className: "button primary", href: `${file("report.html")}`, target: "_blank", rel: "noopener"}, "Open the report"),
-        h("a", {className: "button", href: `${file("model.json")}?download`, download: `model-${fit.id}.json`}, "Download model"),
-        h("a", {className: "button", href: `${file("report.html")}?download`, download: `report-${fit.id}.html`}, "Download report"),
-        validation.length ? h("a", {className: "button", href: `${file("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null)),
+        h("a", {className: "button primary", href: place("report.html"), target: "_blank", rel: "noopener"}, "Open the report"),
+        h("a", {className: "button", href: `${place("model.json")}?download`, download: `model-${fit.id}.json`}, "Download model"),
+        h("a", {className: "button", href: `${place("report.html")}?download`, download: `report-${fit.id}.html`}, "Download report"),
+        validation.length ? h("a", {className: "button", href: `${place("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null, exporter(fit, formats))),
     h("article", {className: "panel"}, h("h2", {}, "Coefficients"), coefficients(found.coefficients)),
     validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
       h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => i < OPEN ? flight(one, `${fit.id}-v${i}`)
@@ -38,6 +39,19 @@ export function resultView(fit, found) {
     found.residuals.length ? h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "What the residuals say")), grid(RESIDUALS, found.residuals, 2)) : null,
     h("details", {className: "panel"}, h("summary", {}, h("h2", {}, "Repairs of the logs")), found.notes.map(one => [h("h3", {}, `${one.path}, ${one.span.map(v => v.toFixed(2)).join(" to ")} s`), h("ul", {}, one.texts.map(text => h("li", {}, text)))])),
   ];
+}
+
+function exporter(fit, formats) { // a refusal is one line, so it is asked for by script and not by a link
+  const select = options(h("select", {}), Object.entries(formats).map(([name, words]) => [name, `${name}: ${words}`]), "numpy");
+  const save = async () => {
+    try {
+      const {blob, name} = await file(`/api/fits/${fit.id}/exports/${encodeURIComponent(select.value)}`);
+      const link = h("a", {href: URL.createObjectURL(blob), download: name});
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    } catch (error) { notice("error", error.message); }
+  };
+  return h("div", {className: "bar export"}, labelled("For", select, "field inline"), h("button", {type: "button", onclick: save}, "Export"));
 }
 
 function lazily(make) { // charts have no width before they are shown

@@ -1,0 +1,126 @@
+"""The law of every axis as an expression, in the words of a language. What an axis does not have is not written."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from rotorfit.exports.subject import Subject
+from rotorfit.frames import AXES
+from rotorfit.structure import structure_named
+
+SPEEDS = {"x": "forward", "y": "left", "z": "v_z", "yaw": "v_yaw"}
+"""Axis to the variable that holds its velocity in the heading frame."""
+
+
+@dataclass(frozen=True)
+class Language:
+    """How a language writes what the laws need.
+
+    Attributes:
+        absolute: Name of |a|.
+        larger: Name of max(a, b).
+        smaller: Name of min(a, b).
+        prefix: Before the name of a constant.
+        zero: 0 as a float.
+    """
+
+    absolute: str
+    larger: str
+    smaller: str
+    prefix: str = ""
+    zero: str = "0.0"
+
+
+@dataclass(frozen=True)
+class Equation:
+    """The motion of one axis.
+
+    Attributes:
+        axis: Name.
+        demand: Acceleration that the command asks for, an expression in u_x, u_y, u_z, u_yaw.
+        acceleration: v', an expression in the velocities, the demand's w_AXIS, the trims c_AXIS and q_AXIS.
+        lagged: q', where the law has a lag; else empty.
+        settled: q after the command was held for long; else empty.
+    """
+
+    axis: str
+    demand: str
+    acceleration: str
+    lagged: str = ""
+    settled: str = ""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number with a name, such as `INPUT_X`, and what it is."""
+
+    name: str
+    value: float
+    text: str
+
+
+def number(value: float) -> str:
+    """A number with 12 digits, a relative 5e-13 off at most, with a point: YAML 1.1 takes 1e-05 for a text."""
+    text = format(value, ".12g")
+    mantissa, exponent, power = text.partition("e")
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{exponent}{power}"
+
+
+def constants(subject: Subject) -> Iterator[Constant]:
+    """The numbers of every law that is exported, axis by axis; delays stand apart."""
+    for axis in subject.axes:
+        point, speed = subject.point(axis), "rad/s" if axis == "yaw" else "m/s"
+        unit = subject.commands[AXES.index(axis)].unit
+        per = "command of 1" if unit in ("fraction", "unit of command") else unit
+        units = {"speed": speed, "gain": f"{speed}^2 per {per}", "command": unit}
+        yield Constant(f"INPUT_{axis.upper()}", point.input, f"{speed}^2 per {per}")
+        yield Constant(f"DAMPING_{axis.upper()}", point.damping, "1/s")
+        for extra in subject.structure(axis).extras:
+            text = units.get(extra.unit, extra.unit or "-")
+            yield Constant(f"{extra.name.upper()}_{axis.upper()}", point.extra[extra.name], text)
+
+
+def equations(subject: Subject, language: Language) -> tuple[Equation, ...]:
+    """The motion of all four axes; those that are left out keep their velocity.
+
+    Source: the laws of `structure`.
+    """
+    return tuple(_equation(subject, axis, language) for axis in AXES)
+
+
+def _equation(subject: Subject, axis: str, language: Language) -> Equation:
+    if axis not in subject.axes:
+        return Equation(axis, language.zero, language.zero)
+    structure, v, end = structure_named(subject.model.axes[axis].structure), SPEEDS[axis], f"_{axis.upper()}"
+    names = {extra.name for extra in structure.extras}
+
+    def c(name: str) -> str:
+        return f"{language.prefix}{name.upper()}{end}"
+
+    w, q, trim = f"w_{axis}", f"q_{axis}", f"c_{axis}"
+    damping = f"{c('damping')} * {v}"
+    if "drag_share" in names:
+        share, speed = c("drag_share"), f"{language.absolute}({v}) / {c('reference_speed')}"
+        damping = f"{c('damping')} * ({1.0 if language.zero == '0.0' else 1} - {share} + {share} * {speed}) * {v}"
+    if "cross_damping" in names:
+        damping += f" - {c('cross_damping')} * {SPEEDS[{'x': 'y', 'y': 'x'}[axis]]}"
+    demand = f"{c('input')} * {_answered(axis, names, c, language)}"
+    if "cross_input" in names:
+        demand += f" + {c('cross_input')} * u_{ {'x': 'y', 'y': 'x'}[axis] }"
+    if structure.order == 2:
+        return Equation(axis, demand, q, f"({w} + {trim} - {damping} - {q}) / {c('lag')}", f"{w} - {damping}")
+    if structure.order == 1:
+        return Equation(axis, demand, f"{q} - {damping} + {trim}", f"({w} - {q}) / {c('lag')}", w)
+    return Equation(axis, demand, f"{w} - {damping} + {trim}")
+
+
+def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Language) -> str:
+    """What of a command is answered: all of it, or more upwards, up to a level, or without a dead zone."""
+    u = f"u_{axis}"
+    if "asymmetry" in names:
+        return f"({u} + {c('asymmetry')} * {language.absolute}({u}))"
+    if "level" in names:
+        return f"{language.smaller}({language.larger}({u}, -{c('level')}), {c('level')})"
+    if "dead_zone" in names:
+        above, below = (f"{language.larger}({sign}{u} - {c('dead_zone')}, {language.zero})" for sign in ("", "-"))
+        return f"({above} - {below})"
+    return u

@@ -1,0 +1,228 @@
+"""Subject: what an export is made of. The model with only the axes that go in, and what each command means."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from rotorfit.convert import scaled
+from rotorfit.errors import ExportError
+from rotorfit.frames import AXES
+from rotorfit.model import Axis, Model, Predictor
+from rotorfit.settings import Meaning, limit_text, meaning_of
+from rotorfit.structure import Structure, structure_named
+
+SUBSTEP = 0.1
+"""Runge-Kutta steps are no longer than this share of the shortest time constant: relative error 1e-6 or less."""
+
+SLOWEST_RATE = 2.0
+"""Turning at this rate is followed as well [rad/s]."""
+
+_UNITS = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+_LIMIT_OF = {"tilt": "tilt", "velocity": "speed", "vertical_speed": "vertical_speed", "yaw_rate": "yaw_rate"}
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the command of an axis is, as the export takes it.
+
+    Attributes:
+        text: In words, with its limit where the card has one.
+        unit: `fraction`, an SI unit, or `unit of command`.
+        limit: Largest size; None where the card does not tell.
+    """
+
+    text: str
+    unit: str
+    limit: float | None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What an export holds, whatever its format.
+
+    Attributes:
+        name: Of the vehicle in the generated code, an identifier.
+        model: The model whose simulation the export repeats: axes that are left out have no predictor and keep their
+            velocity; gains are per command of the export, delays are rounded where that was asked for.
+        original: The model as it was given: coefficients with intervals.
+        commands: One each axis.
+        physical: Whether commands are in SI where the card's are fractions.
+        dt: Sample period that is written down or rounded to [s].
+        notes: Sentences about what was left out, rounded or scaled.
+        origin: Name of the model file, or `a model in memory`.
+        sha256: Hex digest of the model file.
+    """
+
+    name: str
+    model: Model
+    original: Model
+    commands: tuple[Command, ...]
+    physical: bool
+    dt: float
+    notes: tuple[str, ...]
+    origin: str
+    sha256: str
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes that the export has numbers for."""
+        return tuple(axis for axis in AXES if self.model.axes[axis].predictor)
+
+    @property
+    def lagged(self) -> tuple[str, ...]:
+        """The axes whose law has a state besides position and velocity."""
+        return tuple(axis for axis in self.axes if self.structure(axis).order)
+
+    @property
+    def linear(self) -> bool:
+        """Whether every law is linear, so that there is a state space at a fixed heading."""
+        return all(self.structure(axis).linear for axis in self.axes)
+
+    @property
+    def longest(self) -> float:
+        """Longest Runge-Kutta step [s]."""
+        longest = SUBSTEP / max(SLOWEST_RATE, *(_rate(self.structure(axis), self.point(axis)) for axis in self.axes))
+        return float(f"{longest:.2g}")
+
+    def structure(self, axis: str) -> Structure:
+        """The law of an axis."""
+        return structure_named(self.model.axes[axis].structure)
+
+    def point(self, axis: str) -> Predictor:
+        """Its numbers; zeros where the axis is left out."""
+        return self.model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0)
+
+
+def _rate(structure: Structure, point: Predictor) -> float:
+    """Fastest rate of an axis [1/s]; with quadratic drag at twice the speed that was flown."""
+    rate = abs(point.damping) + abs(point.extra.get("cross_damping", 0.0))
+    rate *= 1 + 3 * point.extra.get("drag_share", 0.0)
+    return rate + (1 / point.extra["lag"] if structure.order else 0.0)
+
+
+def subject_of(
+    model: Model, name: str, origin: str, sha256: str, *, dt: float, predictor: bool, physical: bool, round_delay: bool
+) -> Subject:
+    """What an export of a model holds.
+
+    Args:
+        model: The model.
+        name: Any text; made an identifier.
+        origin: Where the model is from.
+        sha256: Of its file.
+        dt: Sample period [s].
+        predictor: Whether axes that the data cannot tell are exported by the likelihood's own point.
+        physical: Whether commands are taken in SI where the card makes them fractions of a limit.
+        round_delay: Whether delays are rounded to whole samples.
+
+    Raises:
+        ExportError: No axis remains, the sample period is none, or the card does not say what physical commands need.
+    """
+    if not 1e-4 <= dt <= 10:
+        raise ExportError(
+            f"a sample period of {dt:g} s cannot be used; give seconds between 0.0001 and 10, such as 0.02"
+        )
+    kept, notes = _kept(model, predictor)
+    if physical:
+        kept, said = _physical(kept)
+        notes = [*notes, *said]
+    if round_delay:
+        kept, said = _rounded(kept, dt)
+        notes = [*notes, *said]
+    commands = tuple(_command(kept, axis, physical) for axis in AXES)
+    return Subject(identifier(name), kept, model, commands, physical, dt, tuple(notes), origin, sha256)
+
+
+def identifier(text: str) -> str:
+    """A text as a name that C, Python and MATLAB take: letters, digits and underscores, a letter first, lower case."""
+    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    return plain if plain[:1].isalpha() else f"model_{plain}".rstrip("_")
+
+
+def unknown_of(axis: Axis) -> list[str]:
+    """What the data cannot tell of an axis, as `delay (not_identifiable)`; empty where all is known."""
+    structure = structure_named(axis.structure)
+    known = {"input": axis.input, "damping": axis.damping, **({"delay": axis.delay} if structure.delayed else {})}
+    known |= {extra.name: axis.extra.get(extra.name) for extra in structure.extras}
+    return [f"{name} ({axis.status.get(name, 'unknown')})" for name, value in known.items() if value is None]
+
+
+def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
+    """The model without the axes that do not go in, and a sentence on each of those."""
+    axes, notes, hidden = dict(model.axes), [], False
+    for name, axis in model.axes.items():
+        unknown = unknown_of(axis)
+        if axis.predictor is None:
+            notes.append(f"{name} is left out and keeps its velocity: the model has no numbers for it ({unknown[0]}).")
+        elif unknown and predictor:
+            notes.append(
+                f"{name} is exported by the point that predicts best, as was asked: the data cannot tell "
+                f"{_listed(unknown)}, so single coefficients may be far off."
+            )
+        elif unknown:
+            hidden = True
+            axes[name] = replace(axis, predictor=None)
+            notes.append(f"{name} is left out and keeps its velocity: the data cannot tell {_listed(unknown)}.")
+    for one, other in (("x", "y"), ("y", "x")):
+        if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).kicks >= 2:
+            axes[one] = replace(axes[one], predictor=None)
+            notes.append(f"{one} is left out, too: its law is coupled with that of {other}.")
+    if not any(axis.predictor for axis in axes.values()):
+        remedy = "--predictor exports the point that predicts best" if hidden else "fit a flight that moves an axis"
+        raise ExportError(f"nothing to export: {' '.join(notes)} {remedy}")
+    return replace(model, axes=axes), notes
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _physical(model: Model) -> tuple[Model, list[str]]:
+    """The model with commands in SI: gains divided by the limit that a command of 1 was the whole of."""
+    axes, notes = dict(model.axes), []
+    for name, axis in model.axes.items():
+        if axis.predictor is None:
+            continue
+        meaning = meaning_of(model.card, name)
+        if meaning.asked is None or (meaning.limit and meaning.setting is None):
+            why = meaning.reason or f"the card does not say what its limit of {meaning.limit} was"
+            raise ExportError(
+                f"physical commands: {why}; add it to the card and fit again, or export without --physical"
+            )
+        if meaning.limit and meaning.setting:
+            axes[name] = replace(axis, predictor=scaled(axis.predictor, 1 / meaning.setting))
+            notes.append(
+                f"The command of {name} is physical: what the vehicle takes is this divided by {meaning.setting:.10g} "
+                f"{_UNITS[meaning.asked]}, its limit in the training flights."
+            )
+    return replace(model, axes=axes), notes
+
+
+def _rounded(model: Model, dt: float) -> tuple[Model, list[str]]:
+    axes, notes = dict(model.axes), []
+    for name, axis in model.axes.items():
+        if axis.predictor is None:
+            continue
+        delay = dt * round(axis.predictor.delay / dt)
+        axes[name] = replace(axis, predictor=replace(axis.predictor, delay=delay))
+        off = 1e3 * (delay - axis.predictor.delay)
+        notes.append(
+            f"The delay of {name} is rounded to whole samples of {dt:g} s, as was asked: {axis.predictor.delay:.4f} s "
+            f"to {delay:g} s, {abs(off):.1f} ms {'longer' if off > 0 else 'shorter'}."
+        )
+    return replace(model, axes=axes), notes
+
+
+def _command(model: Model, axis: str, physical: bool) -> Command:
+    meaning: Meaning = meaning_of(model.card, axis)
+    if meaning.asked is None:
+        return Command(
+            f"as sent, by the card {model.card.name}; what it asks for is not known", "unit of command", None
+        )
+    if meaning.limit and not physical:
+        size = f" ({limit_text(meaning.limit, meaning.setting)})" if meaning.setting else ""
+        return Command(f"fraction of the {meaning.limit} limit{size}, from -1 to 1", "fraction", 1.0)
+    limit = model.card.limits.get(meaning.limit or _LIMIT_OF[meaning.asked])
+    unit = _UNITS[meaning.asked]
+    ends = f", from {-limit:.4g} to {limit:.4g}" if limit else ", limits not known"
+    return Command(f"{meaning.asked} asked for [{unit}]{ends}", unit, limit)

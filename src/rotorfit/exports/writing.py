@@ -1,0 +1,209 @@
+"""Subject -> text of a file, by a template."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import resources
+from itertools import pairwise
+from typing import Any
+
+from rotorfit.errors import ExportError
+from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
+from rotorfit.exports.formats import Format
+from rotorfit.exports.subject import Command, Subject
+from rotorfit.frames import AXES
+from rotorfit.model import Model, state_space
+from rotorfit.structure import FIRST_ORDER_DELAY
+
+_PLAIN = (FIRST_ORDER_DELAY.name, "first_order")
+
+LANGUAGES: Mapping[str, Language] = {
+    "numpy": Language("np.abs", "np.maximum", "np.minimum"),
+    "rotorpy": Language("np.abs", "np.maximum", "np.minimum"),
+    "jax": Language("jnp.abs", "jnp.maximum", "jnp.minimum"),
+    "casadi": Language("ca.fabs", "ca.fmax", "ca.fmin"),
+    "c": Language("fabs", "fmax", "fmin"),
+    "matlab": Language("abs", "max", "min", prefix="p."),
+}
+"""Of the formats that write the laws out."""
+
+TOLD = {
+    "python-control": "Linear state space at a fixed heading for python-control, with the exact delay when sampled.",
+    "casadi": "CasADi functions: the right-hand side, and a step of any sample period with the exact delay.",
+    "numpy": "NumPy functions: the right-hand side, and steps of any length with the exact delay.",
+    "jax": "JAX functions: the right-hand side, and steps of any length with the exact delay.",
+    "matlab": "Functions for MATLAB and Octave: the right-hand side, steps of any length with the exact delay, and the "
+    "state space at a fixed heading where the laws are linear.",
+    "c": "C99 predictor of a fixed step with the exact delay. It allocates nothing and needs math.h only.",
+    "ros1": "Parameters for ROS 1, to be loaded by rosparam or a launch file.",
+    "ros2": "Parameters for ROS 2, to be loaded by --params-file.",
+    "rotorpy": "A vehicle for RotorPy's Environment, which moves exactly as the model does; it has no rotors.",
+    "gazebo": "A xacro macro with the gains of Gazebo's MulticopterVelocityControl.",
+}  # fmt: skip
+"""What a file of each format holds."""
+
+
+def told(subject: Subject, to: str) -> str:
+    """What a file of the format holds, in a sentence or two."""
+    stepped = {"casadi", "numpy", "jax", "matlab", "c", "rotorpy"}
+    steps = (
+        f" Between changes of the command the motion is stepped by Runge-Kutta of order 4, at most "
+        f"{subject.longest:.3g} s at a time."
+    )
+    return TOLD[to] + (steps if to in stepped else "")
+
+
+def check(subject: Subject, to: str, form: Format) -> None:
+    """Refuses a structure that a format cannot hold, and axes that it cannot do without.
+
+    Raises:
+        ExportError: With the axes, and what to try.
+    """
+    bent = [axis for axis in subject.axes if not subject.structure(axis).linear]
+    other = [axis for axis in subject.axes if subject.structure(axis).name not in _PLAIN]
+    wrong = bent if form.linear else other if form.plain else []
+    if wrong:
+        laws = ", ".join(f"{axis} {subject.structure(axis).name}" for axis in wrong)
+        kind = "linear laws" if form.linear else "the default law"
+        raise ExportError(
+            f"{to} holds {kind} only, and the model has {laws}; export --to casadi, numpy, jax, matlab or c, or fit "
+            "the default structure"
+        )
+    unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
+    if to == "gazebo" and unsteady:
+        raise ExportError(
+            f"gazebo holds a velocity on all four axes, and {', '.join(unsteady)} is left out or has no positive "
+            "damping; fit a flight that moves it, try --predictor, or export to another format"
+        )
+
+
+def written(subject: Subject, to: str, form: Format, header: Sequence[str]) -> str:
+    """The whole file.
+
+    Args:
+        subject: What is exported.
+        to: Name of the format.
+        form: The format.
+        header: Lines of its block on top.
+    """
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FunctionLoader(_template), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True, line_comment_prefix="##",
+    )  # fmt: skip
+    environment.filters["number"] = number
+    return environment.get_template(form.template).render(**_context(subject, to), header=header)
+
+
+def _template(name: str) -> str:
+    return resources.files(__name__.rpartition(".")[0]).joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _context(subject: Subject, to: str) -> dict[str, Any]:
+    """What the templates speak of."""
+    language = LANGUAGES.get(to, LANGUAGES["numpy"])
+    if to == "c":
+        language = replace(language, prefix=f"{subject.name.upper()}_")
+    laws = {equation.axis: equation for equation in equations(subject, language)}
+    limits = [command.limit if axis in subject.axes else None for axis, command in _commands(subject)]
+    parts, steady = segments(subject, subject.dt), {axis: steady_gain(subject, axis) for axis in AXES}
+    bounds = [abs(steady[axis] or 0.0) * (limit or 0.0) for axis, limit in zip(AXES, limits, strict=True)]
+    units = {constant.name: constant.text for constant in constants(subject)}
+    return {
+        "to": to,
+        "subject": subject,
+        "name": subject.name,
+        "NAME": subject.name.upper(),
+        "AXES": AXES,
+        "delays": [subject.point(axis).delay for axis in AXES],
+        "limits": limits,
+        "constants": tuple(constants(subject)),
+        "units": {axis: units[f"INPUT_{axis.upper()}"] for axis in subject.axes},
+        "extra_units": {
+            axis: {
+                extra.name: units[f"{extra.name.upper()}_{axis.upper()}"] for extra in subject.structure(axis).extras
+            }
+            for axis in subject.axes
+        },
+        "equations": laws,
+        "used": [axis for axis in AXES if mentioned(f"u_{axis}", [law.demand for law in laws.values()])],
+        "turned": [
+            v for v in ("forward", "left") if mentioned(v, [f"{x.acceleration} {x.lagged}" for x in laws.values()])
+        ],
+        "settling": [v for v in (*SPEEDS.values(), *(f"u_{axis}" for axis in AXES)) if mentioned(v, _settling(laws))],
+        "lagged": subject.lagged,
+        "longest": subject.longest,
+        "space": _space(subject) if subject.linear else None,
+        "states": [f'"{sign}{axis}"' for sign in ("", "v_") for axis in subject.axes]
+        + [f'"q_{axis}"' for axis in subject.lagged],
+        "parts": parts,
+        "memory": max(age for _, ages in parts for age in ages),
+        "steady": steady,
+        "bounds": bounds if all(bounds) else None,
+        "fastest": max(abs(subject.point(axis).damping) for axis in subject.axes),
+        "K": paper_coefficients(subject),
+    }
+
+
+def mentioned(variable: str, expressions: Sequence[str]) -> bool:
+    """Whether a variable stands in one of the expressions."""
+    return any(re.search(rf"\b{variable}\b", expression) for expression in expressions)
+
+
+def _settling(laws: Mapping[str, Equation]) -> list[str]:
+    """What the start of a lag is computed from."""
+    return [f"{law.demand} {law.settled}" for law in laws.values() if law.settled]
+
+
+def _space(subject: Subject) -> dict[str, Any]:
+    """The state space at heading 0, as lists."""
+    space = state_space(subject.model)
+    return {"axes": space.axes, "A": space.A.tolist(), "B": space.B.tolist(), "C": space.C.tolist()}
+
+
+def _commands(subject: Subject) -> list[tuple[str, Command]]:
+    return list(zip(AXES, subject.commands, strict=True))
+
+
+def steady_gain(subject: Subject, axis: str) -> float | None:
+    """Speed that a command of 1 ends in; None where the axis is left out, has another law, or speeds up for ever."""
+    point = subject.point(axis)
+    held = {"quadratic_drag", "climb_descent", "saturation", "dead_zone", "coupled"}
+    if axis not in subject.axes or subject.structure(axis).name in held or point.damping <= 0:
+        return None
+    return point.input / point.damping
+
+
+def segments(subject: Subject, dt: float) -> list[tuple[float, tuple[int, ...]]]:
+    """Parts of a sample period between changes of a delayed command: duration, and how old a command each axis obeys.
+
+    Args:
+        subject: With the delays.
+        dt: Sample period [s].
+
+    Returns:
+        Durations [s] that sum to dt, and ages in samples, 0 for the command that is sent at the start of the period.
+    """
+    delays = [subject.point(axis).delay for axis in AXES]
+    whole = [int(delay / dt + 1e-9) for delay in delays]
+    rest = [max(delay - n * dt, 0.0) for delay, n in zip(delays, whole, strict=True)]
+    rest = [r if r > 1e-9 * dt else 0.0 for r in rest]
+    cuts = sorted({0.0, dt, *rest})
+    return [
+        (end - start, tuple(n + (start < r) for n, r in zip(whole, rest, strict=True))) for start, end in pairwise(cuts)
+    ]
+
+
+def paper_coefficients(subject: Subject) -> list[float] | None:
+    """The eight coefficients of the paper's model, g and b of x, y, z, yaw in turn; None unless all are exported.
+
+    Source: paper, eqs. (4) and (6); `K` of jrsbenevides/drone_dev, config/bebopParameters.yaml, in the same order.
+    """
+    if len(subject.axes) < len(AXES) or subject.physical or not all(_is_plain(subject.model, axis) for axis in AXES):
+        return None
+    return [value for axis in AXES for value in (subject.point(axis).input, subject.point(axis).damping)]
+
+
+def _is_plain(model: Model, axis: str) -> bool:
+    return model.axes[axis].structure in _PLAIN
