@@ -12,7 +12,7 @@ const LEADS = {x: ["leads forward", "leads backward"], y: ["leads left", "leads 
 const LIMIT_WORDS = {tilt: "tilt", vertical_speed: "vertical speed", yaw_rate: "yaw rate", speed: "speed"};
 
 export function cardPanel(place, studio) {
-  const log = h("select", {onchange: () => studio.look(log.value)}), start = h("select", {onchange: () => begin()});
+  const log = h("select", {onchange: () => studio.look(log.value)}), start = h("select", {className: "start", onchange: () => begin()});
   const table = h("div", {className: "card-table"}), limits = h("div", {className: "limits"}), problem = h("p", {className: "notice error", hidden: true});
   const text = h("textarea", {spellcheck: false, rows: 22, "aria-label": "The card as TOML", oninput: () => typed()});
   const names = h("datalist", {id: "card-columns"});
