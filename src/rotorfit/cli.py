@@ -360,6 +360,54 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 
 
 @main.command()
+@_model
+@click.option(
+    "--design",
+    type=click.Choice(["predictor", "lqr", "linearising"]),
+    default="predictor",
+    help="The law: state predictor (default), LQR with the delay, or feedback linearisation.",
+)
+@click.option("--rate", type=float, default=50.0, metavar="HZ", help="Commands a second; default: 50.")
+@click.option("--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s.")
+@click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to tune; default: all.")
+@click.option("--peak", type=float, default=1.7, metavar="MS", help="Highest peak of the sensitivity; default: 1.7.")
+@click.option("--seed", type=int, default=0, metavar="N", help="Of the vehicles drawn from the covariance; default: 0.")
+@click.option("-o", "output", type=_file(dir_okay=False), metavar="gains.toml", help="Write the gains (.toml, .yaml).")
+@_json
+def tune(
+    model_path: str,
+    design: Any,
+    rate: float,
+    latency: float,
+    axes: Any,
+    peak: float,
+    seed: int,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Gains of a position controller, as fast as what is known allows."""
+    from rotorfit.gains_file import GAINS_MARK, save_gains, tuning_mapping
+    from rotorfit.model_file import load
+    from rotorfit.pipeline import check_destination
+    from rotorfit.tune import tune as tuned
+
+    if output:
+        check_destination(output, GAINS_MARK)
+    model = load(model_path)
+    tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)
+    if output:
+        save_gains(tuning, model, output)
+    if as_json:
+        return _print_json(tuning_mapping(tuning, model))
+    from rotorfit.terminal import show
+    from rotorfit.terminal.tuning import tuning_view
+
+    show(tuning_view(tuning))
+    click.echo(f"\nGains written to {output}." if output else "\nNothing was written; -o gains.toml keeps the gains.")
+    return None
+
+
+@main.command()
 @click.option("--card", metavar="C", help="Built-in card, TOML file, or sim:VEHICLE; with the limits.")
 @click.option("--after", type=_file(dir_okay=False), metavar="model.json", help="Propose the flight to add to a model.")
 @click.option(
