@@ -36,18 +36,18 @@ def law_of_bandwidth(
         filter_time: Of the velocity that comes from poses: of the observer's fast poles, or of the difference [s].
     """
     g, b, delay = vehicle
-    slow, common = SLOW * bandwidth, {"period": period, "input": g, "damping": b, "delay": delay, "latency": latency}
+    slow = SLOW * bandwidth
     if kind == "lqr":
         stiffness, rate = optimal_gains(vehicle, bandwidth, period)
     else:
         rate = max(2 * bandwidth - b, 0.0)
         stiffness = bandwidth * (b + rate - bandwidth)
     if kind == "linearising":
-        integral = slow * stiffness
-        stiffness += slow * (b + rate)
-        return AxisLaw(kind, stiffness=stiffness, rate=rate, integral=integral, filter_time=filter_time, **common)
+        integral, stiffness = slow * stiffness, stiffness + slow * (b + rate)
+        rate += slow
+        return AxisLaw(kind, period, g, b, delay, latency, stiffness, rate, integral, filter_time)
     poles = np.exp(-period * np.array([1 / filter_time, 1 / filter_time, slow]))
-    return AxisLaw(kind, stiffness=stiffness, rate=rate, observer=observer_of_poles(b, period, poles), **common)
+    return AxisLaw(kind, period, g, b, delay, latency, stiffness, rate, observer=observer_of_poles(b, period, poles))
 
 
 def observer_of_poles(damping: float, period: float, poles: np.ndarray) -> tuple[float, float, float]:

@@ -368,7 +368,9 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     help="The law: state predictor (default), LQR with the delay, or feedback linearisation.",
 )
 @click.option("--rate", type=float, default=50.0, metavar="HZ", help="Commands a second; default: 50.")
-@click.option("--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s.")
+@click.option(
+    "--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s."
+)
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to tune; default: all.")
 @click.option("--peak", type=float, default=1.7, metavar="MS", help="Highest peak of the sensitivity; default: 1.7.")
 @click.option("--seed", type=int, default=0, metavar="N", help="Of the vehicles drawn from the covariance; default: 0.")

@@ -17,6 +17,7 @@ K. J. Åström, R. M. Murray, Feedback Systems, section 10.3 (margins).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
@@ -139,7 +140,7 @@ def delay_margin(law: AxisLaw, vehicle: Dynamics) -> float:
         return spectral_radius(law, vehicle._replace(delay=vehicle.delay + more)) - 1.0
 
     steps = np.arange(0.0, LONGEST, law.period / 4)
-    for low, high in zip(steps[:-1], steps[1:], strict=True):
+    for low, high in pairwise(steps.tolist()):
         if excess(high) >= 0:
             return float(brentq(excess, low, high, xtol=1e-7)) if excess(low) < 0 else 0.0
     return np.inf

@@ -8,6 +8,7 @@ Steps are not announced: before a step nobody knows of it.
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 
 from rotorfit.errors import PlanError
@@ -31,6 +32,8 @@ STEPS: tuple[Four, ...] = (
 )  # fmt: skip
 """Where steps lead one after the other: x, y, z as shares of the size, yaw [rad]."""
 
+_LEVELS = np.array(STEPS)
+
 
 @dataclass(frozen=True)
 class ReferencePath:
@@ -52,18 +55,10 @@ class ReferencePath:
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration of x, y, z, yaw at times from the start, each shape (N, 4)."""
-        if self.shape == "steps":
-            levels = np.vstack([np.zeros(4), STEPS]) * np.array([self.size] * 3 + [1.0])
-            step = np.clip(np.floor((t - WAIT) / HOLD).astype(int) + 1, 0, len(STEPS))
-            rest = np.zeros((t.size, 4))
-            return np.array(self.centre) + levels[step], rest, rest
-        phase, rate, growth = self._phase(t)
-        place, slope, bend = _circle(phase) if self.shape == "circle" else _lemniscate(phase)
-        scale = np.array([self.size] * 3 + [1.0])
-        place, slope, bend = place * scale, slope * scale, bend * scale
-        velocity = slope * rate[:, None]
-        acceleration = bend * rate[:, None] ** 2 + slope * growth[:, None]
-        return np.array(self.centre) + place, velocity, acceleration
+        out = np.empty((3, t.size, 4))
+        full = self.speed / (self.size * (1.0 if self.shape == "circle" else np.sqrt(2.0 + HEAVE**2)))
+        _fill(SHAPES.index(self.shape), self.size, full, np.array(self.centre), t, out)
+        return out[0], out[1], out[2]
 
     def known(self, t: Array, now: Array) -> tuple[Array, Array, Array]:
         """As `at`, as far as it is known at an earlier time: a step that is still to come is not."""
@@ -75,30 +70,35 @@ class ReferencePath:
         x, y, z, yaw = self.at(np.zeros(1))[0][0].tolist()
         return x, y, z, yaw
 
-    def _phase(self, t: Array) -> tuple[Array, Array, Array]:
-        full = self.speed / (self.size * (1.0 if self.shape == "circle" else np.sqrt(2.0 + HEAVE**2)))
-        since = np.maximum(t - WAIT, 0.0)
-        s = np.minimum(since / RAMP, 1.0)
-        phase = full * (RAMP * s**4 * (2.5 - 3 * s + s**2) + np.maximum(since - RAMP, 0.0))
-        return phase, full * s**3 * (10 - 15 * s + 6 * s**2), full * 30 * s**2 * (1 - s) ** 2 / RAMP
 
-
-def _circle(phase: Array) -> tuple[Array, Array, Array]:
-    """Of radius 1, with its first and second derivative by the phase, heading kept."""
-    c, s, rest = np.cos(phase), np.sin(phase), np.zeros(phase.size)
-    return (
-        np.column_stack([c, s, rest, rest]), np.column_stack([-s, c, rest, rest]), np.column_stack([-c, -s, rest, rest])
-    )  # fmt: skip
-
-
-def _lemniscate(phase: Array) -> tuple[Array, Array, Array]:
-    """Gerono's, of half length 1, with swinging height and heading; fastest in the middle."""
-    c, s, cc, ss = np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)
-    return (
-        np.column_stack([s, ss / 2, HEAVE * s, TURN * s]),
-        np.column_stack([c, cc, HEAVE * c, TURN * c]),
-        np.column_stack([-s, -2 * ss, -HEAVE * s, -TURN * s]),
-    )
+@numba.njit(cache=True)
+def _fill(shape, size, full, centre, t, out):  # type: ignore[no-untyped-def]
+    """Position, velocity and acceleration, shape (3, N, 4), of a shape at times (N,); full: final rate of the phase."""
+    out[:] = 0.0
+    for n in range(t.size):
+        since = max(t[n] - WAIT, 0.0)
+        s = min(since / RAMP, 1.0)
+        phase = full * (RAMP * s**4 * (2.5 - 3 * s + s**2) + max(since - RAMP, 0.0))
+        rate, growth = full * s**3 * (10 - 15 * s + 6 * s**2), full * 30 * s**2 * (1 - s) ** 2 / RAMP
+        c, s = np.cos(phase), np.sin(phase)
+        if shape == 0:  # a circle, heading kept
+            way = ((size * c, -size * s, -size * c), (size * s, size * c, -size * s), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        elif shape == 1:  # Gerono's lemniscate, fastest in the middle, with swinging height and heading
+            lift = HEAVE * size
+            way = (
+                (size * s, size * c, -size * s), (size * s * c, size * (c * c - s * s), -4 * size * s * c),
+                (lift * s, lift * c, -lift * s), (TURN * s, TURN * c, -TURN * s),
+            )  # fmt: skip
+        else:
+            way = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            step = min(int(np.floor((t[n] - WAIT) / HOLD)), _LEVELS.shape[0] - 1)
+            for a in range(4):
+                if step >= 0:
+                    out[0, n, a] = _LEVELS[step, a] * (size if a < 3 else 1.0)
+        for a in range(4):
+            out[0, n, a] += centre[a] + way[a][0]
+            out[1, n, a] = way[a][1] * rate
+            out[2, n, a] = way[a][2] * rate * rate + way[a][1] * growth
 
 
 def within(path: ReferencePath, space: Space) -> None:

@@ -101,7 +101,7 @@ def doubt(vehicles: Sequence[Dynamics], period: float, latency: float, seed: int
 def highest_peak(law: AxisLaw, possible: Doubt) -> float:
     """The peak that 95 % of the vehicles do not exceed, if all are stable: what can be known without eigenvalues."""
     L = -law_response(law, possible.frequency) * possible.response
-    return float(np.quantile(1 / np.abs(1 + L).min(axis=1), 0.95, method="inverted_cdf"))
+    return _quantile(1 / np.abs(1 + L).min(axis=1), 0.95)
 
 
 def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
@@ -110,15 +110,19 @@ def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
     stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
     peak = np.where(stable, 1 / np.abs(1 + L).min(axis=1), np.inf)
     phase, delay = _phase_and_delay(L, possible.frequency)
-    quantile = {"method": "inverted_cdf"}
     return Robustness(
         float(np.mean(~stable)),
-        float(np.quantile(peak, 0.95, **quantile)),
-        float(np.quantile(np.where(stable, phase, 0.0), 0.05, **quantile)),
-        float(np.quantile(np.where(stable, delay, 0.0), 0.05, **quantile)),
+        _quantile(peak, 0.95),
+        _quantile(np.where(stable, phase, 0.0), 0.05),
+        _quantile(np.where(stable, delay, 0.0), 0.05),
         len(possible.vehicles),
         possible.seed,
     )
+
+
+def _quantile(values: Array, share: float) -> float:
+    """One of the values, infinite ones among them: nothing is drawn between two."""
+    return float(np.quantile(values, share, method="inverted_cdf"))
 
 
 def _phase_and_delay(L: np.ndarray, w: Array) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -127,7 +128,7 @@ def _steps(trial: Trial) -> tuple[float, float]:
     """Largest overshoot, and median settling time of the steps; one that does not settle takes the whole hold."""
     beyond, settled = [], []
     levels = np.vstack([np.zeros(4), STEPS]) * np.array([trial.path.size] * 3 + [1.0])
-    for number, (before, after) in enumerate(zip(levels[:-1], levels[1:], strict=True)):
+    for number, (before, after) in enumerate(pairwise(levels)):
         start = WAIT + number * HOLD
         inside = (trial.time >= start) & (trial.time < start + HOLD)
         for axis in np.flatnonzero(after != before):

@@ -143,7 +143,9 @@ def _check(kind: Kind, rate: float, latency: float, peak: float, draws: int) -> 
     if kind not in KINDS:
         raise ModelError(f"no such design: {kind!r}; designs are {', '.join(KINDS)}")
     if not (5 <= rate <= 500 and 0 <= latency <= 0.5):
-        raise ModelError(f"cannot tune for {rate:g} commands a second and a latency of {latency:g} s: 5 to 500, 0 to 0.5")
+        raise ModelError(
+            f"cannot tune for {rate:g} commands a second and a latency of {latency:g} s: 5 to 500, 0 to 0.5"
+        )
     if not (1.2 <= peak <= 3.0 and draws >= 20):
         raise ModelError(f"cannot tune to a peak of {peak:g} over {draws} draws: 1.2 to 3, and at least 20")
 
@@ -203,7 +205,7 @@ def _note(model: Model, axis: str, noise: float | None) -> str:
         notes.append(f"tuned for the first-order law with a delay, not for {known.structure}")
     if known.delay is None and f"{axis}.delay" not in model.covariance_names:
         notes.append(
-            f"the delay is not known: the law looks ahead by none, and its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"
+            f"the delay is not known: the law looks ahead by none, its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"
         )
     if noise is not None and noise > RESTLESS:
         notes.append(f"noise of the poses moves the command by {100 * noise:.0f} % of full scale: filter the poses")

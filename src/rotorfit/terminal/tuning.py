@@ -27,9 +27,9 @@ def tuning_view(tuning: Tuning) -> View:
     yield margins
     draws = next(iter(tuning.axes.values())).robustness
     yield Text(
-        f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed {draws.seed}; "
-        f"none is unstable): deg, s. peak: of the sensitivity; the delay margin must be {DELAY_SHARE:g} of latency and "
-        "delay. noise: what the poses' noise does to the command, % of full scale.",
+        f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
+        f"{draws.seed}; none is unstable): deg, s. peak: of the sensitivity; the delay margin must be "
+        f"{DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
         style="dim",
     )
     yield from bullets([f"{axis}: {one.note}" for axis, one in tuning.axes.items() if one.note])
