@@ -63,8 +63,8 @@ def test_the_flying_controller_is_stable_just_below_its_delay_margin_and_not_abo
     law = LAWS[kind]
     margin = margins(law, VEHICLE).delay
 
-    assert growth(law, VEHICLE._replace(delay=VEHICLE.delay + 0.95 * margin)) < 1
-    assert growth(law, VEHICLE._replace(delay=VEHICLE.delay + 1.05 * margin)) > 1
+    assert growth(law, VEHICLE._replace(delay=VEHICLE.delay + 0.97 * margin)) < 1
+    assert growth(law, VEHICLE._replace(delay=VEHICLE.delay + 1.03 * margin)) > 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -117,6 +117,7 @@ def test_an_unstable_loop_has_no_margin() -> None:
     assert (found.stable, found.delay, found.phase, found.peak) == (False, 0.0, 0.0, np.inf)
 
 
+@pytest.mark.filterwarnings("ignore")  # it falls back on sampled frequencies, and says so
 @pytest.mark.parametrize("kind", KINDS)
 def test_margins_are_those_of_python_control(kind: Kind) -> None:
     control = pytest.importorskip("control")

@@ -7,11 +7,13 @@ import pytest
 
 from models import model_of
 from rotorfit.air import Gusts, Wind
+from rotorfit.card import card_from_mapping
+from rotorfit.errors import ModelError
 from rotorfit.frames import AXES
 from rotorfit.reference_paths import HOLD, STEPS, WAIT, ReferencePath
 from rotorfit.simulator import Conditions
 from rotorfit.space import space_of_room
-from rotorfit.trial import Trial, controller_of, tracking_error, try_path
+from rotorfit.trial import Trial, controller_of, scores_mapping, tracking_error, try_path, try_tuning
 from rotorfit.tune import tune
 from rotorfit.vehicle import load_vehicle
 
@@ -76,3 +78,19 @@ def test_overshoot_and_settling_are_those_of_the_steps() -> None:
     assert error.settling == pytest.approx(1.0, abs=0.05)
     late = tracking_error(made_up(0.3, 1.0))
     assert late.settling == pytest.approx(1.2, abs=0.05), "a peak beyond the band is not settled"
+
+
+def test_gains_are_tried_on_the_vehicle_that_they_are_for() -> None:
+    model = model_of(TRUTH, card=card_from_mapping(BEBOP.card(), "bebop2"))  # type: ignore[arg-type]
+    scores = try_tuning(tune(model), model, "bebop2,wind=1", seeds=1)
+
+    assert [one.path.shape for one in scores] == ["circle", "lemniscate", "steps"]
+    assert [one.failed for one in scores] == [0, 0, 0]
+    assert scores[0].error.position < scores[2].error.position
+    told = scores_mapping(scores)
+    assert told["steps"]["overshoot"] == scores[2].error.overshoot
+    assert told["circle"]["overshoot"] is None
+    with pytest.raises(ModelError, match="not one of Ryze Tello"):
+        try_tuning(tune(model), model, "tello")
+    with pytest.raises(ModelError, match="no gains for y, z, yaw"):
+        try_tuning(tune(model, axes=("x",)), model, "bebop2")

@@ -8,7 +8,8 @@ the square of the acceleration asked for: without damping its poles are those of
 Source: third-order pole placement; for observers by one bandwidth Z. Gao, Scaling and bandwidth-parameterization based
 controller tuning, American Control Conference 2003. The optimal law of a vehicle with a delay is the optimal law
 without it, at the predicted state, because nothing that is decided now can change what comes before: K. J. Åström,
-B. Wittenmark, Computer-Controlled Systems, section 11.4. A test solves the system that holds the commands under way.
+B. Wittenmark, Computer-Controlled Systems (optimal control with delays). A test solves the
+system that holds the commands under way.
 """
 
 import numpy as np
@@ -18,8 +19,7 @@ from rotorfit.control_law import AxisLaw, Kind, held_step, motion_matrices
 from rotorfit.held_motion import Dynamics
 
 SLOW = 0.2
-"""Pole of the disturbance over the bandwidth: half of it costs a fifth of the rejection of gusts, the double of it
-overshoot; see docs/control.md."""
+"""Pole of the disturbance over the bandwidth; chosen: at the same peak of the sensitivity gusts hardly feel it."""
 
 
 def law_of_bandwidth(

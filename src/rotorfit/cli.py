@@ -374,6 +374,7 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
 @click.option("--axes", metavar="x,y,z,yaw", callback=_axes, help="The axes to tune; default: all.")
 @click.option("--peak", type=float, default=1.7, metavar="MS", help="Highest peak of the sensitivity; default: 1.7.")
 @click.option("--seed", type=int, default=0, metavar="N", help="Of the vehicles drawn from the covariance; default: 0.")
+@click.option("--try", "address", metavar="VEHICLE", help="Fly them in the flight room: bebop2,wind=1.5,gusts=0.3.")
 @click.option("-o", "output", type=_file(dir_okay=False), metavar="gains.toml", help="Write the gains (.toml, .yaml).")
 @_json
 def tune(
@@ -384,6 +385,7 @@ def tune(
     axes: Any,
     peak: float,
     seed: int,
+    address: str | None,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -399,12 +401,20 @@ def tune(
     tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)
     if output:
         save_gains(tuning, model, output)
+    scores = None
+    if address:
+        from rotorfit.trial import scores_mapping, try_tuning
+
+        scores = try_tuning(tuning, model, address)
     if as_json:
-        return _print_json(tuning_mapping(tuning, model))
+        return _print_json(tuning_mapping(tuning, model) | ({"trial": scores_mapping(scores)} if scores else {}))
     from rotorfit.terminal import show
-    from rotorfit.terminal.tuning import tuning_view
+    from rotorfit.terminal.tuning import trial_view, tuning_view
 
     show(tuning_view(tuning))
+    if scores and address:
+        click.echo()
+        show(trial_view(scores, address))
     click.echo(f"\nGains written to {output}." if output else "\nNothing was written; -o gains.toml keeps the gains.")
     return None
 

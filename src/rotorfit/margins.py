@@ -11,8 +11,8 @@ that is measured, C(z) the law, and L = -C P,
     peak         of the sensitivity 1 / |1 + L|: 1 over the least distance of L from -1
     delay margin the further delay at which it is no longer stable
 
-Source: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), section 2.3 (sampling with a delay);
-K. J. Åström, R. M. Murray, Feedback Systems, section 10.3 (margins).
+Source: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997): sampling with a delay;
+K. J. Åström, R. M. Murray, Feedback Systems: stability margins.
 """
 
 from collections.abc import Callable

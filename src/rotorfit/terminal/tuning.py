@@ -1,11 +1,13 @@
 """What the terminal shows of gains: a table of the numbers, a table of the margins."""
 
 import math
+from collections.abc import Sequence
 
 from rich.text import Text
 
 from rotorfit.gains_file import LAWS
 from rotorfit.terminal.tables import View, bullets, table, three_digits, title
+from rotorfit.trial import PathScore
 from rotorfit.tune import DELAY_SHARE, AxisTuning, Tuning
 
 
@@ -34,6 +36,28 @@ def tuning_view(tuning: Tuning) -> View:
     )
     yield from bullets([f"{axis}: {one.note}" for axis, one in tuning.axes.items() if one.note])
     yield from bullets([f"{axis}: no gains, {why}" for axis, why in tuning.refused.items()])
+
+
+def trial_view(scores: Sequence[PathScore], address: str) -> View:
+    """Tracking errors in the virtual flight room."""
+    flights = scores[0].flights
+    yield title(f"In the flight room: {address}, {flights} flights of each path")
+    shown = table("path", "m/s", "position", "heading", "overshoot", "settled", "saturated", "left the fence")
+    for one in scores:
+        error, steps = one.error, one.path.shape == "steps"
+        lost = one.failed > one.flights / 2
+        shown.add_row(
+            one.path.shape,
+            "-" if steps else f"{one.path.speed:.2f}",
+            "-" if lost else three_digits(100 * error.position),
+            "-" if lost else three_digits(math.degrees(error.heading)),
+            "-" if lost or error.overshoot is None else f"{100 * error.overshoot:.0f} %",
+            "-" if lost or error.settling is None else f"{error.settling:.2f}",
+            f"{100 * one.saturated:.1f} %",
+            f"{one.failed} of {one.flights}",
+        )
+    yield shown
+    yield Text("RMS errors, medians over the flights: cm, deg, s; steps are not announced", style="dim")
 
 
 def _gains(one: AxisTuning) -> list[str]:
