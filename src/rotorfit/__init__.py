@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rotorfit.model import simulate
     from rotorfit.model_file import load, save
     from rotorfit.sources import read
+    from rotorfit.tune import tune
     from rotorfit.validation import validate
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "read",
     "save",
     "simulate",
+    "tune",
     "validate",
 ]
 
@@ -48,6 +50,7 @@ _HOMES = {
     "read": "rotorfit.sources",
     "save": "rotorfit.model_file",
     "simulate": "rotorfit.model",
+    "tune": "rotorfit.tune",
     "validate": "rotorfit.validation",
 }
 """Public name to the module that defines it."""
