@@ -31,6 +31,7 @@ VERBS = [
     "compare",
     "report",
     "convert",
+    "tune",
     "export",
     "plan",
     "fly",

@@ -59,7 +59,7 @@ CHECKS = (
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (
     "RotorfitError", "__version__", "export", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
-    "studio", "validate",
+    "studio", "tune", "validate",
 )  # fmt: skip
 
 

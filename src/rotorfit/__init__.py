@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rotorfit.model_file import load, save
     from rotorfit.sources import read
     from rotorfit.studio import studio
+    from rotorfit.tune import tune
     from rotorfit.validation import validate
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "save",
     "simulate",
     "studio",
+    "tune",
     "validate",
 ]
 
@@ -51,6 +53,7 @@ _HOMES = {
     "save": "rotorfit.model_file",
     "simulate": "rotorfit.model",
     "studio": "rotorfit.studio",
+    "tune": "rotorfit.tune",
     "validate": "rotorfit.validation",
 }
 """Public name to the module that defines it."""

@@ -9,14 +9,15 @@ import click
 
 from rotorfit import __version__
 from rotorfit.cli.flights import fly, plan
+from rotorfit.cli.handover import export, tune
 from rotorfit.cli.interruption import safe_interrupts
 from rotorfit.cli.logs import cards, demo, formats, info
-from rotorfit.cli.models import convert, export, fit, ladder
+from rotorfit.cli.models import convert, fit, ladder
 from rotorfit.cli.scoring import compare, report, validate
 from rotorfit.cli.serving import studio
 from rotorfit.errors import RotorfitError
 
-VERBS = (demo, info, fit, ladder, validate, compare, report, convert, export, plan, fly, cards, formats, studio)
+VERBS = (demo, info, fit, ladder, validate, compare, report, convert, tune, export, plan, fly, cards, formats, studio)
 """In the order of the work."""
 
 

@@ -50,7 +50,7 @@ def open_link(address: str, card: Card, start: Four, seed: int, flying: bool) ->
         raise LinkError(
             f"sim: the plan's card is not one of {vehicle.name}: {trouble}; plan with --card sim:{name or VEHICLE}"
         )
-    return SimLink(FlightRoom(vehicle, Conditions(_wind(options, address)), seed, start, flying))
+    return SimLink(FlightRoom(vehicle, Conditions(wind_of(options, address)), seed, start, flying))
 
 
 class SimLink:
@@ -92,7 +92,8 @@ class SimLink:
             self._room.land()
 
 
-def _wind(options: Sequence[str], address: str) -> "Wind":
+def wind_of(options: Sequence[str], address: str) -> "Wind":
+    """The wind of an address, from what follows its vehicle; errors as `open_link`."""
     from rotorfit.air import Gusts, Wind
 
     known, given = {"wind": 0.0, "gusts": 0.0}, f"--link sim{'' if address.startswith(',') else ':'}{address}"

@@ -1,0 +1,131 @@
+"""The gains file: TOML, or YAML by its suffix, with units, margins and where the numbers come from."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rotorfit import __version__
+from rotorfit.errors import ModelError
+from rotorfit.frames import AXES
+from rotorfit.model import Model
+from rotorfit.tune import AxisTuning, Tuning
+
+FORMAT = "rotorfit-gains"
+VERSION = 1
+
+GAINS_MARK = b"rotorfit-gains"
+"""What the first bytes of a gains file hold."""
+
+SUFFIXES = (".toml", ".yaml", ".yml")
+
+ASKED = "input u = r'' + damping r' + stiffness (r - p) + rate_gain (r' - v)"
+LAWS: Mapping[str, str] = {
+    "predictor": f"{ASKED} - d; r, p, v, d at the instant at which u acts",
+    "lqr": f"{ASKED} - d; r, p, v, d at the instant at which u acts",
+    "linearising": f"{ASKED} + integral of (r - p) times integral; r'' and r' at the instant at which u acts",
+}
+"""What the numbers mean; docs/control.md has the equations."""
+
+UNITS: Mapping[str, str] = {
+    "rate": "commands a second",
+    "latency": "s, from the exposure of a pose to the command that uses it",
+    "bandwidth": "rad/s",
+    "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
+    "damping": "1/s",
+    "delay": "s, from the command until it acts",
+    "stiffness": "1/s^2",
+    "rate_gain": "1/s",
+    "integral": "1/s^3",
+    "filter_time": "s, of the filtered difference of the error",
+    "observer": "1, 1/s, 1/s^2: corrections of p, v, d per error of the predicted pose, once a command",
+    "phase_margin": "deg",
+    "delay_margin": "s",
+}
+
+
+def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
+    """Gains, margins and provenance as plain JSON types; what has no number is None."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "rotorfit": __version__,
+        "design": tuning.kind,
+        "law": LAWS[tuning.kind],
+        "frame": "heading: x forward, y left, z up, yaw counter-clockwise",
+        "rate": tuning.rate,
+        "latency": tuning.latency,
+        "units": dict(UNITS),
+        "axes": {axis: _axis(tuning.axes[axis]) for axis in AXES if axis in tuning.axes},
+        "refused": dict(tuning.refused),
+        "model": {
+            "card": model.card.name,
+            "method": model.method,
+            "structure": model.structure,
+            "flights": [{"path": one.path, "sha256": one.sha256, "span": list(one.span)} for one in model.flights],
+        },
+    }
+
+
+def _axis(one: AxisTuning) -> dict[str, Any]:
+    law, around, believed = one.law, one.margins, one.robustness
+    return {
+        "bandwidth": one.bandwidth,
+        "input": law.input,
+        "damping": law.damping,
+        "delay": law.delay,
+        "stiffness": law.stiffness,
+        "rate_gain": law.rate,
+        "integral": law.integral,
+        "filter_time": law.filter_time,
+        "observer": None if law.observer is None else list(law.observer),
+        "nominal": {
+            "gain_margin_below": around.gain[0],
+            "gain_margin": _finite(around.gain[1]),
+            "phase_margin": math.degrees(around.phase),
+            "delay_margin": _finite(around.delay),
+            "peak_sensitivity": around.peak,
+        },
+        "under_covariance": {
+            "draws": believed.draws,
+            "seed": believed.seed,
+            "unstable_share": believed.unstable,
+            "phase_margin": math.degrees(believed.phase),
+            "delay_margin": _finite(believed.delay),
+            "peak_sensitivity": _finite(believed.peak),
+        },
+        "command_noise": one.noise,
+        "note": one.note,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def save_gains(tuning: Tuning, model: Model, path: str | Path) -> None:
+    """Writes a gains file: TOML, or YAML where the name ends so.
+
+    Raises:
+        ModelError: A name that ends otherwise.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise ModelError(f"{path}: gains are written as {', '.join(SUFFIXES)}; give such a name")
+    mapping = _without_none(tuning_mapping(tuning, model))
+    if path.suffix == ".toml":
+        import tomli_w
+
+        path.write_text(tomli_w.dumps(mapping), encoding="utf-8")
+        return
+    from ruamel.yaml import YAML
+
+    with path.open("w", encoding="utf-8") as file:
+        YAML().dump(mapping, file)
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: what has no number is left out."""
+    if isinstance(value, dict):
+        return {key: _without_none(part) for key, part in value.items() if part is not None}
+    return value
