@@ -1,6 +1,7 @@
 """Files of one flight: joined by a plus, or because only together they hold what the card names."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from twin_logs import RAW, Skew, card_of, in_two_files, log_of, written
 
 COMMAND = {"t": np.arange(3.0), "u_x": np.ones(3), "u_y": np.ones(3), "u_z": np.ones(3), "u_yaw": np.ones(3)}
 POSE = {"t": np.arange(4.0), "x": np.ones(4), "y": np.ones(4), "z": np.ones(4), "yaw": np.ones(4)}
+RAW_COMMAND = {"time": "own:t", "x": "u_x", "y": "u_y", "z": "u_z"}
+RAW_POSE = {"time": "mocap:t"} | {axis: axis for axis in ("x", "y", "z", "yaw")}
 CARD = card_from_mapping(RAW, "test")
 
 
@@ -114,6 +117,24 @@ def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files:
     flights, left_out = training_flights(told)
     assert [flight.path for flight in flights] == [path]
     assert left_out == ()
+
+
+@pytest.mark.parametrize("format", ["csv", "ulog"])
+def test_rows_without_commands_are_of_another_stream_in_a_file_of_rows_and_end_a_command_in_messages(
+    format: str,
+) -> None:
+    """The vehicle's velocity comes thrice as often as the commands, in the same table."""
+    t = np.arange(3000) / 150
+    commanded = np.arange(3000) % 3 == 1
+    own = {"t": t, "v": np.cos(t)} | {f"u_{axis}": np.where(commanded, np.sin(t), np.nan) for axis in ("x", "y", "z")}
+    seen = {"t": t, **{axis: np.sin(t) for axis in ("x", "y", "z", "yaw")}}
+    both = log_of("a+b", {"own": own, "mocap": seen})
+    log = replace(both, format=f"{format}+csv", file_of={"own": "a", "mocap": "b"})
+
+    flight = flight_from_log(log, bound(card_of(velocity=False, command=RAW_COMMAND, pose=RAW_POSE, clock="one"), log))
+
+    assert len(flight.segments) == (1 if format == "csv" else 1000)
+    assert {note.code: note.count for note in flight.notes}["nan_commands"] == 2000
 
 
 def test_info_shows_two_files_as_one_flight(files: tuple[list[str], str]) -> None:

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from rotorfit.beside import sample_rows
 from rotorfit.card import Card, Channel
 from rotorfit.card_columns import split_source
 from rotorfit.clock import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, increasing, rate, stamps_of
@@ -12,7 +13,7 @@ from rotorfit.finding import Finding
 from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.log import Log
-from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.stream import recorder_clock
 from rotorfit.two_files import two_files
 
 SETTLING_LOSS = 0.6

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from rotorfit.answers import BETTER, Answer, Answers, answers_of
 from rotorfit.card import Channel
 from rotorfit.card_file import builtin_card_text, card_from_mapping
@@ -127,10 +129,15 @@ def _told(log: Log, text: str) -> tuple[Answers | None, str]:
     except CardError:
         return None, ""  # incomplete: said on top
     try:
-        told = answers_of(flight_from_log(log, card))
+        flight = flight_from_log(log, card)
     except (CardError, FlightError) as error:
         return None, str(error)
-    return (told, "") if told.of else (None, "no command moves for long enough")
+    told = answers_of(flight)
+    if told.of:
+        return told, ""
+    if not np.any(np.ptp(flight.command, axis=0)):
+        return None, "no command moves"
+    return None, f"{flight.duration:.1f} s of commands in {len(flight.segments)} pieces are too few to tell"
 
 
 def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[str, str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorfit.beside import sample_rows
 from rotorfit.card import Card
 from rotorfit.card_columns import fitting_cards
 from rotorfit.card_file import load_card
@@ -23,7 +24,7 @@ from rotorfit.log import Log, Table
 from rotorfit.proposal import proposal
 from rotorfit.sources import read
 from rotorfit.sources.content import one_line
-from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.stream import recorder_clock
 
 
 @dataclass(frozen=True)
