@@ -48,6 +48,8 @@ RIVER = (
     "motion_checks",
     "frame_checks",
     "answers",
+    "sign_checks",
+    "draft_text",
     "draft",
     "doctor",
     "survey",

@@ -119,9 +119,9 @@ def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files:
     assert left_out == ()
 
 
-@pytest.mark.parametrize("format", ["csv", "ulog"])
+@pytest.mark.parametrize("kind", ["csv", "ulog"])
 def test_rows_without_commands_are_of_another_stream_in_a_file_of_rows_and_end_a_command_in_messages(
-    format: str,
+    kind: str,
 ) -> None:
     """The vehicle's velocity comes thrice as often as the commands, in the same table."""
     t = np.arange(3000) / 150
@@ -129,11 +129,11 @@ def test_rows_without_commands_are_of_another_stream_in_a_file_of_rows_and_end_a
     own = {"t": t, "v": np.cos(t)} | {f"u_{axis}": np.where(commanded, np.sin(t), np.nan) for axis in ("x", "y", "z")}
     seen = {"t": t, **{axis: np.sin(t) for axis in ("x", "y", "z", "yaw")}}
     both = log_of("a+b", {"own": own, "mocap": seen})
-    log = replace(both, format=f"{format}+csv", file_of={"own": "a", "mocap": "b"})
+    log = replace(both, format=f"{kind}+csv", file_of={"own": "a", "mocap": "b"})
 
     flight = flight_from_log(log, bound(card_of(velocity=False, command=RAW_COMMAND, pose=RAW_POSE, clock="one"), log))
 
-    assert len(flight.segments) == (1 if format == "csv" else 1000)
+    assert len(flight.segments) == (1 if kind == "csv" else 1000)
     assert {note.code: note.count for note in flight.notes}["nan_commands"] == 2000
 
 
