@@ -126,6 +126,13 @@ def test_a_draft_for_a_log_that_a_built_in_card_fits_is_that_card(tmp_path: Path
     assert loaded(text, tmp_path) == load_card("bebop2-joystick")
 
 
+def test_a_draft_may_be_fresh_where_a_built_in_card_fits() -> None:
+    text = draft_card(csv_log(cmd_x="cmd_linx", cmd_y="cmd_liny", cmd_z="cmd_linz", cmd_yaw="cmd_angz"), fresh=True)
+
+    assert text.startswith("# Drafted from the names in")
+    assert 'x = "cmd_linx"' in text
+
+
 def test_names_with_quotes_and_backslashes_survive_the_draft(tmp_path: Path) -> None:
     log = message_log(pose='/a"b\\c/pose', pose_prefix="pose.")
 
@@ -418,7 +425,7 @@ def test_a_draft_finds_degrees_that_are_not_wrapped_by_the_motion(tmp_path: Path
 
     assert card.pose["yaw"].unit == "deg"
     assert card.command_frame == "heading"
-    assert "yaw is in degrees, by the motion" in text
+    assert "yaw is in degrees by the motion" in text
 
 
 def test_a_draft_names_the_unit_of_a_position_that_no_vehicle_flies_in_metres(tmp_path: Path) -> None:

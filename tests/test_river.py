@@ -19,6 +19,7 @@ RIVER = (
     "card_file",
     "card_columns",
     "joined",
+    "log_span",
     "settings",
     "published",
     "sources",

@@ -14,8 +14,9 @@ from rotorfit.cli import main
 from rotorfit.errors import CardError, LogError
 from rotorfit.flight import flight_from_log
 from rotorfit.joined import bound, flights_of, joined, parts_of
+from rotorfit.log_span import parse_log
 from rotorfit.paper_vehicle import Truth, simulate_flight
-from rotorfit.pipeline import fit_logs, parse_log, training_flights
+from rotorfit.pipeline import fit_logs, training_flights
 from rotorfit.sources import read
 from twin_logs import RAW, Skew, card_of, in_two_files, log_of, written
 
@@ -145,6 +146,13 @@ def test_info_shows_two_files_as_one_flight(files: tuple[list[str], str]) -> Non
         (log,) = json.loads(result.stdout)["logs"]
         assert log["path"] == f"{commands}+{mocap}"
         assert any(note["code"] == "clocks" for note in log["flight"]["notes"])
+
+
+def test_without_a_card_info_and_fit_say_to_join_commands_and_poses_by_a_plus(files: tuple[list[str], str]) -> None:
+    (commands, _, mocap), _ = files
+    for words in (["info", commands, mocap], ["fit", mocap, commands]):
+        said = " ".join(CliRunner().invoke(main, words).output.split())
+        assert f"rotorfit info {commands}+{mocap} --draft-card FILE" in said.replace(" +", "+")
 
 
 def test_onboard_motion_in_a_third_file_is_on_no_known_clock() -> None:

@@ -21,8 +21,7 @@ from rotorfit.regression import Motion, motion_from_flight
 from rotorfit.sign_checks import height_sign, overturned
 
 CLEARER = 0.7
-"""Share of the residual variance, against another way to read the pose, that a reading must leave at most to go before
-one that turns fewer commands."""
+"""Share of the residual variance that another way to read the pose must leave at most to be taken."""
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
@@ -32,7 +31,7 @@ _LEADS = {
 }
 
 
-def draft_card(log: Log) -> str:
+def draft_card(log: Log, fresh: bool = False) -> str:
     """The TOML text of a card for a log, guessed from names, values and the motion, for the user to correct.
 
     Where a built-in card fits, it is that card. Else the draft loads as a card if all the essentials were found, and
@@ -41,17 +40,15 @@ def draft_card(log: Log) -> str:
 
     Args:
         log: As recorded.
+        fresh: Draft from names and motion also where a built-in card fits.
 
     Returns:
         Text of the card, with what to check in comments; the names of all columns stand at its end.
     """
-    try:
-        proposed = proposal(log)
-    except CardError:
-        proposed = None
-    if proposed and proposed.name:
-        text = builtin_card_text(proposed.name)
-        return f"# A copy of the built-in card {proposed.name}, whose columns are all in {log.path.name}.\n{text}"
+    name = None if fresh else _builtin(log)
+    if name:
+        text = builtin_card_text(name)
+        return f"# A copy of the built-in card {name}, whose columns are all in {log.path.name}.\n{text}"
     asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
     found, told = asked.found, asked.told
     if told is None:
@@ -64,6 +61,14 @@ def draft_card(log: Log) -> str:
     checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
     frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
     return text_of(log, found, said, f"{checked}{frame}")
+
+
+def _builtin(log: Log) -> str | None:
+    """Name of the built-in card that the log would be read with."""
+    try:
+        return proposal(log).name
+    except CardError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -127,14 +132,26 @@ def _left(told: Answers) -> float:
 
 
 def _better_read(log: Log, asked: _Asked) -> _Asked:
-    """The draft with the pose read as the motion bears out: of what explains it as well, what turns fewest commands."""
-    told = asked.told
+    """The draft with the pose read as the motion bears out.
+
+    That is another frame where it alone turns several commands back, for both explain as much; else, of what explains
+    the motion clearly better, what leaves the fewest commands that do not do what they are called.
+    """
+    found, told = asked.found, asked.told
     if told is None or (told.frame != "world" and not _odd(told)):
         return asked
-    others = [_asked(log, one) for one in _readings(asked.found, told, asked.height)]
-    known = [(one, one.told) for one in (asked, *others) if one.told]
-    least = min(one.left for _, one in known)
-    return min(((one, _odd(said)) for one, said in known if CLEARER * said.left <= least), key=lambda pair: pair[1])[0]
+    turned = overturned(told.of, asked.height)
+    if turned and asked.height <= 0:
+        here, other = found.pose_frame, "ENU" if found.pose_frame == "NED" else "NED"
+        said = f"by the motion: in {here}, {', '.join(turned)} would be turned; if it is {here}, give scale = -1 there"
+        return _asked(log, replace(found, pose_frame=other, pose_said=said))
+    if told.frame is None or found.alone:
+        return asked
+    others = [_asked(log, one) for one in _readings(found)]
+    better = [one for one in others if one.told and one.told.left < CLEARER * told.left]
+    least = min((one.told.left for one in better if one.told), default=0.0)
+    sound = [(_odd(one.told), one) for one in better if one.told and CLEARER * one.told.left <= least]
+    return min(sound, key=lambda pair: pair[0])[1] if sound else asked
 
 
 def _odd(told: Answers) -> int:
@@ -142,23 +159,16 @@ def _odd(told: Answers) -> int:
     return sum(1 for name, answer in told.of.items() if answer.axis and (answer.axis != name or answer.sign < 0))
 
 
-def _readings(found: Found, told: Answers, height: int) -> Iterator[Found]:
-    """Other ways to read the pose that a card can say, where the motion may tell them from this one."""
-    turned, frame = overturned(told.of, height), found.pose_frame
-    if turned and height <= 0:
-        other, names = "ENU" if frame == "NED" else "NED", ", ".join(turned)
-        said = f"by the motion: in {frame}, {names} would be turned; if it is {frame}, give scale = -1 there"
-        yield replace(found, pose_frame=other, pose_said=said)
-    if told.frame is None or found.alone:
-        return
+def _readings(found: Found) -> Iterator[Found]:
+    """Other ways to read the pose that a card can say."""
     pose, asks = found.pose.channels, "by the motion: EDIT if that is not so"
     if {"x", "y"} <= pose.keys():
-        yield _read(found, f"y turned, or the pose is mirrored, {asks}", y=_turned(pose["y"]))
-        yield _read(found, f"x and y exchanged, or the pose is mirrored, {asks}", y=pose["x"], x=pose["y"])
+        yield _read(found, f"y turned, for the pose is mirrored {asks}", y=_turned(pose["y"]))
+        yield _read(found, f"x and y exchanged, for the pose is mirrored {asks}", y=pose["x"], x=pose["y"])
     if "yaw" in pose:
-        yield _read(found, f"yaw grows clockwise, {asks}", yaw=_turned(pose["yaw"]))
+        yield _read(found, f"yaw grows clockwise {asks}", yaw=_turned(pose["yaw"]))
         if pose["yaw"].unit is None:
-            yield _read(found, f"yaw is in degrees, {asks}", yaw=replace(pose["yaw"], unit="deg"))
+            yield _read(found, f"yaw is in degrees {asks}", yaw=replace(pose["yaw"], unit="deg"))
 
 
 def _read(found: Found, why: str, **channels: Channel) -> Found:
@@ -204,9 +214,8 @@ def _remark(name: str, axis: str, answer: Answer | None, frame: str) -> str:
     """What the motion says of one command."""
     if answer is None:
         return "does not move in this log: EDIT, sign unknown"
-    figures = (
-        f"{answer.certainty:.0f} standard errors, {100 * answer.explained:.0f} % explained, {answer.lag:.1f} s late"
-    )
+    sure, explained = f"{answer.certainty:.0f} standard errors", f"{100 * answer.explained:.0f} % explained"
+    figures = f"{sure}, {explained}, delay and time constant together {answer.lag:.1f} s"
     if answer.axis is None:
         return f"EDIT: the motion does not tell the sign ({figures})"
     if answer.axis != axis:
@@ -215,14 +224,14 @@ def _remark(name: str, axis: str, answer: Answer | None, frame: str) -> str:
     return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
 
 
-def write_draft(log: Log, path: Path) -> None:
-    """Writes the draft of a card to a new file.
+def write_draft(log: Log, path: Path, fresh: bool = False) -> None:
+    """Writes the draft of a card to a new file; the arguments are those of `draft_card`.
 
     Raises:
         CardError: The file exists already: it may be a card that somebody has edited.
     """
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(draft_card(log))
+            file.write(draft_card(log, fresh))
     except FileExistsError:
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it") from None

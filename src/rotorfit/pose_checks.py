@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rotorfit.finding import Finding
+from rotorfit.finding import Finding, counted
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, UNIT_SCALE, Array, Mask
 from rotorfit.regression import Motion
@@ -106,8 +106,8 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
     yield Finding(
         "pose_jumps",
         "warning",
-        f"the {what} leaps {len(when)} times beside its neighbouring motion, by up to {size}, the first time at "
-        f"{when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
+        f"the {what} leaps {counted(len(when), 'time')} beside its neighbouring motion, by up to {size}, the first "
+        f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
         f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
         "data biased",
         "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "

@@ -25,6 +25,7 @@ from rotorfit.clock import (
     stamps_of,
 )
 from rotorfit.errors import CardError, FlightError
+from rotorfit.finding import counted
 from rotorfit.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.log import Log
 from rotorfit.window import conditions, idle_ends, resets
@@ -295,7 +296,9 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     if not steps.size:
         return stream
     note = Note(
-        "pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size
+        "pose_resets",
+        f"{counted(steps.size, 'step')} of the estimator's own in the pose: the flight is split there",
+        steps.size,
     )
     margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
     return replace(closed(stream, steps - margin), notes=(*stream.notes, note))
