@@ -154,7 +154,7 @@ def test_a_survey_holds_plain_values_only() -> None:
             for one in value:
                 check(one)
         else:
-            assert value is None or type(value) in (str, int, float), repr(value)
+            assert value is None or type(value) in (str, int, float, bool), repr(value)
             assert value == value, "NaN"
 
     check(survey(message_log()))
