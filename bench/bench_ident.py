@@ -22,10 +22,11 @@ from rotorfit.flight import Flight
 from rotorfit.fly import fly
 from rotorfit.frames import AXES
 from rotorfit.links import open_link
+from rotorfit.log_span import WHOLE, LogSpan
 from rotorfit.mission import attached_to
 from rotorfit.model import COEFFICIENTS, Model
 from rotorfit.paper_vehicle import Truth
-from rotorfit.pipeline import WHOLE, LogSpan, load_flight
+from rotorfit.pipeline import load_flight
 from rotorfit.plan import Plan
 from rotorfit.planning import plan_flight
 from rotorfit.preflight import preflight

@@ -10,8 +10,9 @@ import time
 from pathlib import Path
 
 from rotorfit.fit import fit
+from rotorfit.log_span import LogSpan
 from rotorfit.model import Combination, Model
-from rotorfit.pipeline import LogSpan, load_flight
+from rotorfit.pipeline import load_flight
 from rotorfit.validation import validate
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared/data/bebop2-wsu"

@@ -20,7 +20,8 @@ from rosbags.rosbag1 import Writer as Writer1
 from rotorfit.card_columns import tables_of
 from rotorfit.card_file import builtin_cards, card_from_mapping
 from rotorfit.log import Log
-from rotorfit.pipeline import WHOLE, LogSpan, load_flight
+from rotorfit.log_span import WHOLE, LogSpan
+from rotorfit.pipeline import load_flight
 from rotorfit.sources import mcap, read, rosbag1
 from rotorfit.sources.block import messages_of
 from rotorfit.sources.messages import Topic, decoded, types_of

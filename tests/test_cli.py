@@ -419,6 +419,12 @@ def test_info_shows_tables_rates_clocks_cards_and_excitation(folder: Path) -> No
     assert re.search(r"poses repeat the pose before", found)
 
 
+def test_info_of_a_part_of_a_log_shows_that_part(folder: Path) -> None:
+    found = done("info", f"{folder / 'first.bag'}@5:12")
+
+    assert "7.00 s of flight in 1 segment: 5.00 to 12.00 s" in found
+
+
 def test_info_of_a_log_without_a_card_says_how_to_go_on(tmp_path: Path) -> None:
     log = tmp_path / "own.csv"
     log.write_text("t,u\n" + "\n".join(f"{k / 10},{k}" for k in range(50)))

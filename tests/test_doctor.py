@@ -24,6 +24,7 @@ from rotorfit.paper_log import as_log
 from rotorfit.paper_vehicle import GAMMA_B, Controller, Excitation, SimulatedFlight, Truth, simulate_flight
 
 TRUTH = replace(Truth(), stale_share=0.0)
+SIGNS = {"axes_turned", "sign_flipped"}
 TURNING = steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.4), seed=4)
 
 
@@ -429,6 +430,36 @@ def test_mirrored_pose(tmp_path: Path) -> None:
     log.pose[:, 3] *= -1
     log.pose[:, :2] = log.pose[:, [1, 0]]
     assert "right-handed" in said("info", *log.write(tmp_path))["mirrored_pose", None]["remedy"]
+
+
+def test_axes_turned(tmp_path: Path) -> None:
+    """A pose in NED that is read as ENU, and then commands that are forward, right, down, clockwise."""
+    log = Csv(flown(TURNING, 60.0))
+    log.pose[:, 2] += 5 - np.min(log.pose[:, 2])
+    over = np.array([1, -1, -1, -1])
+    as_ned = Csv(flown(TURNING, 60.0))
+    as_ned.pose = log.pose[:, [1, 0, 2, 3]] * [1, 1, -1, -1] + [0, 0, 0, np.pi / 2]
+
+    told = said("info", *as_ned.write(tmp_path))["axes_turned", None]
+    assert told["severity"] == "warning"
+    assert "z of the pose is below 0 throughout" in told["evidence"]
+    assert told["remedy"].startswith('is the pose NED? Write frame = "NED" at the top of the card (now "ENU")')
+    assert {code for code, _ in said("fit", *as_ned.write(tmp_path), "--span", ":20")} & SIGNS == {"axes_turned"}
+    assert said("info", *as_ned.write(tmp_path, 'frame = "NED"\n' + CARD)) == {}
+
+    log.command *= over
+    other = said("info", *log.write(tmp_path))["axes_turned", None]
+    assert other["remedy"].startswith("are the commands forward, right, down, clockwise?")
+
+
+def test_one_turned_axis_is_left_to_the_fit_which_names_a_mirrored_pose_where_nothing_turns(tmp_path: Path) -> None:
+    log = Csv(flown(steps(("x", "y"), seed=4)))
+    log.pose[:, 1] *= -1
+    words = log.write(tmp_path)
+
+    assert "axes_turned" not in {code for code, _ in said("info", *words)}
+    told = said("fit", *words, "--axes", "x,y")["sign_flipped", "y"]
+    assert "or the pose is mirrored" in told["remedy"]
 
 
 def test_degrees_of_a_slow_turn_are_told_by_where_the_commands_lead(tmp_path: Path) -> None:

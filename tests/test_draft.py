@@ -1,18 +1,20 @@
 """Drafts of cards: they load and give a flight, or say what they lack."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rotorfit.proposal
+from rotorfit.card import Card, Channel
 from rotorfit.card_file import builtin_card_text, load_card
 from rotorfit.draft import draft_card, write_draft
 from rotorfit.errors import CardError
 from rotorfit.flight import flight_from_log
-from rotorfit.frames import heading_from_world
+from rotorfit.frames import heading_from_world, world_from_heading
 from rotorfit.sources import read
-from test_builtin_cards import COMMAND, T, motion
+from test_builtin_cards import COMMAND, T, followed, motion
 from test_survey import csv_log, loaded, log_of, message_log
 
 # Drafts
@@ -122,6 +124,13 @@ def test_a_draft_for_a_log_that_a_built_in_card_fits_is_that_card(tmp_path: Path
 
     assert text.startswith("# A copy of the built-in card bebop2-joystick")
     assert loaded(text, tmp_path) == load_card("bebop2-joystick")
+
+
+def test_a_draft_may_be_fresh_where_a_built_in_card_fits() -> None:
+    text = draft_card(csv_log(cmd_x="cmd_linx", cmd_y="cmd_liny", cmd_z="cmd_linz", cmd_yaw="cmd_angz"), fresh=True)
+
+    assert text.startswith("# Drafted from the names in")
+    assert 'x = "cmd_linx"' in text
 
 
 def test_names_with_quotes_and_backslashes_survive_the_draft(tmp_path: Path) -> None:
@@ -346,3 +355,92 @@ def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() 
     assert "[velocity]" not in text
     with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
         rotorfit.proposal.proposal(log)
+
+
+# A pose that is not what it seems
+
+
+def drafted(pose: dict, command: dict, tmp_path: Path) -> tuple[Card, str]:
+    """The card that is drafted, and its text."""
+    text = draft_card(log_of(flight={"time": T, **pose, **{f"cmd_{axis}": series for axis, series in command.items()}}))
+    return loaded(text, tmp_path), text
+
+
+def raised(by: float) -> dict:
+    true = turning()
+    return true | {"z": true["z"] - np.min(true["z"]) + by}
+
+
+def as_ned(true: dict) -> dict:
+    return {"x": true["y"], "y": true["x"], "z": -true["z"], "yaw": np.pi / 2 - true["yaw"]}
+
+
+OVERTURNED = COMMAND | {axis: -COMMAND[axis] for axis in ("y", "z", "yaw")}
+
+
+def test_a_draft_says_ned_where_that_turns_three_commands_at_once(tmp_path: Path) -> None:
+    card, text = drafted(as_ned(raised(1.0)), COMMAND, tmp_path)
+
+    assert card.frame == "NED"
+    assert {one.scale for one in card.command.values()} == {1}
+    assert 'frame = "NED"  # by the motion: in ENU, y, z, yaw would be turned' in text
+
+
+def test_a_draft_turns_three_commands_where_ned_would_put_the_vehicle_below_the_floor(tmp_path: Path) -> None:
+    card, text = drafted(raised(1.0), OVERTURNED, tmp_path)
+
+    assert card.frame == "ENU"
+    assert {axis: one.scale for axis, one in card.command.items()} == {"x": 1, "y": -1, "z": -1, "yaw": -1}
+    assert "y, z, yaw are turned together: forward, right, down?" in text
+
+
+@pytest.mark.parametrize(
+    ("spoil", "axis", "channel"),
+    [
+        (lambda true: {"y": -true["y"]}, "y", Channel("y", scale=-1)),
+        (lambda true: {"x": true["y"], "y": true["x"]}, "x", Channel("y")),
+        (lambda true: {"yaw": -true["yaw"]}, "yaw", Channel("yaw", scale=-1)),
+    ],
+)
+def test_a_draft_reads_a_mirrored_pose_as_the_motion_bears_out(
+    spoil: Callable, axis: str, channel: Channel, tmp_path: Path
+) -> None:
+    true = raised(1.0)
+    card, text = drafted(true | spoil(true), COMMAND, tmp_path)
+
+    assert card.pose[axis] == channel
+    assert "by the motion: EDIT if that is not so" in text
+    assert (card.command_frame, {one.scale for one in card.command.values()}) == ("heading", {1})
+
+
+def test_a_draft_finds_degrees_that_are_not_wrapped_by_the_motion(tmp_path: Path) -> None:
+    """So slow a turn that the numbers might be radians."""
+    command = COMMAND | {"yaw": 0.2 * np.cos(0.2 * T)}
+    velocity = {axis: followed(series) for axis, series in command.items()}
+    yaw = 0.4 + np.cumsum(velocity["yaw"]) * 0.05
+    place = np.cumsum(world_from_heading(np.stack([velocity["x"], velocity["y"]], axis=1), yaw), axis=0) * 0.05
+    pose = {"x": place[:, 0], "y": place[:, 1], "z": 2 + np.cumsum(velocity["z"]) * 0.05, "yaw": np.degrees(yaw)}
+
+    card, text = drafted(pose, command, tmp_path)
+
+    assert card.pose["yaw"].unit == "deg"
+    assert card.command_frame == "heading"
+    assert "yaw is in degrees by the motion" in text
+
+
+def test_a_draft_names_the_unit_of_a_position_that_no_vehicle_flies_in_metres(tmp_path: Path) -> None:
+    true = raised(1.0)
+    for unit, scale in (("cm", 100), ("mm", 1000)):
+        card, text = drafted(true | {axis: scale * true[axis] for axis in "xyz"}, COMMAND, tmp_path)
+
+        assert {card.pose[axis].unit for axis in "xyz"} == {unit}
+        assert 'EDIT: "cm" or "mm"' in text
+    assert {drafted(true, COMMAND, tmp_path)[0].pose[axis].unit for axis in "xyz"} == {None}
+
+
+def test_a_draft_of_a_flight_that_does_not_turn_says_that_a_turned_axis_may_be_a_mirrored_pose(tmp_path: Path) -> None:
+    true = motion(world=True) | {"yaw": 0.001 * np.sin(T)}
+    card, text = drafted(true | {"y": -true["y"]}, COMMAND | {"yaw": 0 * T}, tmp_path)
+
+    assert card.command["y"].scale == -1
+    assert "or the pose is mirrored, which a flight that hardly turns does not tell" in text

@@ -134,6 +134,8 @@ def test_a_gap_in_the_commands_longer_than_the_hold_starts_a_segment() -> None:
     found = [(round(part.start, 6), round(part.end, 6)) for part in flight.segments]
     assert found == [(0.0, 2.95 + 0.15), (3.2, 9.95 + 0.15)]
     assert counts(flight)["command_gaps"] == 1
+    told = {note.code: note.text for note in flight.notes}["command_gaps"]
+    assert told == "1 gap in the commands, up to 0.100 s beyond the hold, split it"
 
 
 def test_gaps_of_exactly_three_rounded_periods_do_not_split() -> None:

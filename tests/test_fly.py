@@ -17,7 +17,8 @@ from rotorfit.flown import Flown
 from rotorfit.fly import fly
 from rotorfit.links.sim import SimLink
 from rotorfit.log import Sample
-from rotorfit.pipeline import LogSpan, fit_logs, load_flight
+from rotorfit.log_span import LogSpan
+from rotorfit.pipeline import fit_logs, load_flight
 from rotorfit.recorder import Recorder
 from rotorfit.sensors import Mocap, Swap
 from rotorfit.simulator import Conditions, FlightRoom

@@ -28,7 +28,8 @@ from rotorfit.fit import Fit
 from rotorfit.fly import fly
 from rotorfit.frames import AXES
 from rotorfit.links.sim import SimLink
-from rotorfit.pipeline import fit_logs, parse_log
+from rotorfit.log_span import parse_log
+from rotorfit.pipeline import fit_logs
 from rotorfit.plan import Excitation, Plan, Space
 from rotorfit.plan_file import save_plan
 from rotorfit.preflight import preflight, refuse

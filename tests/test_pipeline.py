@@ -12,6 +12,7 @@ from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import FlightError, LogError, ModelError
 from rotorfit.fit import fit, with_delay_profiles
 from rotorfit.frames import AXES
+from rotorfit.log_span import WHOLE, LogSpan, parse_log, parse_span
 from rotorfit.model import Model
 from rotorfit.model_file import load, save
 from rotorfit.paper_log import write_bag
@@ -19,15 +20,11 @@ from rotorfit.paper_vehicle import Truth, simulate_flight
 from rotorfit.pipeline import (
     MODEL_MARK,
     REPORT_MARK,
-    WHOLE,
-    LogSpan,
     check_destination,
     compare_logs,
     comparison_mapping,
     fit_logs,
     load_flight,
-    parse_log,
-    parse_span,
     training_flights,
     validate_logs,
 )
@@ -84,6 +81,15 @@ def test_a_span_behind_the_log_is_its_own_and_a_file_of_that_name_wins(tmp_path:
     odd = tmp_path / "flight@1:2"
     odd.write_text("")
     assert parse_log(str(odd), default) == LogSpan(str(odd), default)
+
+
+def test_what_follows_the_at_of_a_file_that_is_there_must_be_a_span(tmp_path: Path) -> None:
+    path = tmp_path / "flight.bag"
+    path.write_text("")
+
+    for text in (f"{path}@5", f"{path}+{path}@5"):
+        with pytest.raises(LogError, match="span '5' is not T0:T1 in seconds"):
+            parse_log(text)
 
 
 # Reading and fitting

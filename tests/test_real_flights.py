@@ -15,8 +15,9 @@ from rotorfit import record as record_module
 from rotorfit.fit import Fit, with_delay_profiles
 from rotorfit.forecast import Horizon
 from rotorfit.frames import AXES
+from rotorfit.log_span import WHOLE, LogSpan, Span
 from rotorfit.model import Axis
-from rotorfit.pipeline import WHOLE, LogSpan, Span, fit_logs, load_flight, validate_logs
+from rotorfit.pipeline import fit_logs, load_flight, validate_logs
 from rotorfit.validation import Validation
 
 X, Z = "bebop2-wsu/Training_CT_TestDay_X.mat", "bebop2-wsu/Training_CT_TestDay_Z.mat"

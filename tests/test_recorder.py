@@ -18,7 +18,8 @@ from rotorfit import __version__
 from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError, LogError
 from rotorfit.log import Event, Sample
-from rotorfit.pipeline import LogSpan, load_flight
+from rotorfit.log_span import LogSpan
+from rotorfit.pipeline import load_flight
 from rotorfit.proposal import card_of
 from rotorfit.recorder import COMMAND, POSE, Recorder, card_as_recorded, record
 from rotorfit.sources import read

@@ -1,6 +1,7 @@
 """Files of one flight: joined by a plus, or because only together they hold what the card names."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,16 @@ from rotorfit.cli import main
 from rotorfit.errors import CardError, LogError
 from rotorfit.flight import flight_from_log
 from rotorfit.joined import bound, flights_of, joined, parts_of
+from rotorfit.log_span import parse_log
 from rotorfit.paper_vehicle import Truth, simulate_flight
-from rotorfit.pipeline import fit_logs, parse_log, training_flights
+from rotorfit.pipeline import fit_logs, training_flights
 from rotorfit.sources import read
 from twin_logs import RAW, Skew, card_of, in_two_files, log_of, written
 
 COMMAND = {"t": np.arange(3.0), "u_x": np.ones(3), "u_y": np.ones(3), "u_z": np.ones(3), "u_yaw": np.ones(3)}
 POSE = {"t": np.arange(4.0), "x": np.ones(4), "y": np.ones(4), "z": np.ones(4), "yaw": np.ones(4)}
+RAW_COMMAND = {"time": "own:t", "x": "u_x", "y": "u_y", "z": "u_z"}
+RAW_POSE = {"time": "mocap:t"} | {axis: axis for axis in ("x", "y", "z", "yaw")}
 CARD = card_from_mapping(RAW, "test")
 
 
@@ -116,6 +120,24 @@ def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files:
     assert left_out == ()
 
 
+@pytest.mark.parametrize("kind", ["csv", "ulog"])
+def test_rows_without_commands_are_of_another_stream_in_a_file_of_rows_and_end_a_command_in_messages(
+    kind: str,
+) -> None:
+    """The vehicle's velocity comes thrice as often as the commands, in the same table."""
+    t = np.arange(3000) / 150
+    commanded = np.arange(3000) % 3 == 1
+    own = {"t": t, "v": np.cos(t)} | {f"u_{axis}": np.where(commanded, np.sin(t), np.nan) for axis in ("x", "y", "z")}
+    seen = {"t": t, **{axis: np.sin(t) for axis in ("x", "y", "z", "yaw")}}
+    both = log_of("a+b", {"own": own, "mocap": seen})
+    log = replace(both, format=f"{kind}+csv", file_of={"own": "a", "mocap": "b"})
+
+    flight = flight_from_log(log, bound(card_of(velocity=False, command=RAW_COMMAND, pose=RAW_POSE, clock="one"), log))
+
+    assert len(flight.segments) == (1 if kind == "csv" else 1000)
+    assert {note.code: note.count for note in flight.notes}["nan_commands"] == 2000
+
+
 def test_info_shows_two_files_as_one_flight(files: tuple[list[str], str]) -> None:
     (commands, _, mocap), card = files
     for logs in ([f"{commands}+{mocap}"], [commands, mocap]):
@@ -124,6 +146,13 @@ def test_info_shows_two_files_as_one_flight(files: tuple[list[str], str]) -> Non
         (log,) = json.loads(result.stdout)["logs"]
         assert log["path"] == f"{commands}+{mocap}"
         assert any(note["code"] == "clocks" for note in log["flight"]["notes"])
+
+
+def test_without_a_card_info_and_fit_say_to_join_commands_and_poses_by_a_plus(files: tuple[list[str], str]) -> None:
+    (commands, _, mocap), _ = files
+    for words in (["info", commands, mocap], ["fit", mocap, commands]):
+        said = " ".join(CliRunner().invoke(main, words).output.split())
+        assert f"rotorfit info {commands}+{mocap} --draft-card FILE" in said.replace(" +", "+")
 
 
 def test_onboard_motion_in_a_third_file_is_on_no_known_clock() -> None:

@@ -18,8 +18,9 @@ from rotorfit.errors import RotorfitError
 from rotorfit.exports import FORMATS, export
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import heading_from_world
+from rotorfit.log_span import LogSpan
 from rotorfit.model_file import load
-from rotorfit.pipeline import LogSpan, fit_logs
+from rotorfit.pipeline import fit_logs
 from rotorfit.sources import read
 from rotorfit.studio.card_lines import card_from_text
 from rotorfit.studio.gate import SANDBOX

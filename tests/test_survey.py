@@ -13,6 +13,8 @@ from rotorfit.flight import flight_from_log
 from rotorfit.log import Log, Table
 from rotorfit.sources import read
 from rotorfit.survey import excitation, survey
+from rotorfit.terminal import show
+from rotorfit.terminal.contents import _percent, survey_view
 
 
 def log_of(name: str = "flight.csv", **tables: dict) -> Log:
@@ -152,7 +154,7 @@ def test_a_survey_holds_plain_values_only() -> None:
             for one in value:
                 check(one)
         else:
-            assert value is None or type(value) in (str, int, float), repr(value)
+            assert value is None or type(value) in (str, int, float, bool), repr(value)
             assert value == value, "NaN"
 
     check(survey(message_log()))
@@ -196,6 +198,42 @@ def test_saturation_is_the_share_of_time_at_the_limits(tmp_path: Path) -> None:
 
     assert x.extreme_share == pytest.approx(2 / 3, abs=0.03)
     assert x.levels > 100
+
+
+def test_the_zero_of_a_command_to_one_side_is_no_end(tmp_path: Path) -> None:
+    log = csv_log()
+    t = log.tables["flight"].columns["time"]
+    pushed = np.where((t > 10) & (t < 13), 30.0, 0.0)
+    log = dataclasses.replace(
+        log, tables={"flight": Table("flight", {**log.tables["flight"].columns, "cmd_x": pushed})}
+    )
+
+    x = excitation(flight_from_log(log, loaded(heading_draft(log), tmp_path)))[0]
+
+    assert x.extreme_share == x.nonzero_share == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_share_that_is_little_is_not_shown_as_nothing() -> None:
+    assert [_percent(share) for share in (0.0, 0.002, 0.3, 0.998, 1.0)] == ["0 %", "<1 %", "30 %", ">99 %", "100 %"]
+
+
+def test_of_a_log_of_many_tables_those_are_shown_that_a_flight_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = message_log()
+    more = {f"/sensor{k}": Table(f"/sensor{k}", {"log_time": np.arange(50), "data": np.ones(50)}) for k in range(20)}
+    log = dataclasses.replace(log, tables={**log.tables, **more})
+    card = loaded(draft_card(log), tmp_path)
+
+    found = survey(log, card)
+    show(survey_view(found))
+    out = capsys.readouterr().out
+
+    assert {one.name for one in found.tables if one.used} >= {"/vicon/drone/drone", "/drone/cmd_vel"}
+    assert len(found.tables) == 23
+    assert "/sensor0" not in out
+    assert out.index("of flight in 1 segment") < out.index("/drone/cmd_vel: 300 samples")
+    assert "more that no flight needs" in out
 
 
 # Real flights

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from rotorfit.answers import TURNING
 from rotorfit.command_checks import share_above
 from rotorfit.constancy import changed_coefficients
 from rotorfit.doctor import SHORT_TIME
@@ -17,6 +18,7 @@ from rotorfit.model import Axis
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE
 from rotorfit.robust import outlier_findings
 from rotorfit.rungs import NOT_VALID
+from rotorfit.sign_checks import OVER
 from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
@@ -28,6 +30,9 @@ the noise. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20
 
 WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
 """Findings of a flight under which the sign of the gain of x or y says nothing of its own."""
+
+OVERTURNED = "axes_turned"
+"""Finding of a flight under which the signs of `OVER` say nothing of their own."""
 
 SAID_BETTER = ("short_data", "slow_commands")
 """Findings of single flights that the fit of all of them says itself, or takes back."""
@@ -52,13 +57,14 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
     wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
+    overturned = any(finding.code == OVERTURNED for finding in found)
     clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
         if axis.predictor and name not in wrong:
-            found += _sign_findings(fit, name, axis)
+            found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
             told = _coefficient_findings(name, axis)
             found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
@@ -125,9 +131,6 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
     assert axis.predictor is not None
     if axis.predictor.input >= 0:
         return
-    other = {"x": "y", "y": "x"}.get(name)
-    beside = fit.model.axes[other].predictor if other else None
-    half_turn = ", or, as both x and y are backwards, turn yaw by half a turn" if beside and beside.input < 0 else ""
     channel = fit.model.card.command.get(name)
     scale = channel.scale if channel else 1.0  # a world command of one axis moves along both
     yield Finding(
@@ -136,9 +139,26 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
         f"the input gain of {name} is {axis.predictor.input:.3g}: a positive command moves {name} backwards",
         f"the model is right for these logs, but input gain and trim of {name} are not in the sign that other flights "
         "and controllers expect",
-        f"give the {name} channel of [command] in the card scale = {-scale:g} (now {scale:g}){half_turn}",
+        f"give the {name} channel of [command] in the card scale = {-scale:g} (now {scale:g}){_or_the_pose(fit, name)}",
         name,
     )
+
+
+def _or_the_pose(fit: Fit, name: str) -> str:
+    """What of the pose, in place of the command, would explain a sign that is turned."""
+    points = {axis: fit.model.axes[axis].predictor for axis in AXES}
+    backwards = {axis: point.input < 0 for axis, point in points.items() if point}
+    other = {"x": "y", "y": "x"}.get(name, "")
+    if backwards.get(other):
+        return ", or, as both x and y are backwards, turn yaw by half a turn"
+    over = [axis for axis in OVER if axis in backwards]
+    if name in over and len(over) > 1 and all(backwards[axis] for axis in over):
+        frame = "ENU" if fit.model.card.frame == "NED" else "NED"
+        return f', or, as {" and ".join(over)} are all backwards, read the pose as {frame}: frame = "{frame}"'
+    turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
+    if other in backwards and turning < TURNING:
+        return f"; or the pose is mirrored, which flights that hardly turn do not tell: then {name} of [pose] instead"
+    return ""
 
 
 def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:

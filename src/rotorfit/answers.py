@@ -76,10 +76,12 @@ class Answers:
     Attributes:
         frame: In which x and y of the commands lead: `heading` or `world`; None where the flight turned too little.
         of: Name of the command in the card to its answer.
+        left: What the commands leave of the horizontal velocity, sum of squares [m^2/s^2].
     """
 
     frame: Literal["heading", "world"] | None
     of: dict[str, Answer]
+    left: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,16 +101,17 @@ class _Fit:
     explained: float
 
 
-def answers_of(flight: Flight) -> Answers:
+def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
     """Tells which command moves the vehicle which way.
 
     Args:
         flight: Read with a card that takes the commands as they are (`frame = "heading"`, no signs turned).
+        motion: Of the flight, where it is known already.
 
     Returns:
         The frame and the answers; no answers for a flight that is too short to tell.
     """
-    motion = motion_from_flight(flight)
+    motion = motion or motion_from_flight(flight)
     names = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
     if not names or len(motion.time) < LEAST_POSES:
         return Answers(None, {})
@@ -119,7 +122,8 @@ def answers_of(flight: Flight) -> Answers:
     left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
     turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
     frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
-    return Answers(frame if turned else None, {name: _answer(fits[frame], j) for j, name in enumerate(names)})
+    found = {name: _answer(fits[frame], j) for j, name in enumerate(names)}
+    return Answers(frame if turned else None, found, left[frame])
 
 
 def _thinned(motion: Motion, duration: float) -> Motion:

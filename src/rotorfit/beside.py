@@ -1,11 +1,15 @@
-"""Columns of other tables brought onto the stamps of a stream: held, as commands are, or drawn between two samples."""
+"""What stands beside a stream: other streams in the rows of its table, and columns of other tables.
 
+The latter are brought onto the stamps of the stream: held, as commands are, or drawn between two samples.
+"""
+
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from rotorfit.card import Card, Channel
-from rotorfit.card_columns import column, split_source
+from rotorfit.card_columns import column, split_source, table_of
 from rotorfit.clock import (
     GAP_PERIODS,
     GAP_TOLERANCE,
@@ -17,19 +21,66 @@ from rotorfit.clock import (
     median_period,
     stamps_of,
 )
+from rotorfit.columns import is_series
 from rotorfit.errors import CardError
 from rotorfit.frames import Array
+from rotorfit.joined import format_of
 from rotorfit.log import Log
 
 TOGETHER = 0.1
 """Share of a median period by which a command of another table may be later and still belong to the same instant:
 autopilots write the messages of one step of their controller one after the other."""
 
+FORMATS_OF_ROWS = ("csv", "parquet", "mat", "mat73")
+"""Whose tables may hold several streams in one, each row with blanks for what it does not have."""
+
 
 def is_beside(time: Channel, channel: Channel) -> bool:
     """Whether a channel stands in another table than the clock of its stream."""
     table = split_source(channel.source)[0]
     return isinstance(channel.source, str) and bool(table) and table != split_source(time.source)[0]
+
+
+def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
+    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock.
+        channels: What it consists of.
+
+    Returns:
+        Shape (N,), True where any channel is a number; N is the number of stamps.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    stamps = stamps_of(log, time)
+    rows = np.zeros(len(stamps), dtype=np.bool_)
+    own = [channel for channel in channels.values() if not is_beside(time, channel)]
+    for channel in own or channels.values():
+        if isinstance(channel.source, str):  # a constant is no sample
+            there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
+            rows[: len(there)] |= there
+    return rows
+
+
+def rows_of_others(log: Log, card: Card) -> Mask:
+    """Which rows of the commands' table hold no command but a number of something else, shape (N,).
+
+    A file of rows leaves the cells blank that a row does not have, as those of the commands where only an IMU was read.
+    A message comes whole: numbers beside its missing command are its own, and say nothing.
+    """
+    own = sample_rows(log, card.command_time, card.command)
+    table, clock = table_of(log, str(card.command_time.source))
+    if format_of(log, table.name) not in FORMATS_OF_ROWS:
+        return np.zeros(len(own), dtype=np.bool_)
+    taken = {split_source(channel.source)[1] for channel in card.command.values()} | {clock}
+    others = [values.ravel() for name, values in table.columns.items() if name not in taken and is_series(values)]
+    told = np.zeros(len(own), dtype=np.bool_)
+    for values in others:
+        told |= np.isfinite(values) if len(values) == len(own) else False
+    return ~own & told
 
 
 def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:

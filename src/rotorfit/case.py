@@ -7,10 +7,11 @@ from pathlib import Path
 
 from rotorfit.flight import Flight
 from rotorfit.forecast import CURVE
+from rotorfit.log_span import parse_log
 from rotorfit.model import Model
 from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
-from rotorfit.pipeline import parse_log, same_motion, training_flights, validate_logs
+from rotorfit.pipeline import same_motion, training_flights, validate_logs
 from rotorfit.validation import Validation
 
 Progress = Callable[[float, str], None]

@@ -5,14 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from rotorfit.beside import sample_rows
 from rotorfit.card import Card, Channel
 from rotorfit.card_columns import split_source
 from rotorfit.clock import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, increasing, rate, stamps_of
-from rotorfit.finding import Finding
+from rotorfit.finding import Finding, counted
 from rotorfit.flight import Flight
 from rotorfit.frames import Array
 from rotorfit.log import Log
-from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.stream import recorder_clock
 from rotorfit.two_files import two_files
 
 SETTLING_LOSS = 0.6
@@ -90,8 +91,9 @@ def _command_gaps(flight: Flight) -> Iterator[Finding]:
         yield Finding(
             "command_gaps",
             "warning" if share > LARGE_LOSS else "info",
-            f"{_counted(len(holes), 'gap')} in the commands, the longest of {max(holes):.2f} s, taking {lost:.1f} s "
-            f"({100 * share:.0f} % of the flight) with the {SETTLING_LOSS:g} s that each segment needs to start",
+            f"{counted(len(holes), 'gap')} in the commands, up to {max(holes):.3f} s beyond the hold, taking "
+            f"{lost:.1f} s ({100 * share:.0f} % of the flight) with the {SETTLING_LOSS:g} s that each segment needs to "
+            "start",
             "all coefficients rest on less data; a segment shorter than 0.7 s tells nothing",
             "send commands at a steady rate; where the vehicle keeps the last one for longer, say so by hold in the "
             "card",
@@ -107,16 +109,12 @@ def _pose_gaps(flight: Flight) -> Iterator[Finding]:
         yield Finding(
             "pose_gaps",
             "warning" if share > LARGE_LOSS or longest > 2 * LONG_HOLE else "info",
-            f"{_counted(holes.size, 'hole')} in the poses, the longest of {longest:.2f} s, taking "
+            f"{counted(holes.size, 'hole')} in the poses, the longest of {longest:.2f} s, taking "
             f"{np.sum(holes):.1f} s ({100 * share:.0f} % of the flight)",
             "damping and delay lose most: what happens right after a command is not seen; no prediction is scored "
             "across a hole of 1 s",
             "move or add cameras, or fly where the markers are seen throughout",
         )
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _holes(flight: Flight, start: float, end: float) -> Array:

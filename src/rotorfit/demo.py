@@ -14,18 +14,11 @@ from rotorfit.fly import fly
 from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
 from rotorfit.links import open_link
+from rotorfit.log_span import WHOLE, LogSpan
 from rotorfit.mission import attached_to
 from rotorfit.model import COEFFICIENTS, Interval, Model
 from rotorfit.model_file import save
-from rotorfit.pipeline import (
-    MODEL_MARK,
-    REPORT_MARK,
-    WHOLE,
-    LogSpan,
-    check_destination,
-    fit_logs,
-    validate_logs,
-)
+from rotorfit.pipeline import MODEL_MARK, REPORT_MARK, check_destination, fit_logs, validate_logs
 from rotorfit.plan import Plan
 from rotorfit.plan_file import PLAN_MARK, load_plan, plan_text
 from rotorfit.planning import plan_flight

@@ -8,6 +8,7 @@ import numpy as np
 from rotorfit.card import Card
 from rotorfit.clock import Mask
 from rotorfit.errors import FlightError
+from rotorfit.finding import counted
 from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.ground import airborne
 from rotorfit.joined import bound
@@ -233,12 +234,14 @@ def _check_duration(log: Log, segments: tuple[Segment, ...], pose_time: Array) -
 def _cut_notes(seen: Mask, segments: tuple[Segment, ...], heading: Array, yaw: Array) -> tuple[Note, ...]:
     """What was cut and unwrapped."""
     outside, gaps = int(np.sum(~seen)), len(segments) - 1
-    longest = max((b.start - a.end for a, b in pairwise(segments)), default=0.0)
+    beyond = max((b.start - a.end for a, b in pairwise(segments)), default=0.0)
     turns = int(np.sum(np.abs(np.diff(yaw - heading)) > np.pi))
+    split = f"{counted(gaps, 'gap')} in the commands, up to {beyond:.3f} s beyond the hold, split it"
+    turned = f"{counted(turns, 'jump')} of yaw by a whole turn {'were' if turns > 1 else 'was'} unwrapped"
     notes = (
         Note("poses_outside", f"{outside} of {len(seen)} poses lie outside the common window or the span", outside),
-        Note("command_gaps", f"{gaps} gaps in the commands, without any for up to {longest:.3f} s, split it", gaps),
-        Note("yaw_unwrapped", f"{turns} jumps of yaw by a whole turn were unwrapped", turns),
+        Note("command_gaps", split, gaps),
+        Note("yaw_unwrapped", turned, turns),
     )
     return tuple(note for note in notes if note.count)
 

@@ -57,6 +57,13 @@ def joined(logs: Sequence[Log]) -> Log:
     )
 
 
+def format_of(log: Log, table: str) -> str:
+    """The format of the file that a table is from."""
+    if not log.file_of:
+        return log.format
+    return log.format.split("+")[list(dict.fromkeys(log.file_of.values())).index(log.file_of[table])]
+
+
 def bound(card: Card, log: Log) -> Card:
     """The card with the names of this log, and the table of every column named without one in several files.
 

@@ -172,7 +172,7 @@ def _latched(flight: Flight, motion: Motion) -> Iterator[Finding]:
                 "latched_command",
                 "warning",
                 f"all commands stand still for {ends[i] - starts[i]:.1f} s from {starts[i]:.2f} s on"
-                f"{' to the end' if last else ''}, while the velocity changes {100 * ratio:.0f} % as much as under "
+                f"{' to the end' if last else ''}, while the velocity changes {ratio:.2g} times as much as under "
                 "changing commands",
                 "motion that this command did not cause pulls input gain and damping of every commanded axis towards 0",
                 f"give the span before it, --span :{starts[i]:.1f}" if last else "leave the stretch out by --span",

@@ -24,53 +24,18 @@ from rotorfit.joined import flights_of
 from rotorfit.ladder import Ladder, ladder
 from rotorfit.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.log import Log
+from rotorfit.log_span import LogSpan, parse_log
 from rotorfit.model import STRUCTURE, Model, with_findings
 from rotorfit.model_file import is_model_file, load
 from rotorfit.paired import PairedTest, paired_test
 from rotorfit.plausibility import findings_of_settings
-from rotorfit.proposal import card_of, proposal
+from rotorfit.proposal import card_of, joined_by_plus, proposal
 from rotorfit.settings import disagreement
 from rotorfit.sources import read
 from rotorfit.uncertainty import with_uncertainty
 from rotorfit.validation import Validation, to_mapping, validate
 
 Progress = Callable[[float, str], None]
-Span = tuple[float | None, float | None]
-WHOLE: Span = (None, None)
-
-
-@dataclass(frozen=True)
-class LogSpan:
-    """A log and the part of it that is wanted, in seconds of its common window."""
-
-    path: str
-    span: Span
-
-
-def parse_span(text: str) -> Span:
-    """`T0:T1` in seconds, either side may be empty.
-
-    Raises:
-        LogError: If it is not of that form.
-    """
-    start, colon, end = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        low, high = (float(part) if part.strip() else None for part in (start, end))
-    except ValueError:
-        raise LogError(f"span {text!r} is not T0:T1 in seconds, such as 10:60 or :84") from None
-    if low is not None and high is not None and low >= high:
-        raise LogError(f"span {text!r} ends before it starts; give T0:T1 with T0 < T1")
-    return low, high
-
-
-def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
-    """`LOG` or `LOG@T0:T1`; a file of that very name wins."""
-    name, at, span = text.rpartition("@")
-    if at and ":" in span and not Path(text).exists():
-        return LogSpan(name, parse_span(span))
-    return LogSpan(text, default)
 
 
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
@@ -136,7 +101,9 @@ def _all_flown(
         if card is None and otherwise:
             applied = _carried(raw, otherwise)
             raw = raw if applied is otherwise else _read(log, applied)
-        if applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
+        if applied is None and len(logs) > 1:
+            flown[number] = _flown_alone(log, raw, logs)
+        elif applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
             flown[number] = _flown(log, raw, applied)  # at once, so that no two logs need be held
         else:
             parts[number] = read(log.path)
@@ -144,6 +111,16 @@ def _all_flown(
     for place, raw in flights_of(list(parts.values()), shared):
         flown[places[place]] = _flown(logs[places[place]], raw, shared)
     return [flown[number] for number in sorted(flown)]
+
+
+def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, Card, Flight]:
+    """The same without a card for one of several logs; where two are halves of one flight, the error says so."""
+    try:
+        return _flown(log, raw, None)
+    except CardError as error:
+        if apart := joined_by_plus([raw if one is log else read(one.path) for one in logs]):
+            raise CardError(apart) from error
+        raise
 
 
 def fit_logs(

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numba
 import numpy as np
 
-from rotorfit.finding import Finding
+from rotorfit.finding import Finding, counted
 from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array, Mask
+from rotorfit.frames import AXES, UNIT_SCALE, Array, Mask
 from rotorfit.regression import Motion
 
 LEAP_SIGMAS = 10.0
@@ -81,6 +81,29 @@ def _running_median(values: Array, width: int) -> Array:
     return out
 
 
+def position_unit(motion: Motion) -> tuple[str, float] | None:
+    """`cm` or `mm`, whichever brings the speed nearer to 1 m/s, and that speed [m/s] (RMS); None for a speed in metres.
+
+    Args:
+        motion: Of the flight, its position taken for metres.
+    """
+    speed, acceleration = _pace(motion)
+    if speed <= FASTEST and acceleration <= HARDEST:
+        return None
+    unit = min(("cm", "mm"), key=lambda unit: abs(np.log(speed * UNIT_SCALE[unit])))
+    return unit, speed * UNIT_SCALE[unit]
+
+
+def _pace(motion: Motion) -> tuple[float, float]:
+    """Speed [m/s] and acceleration [m/s^2], root mean squares; 0 without any."""
+    if not len(motion.time):
+        return 0.0, 0.0
+    speed, acceleration = (
+        float(np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, axis=1)))) for rows in (motion.velocity, motion.acceleration)
+    )
+    return speed, acceleration
+
+
 def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> Iterator[Finding]:
     when, by = leaps(time, value, floor, slope)
     if not len(when):
@@ -93,8 +116,8 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
     yield Finding(
         "pose_jumps",
         "warning",
-        f"the {what} leaps {len(when)} times beside its neighbouring motion, by up to {size}, the first time at "
-        f"{when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
+        f"the {what} leaps {counted(len(when), 'time')} beside its neighbouring motion, by up to {size}, the first "
+        f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
         f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
         "data biased",
         "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "
@@ -132,8 +155,7 @@ def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
 def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
     if not len(motion.time):
         return
-    speed = float(np.sqrt(np.mean(np.sum(motion.velocity[:, :3] ** 2, axis=1))))
-    acceleration = float(np.sqrt(np.mean(np.sum(motion.acceleration[:, :3] ** 2, axis=1))))
+    speed, acceleration = _pace(motion)
     travel = float(np.max(np.ptp(flight.position, axis=0)))
     commanded = any(np.any(flight.command[:, AXES.index(axis)]) for axis in flight.axes if axis != "yaw")
     told = f"the vehicle moves with {speed:.3g} m/s and {acceleration:.3g} m/s^2 (RMS) within {travel:.3g} m"

@@ -1,7 +1,7 @@
 """Proposal: which card a log is read with where nobody names one, and why that one."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorfit.card import Card
@@ -10,7 +10,7 @@ from rotorfit.card_file import card_from_mapping
 from rotorfit.errors import CardError, FlightError
 from rotorfit.flight import Flight, flight_from_log
 from rotorfit.log import Log
-from rotorfit.recognition import lacking
+from rotorfit.recognition import commands_in, lacking, pose_in
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,20 @@ def proposal(log: Log) -> Proposal:
         return Proposal(*next(iter(fitting.items())), "the only one whose columns are all there")
     flights = _flights(log, fitting)
     return _best(log, fitting, flights) if flights else _first(log, fitting)
+
+
+def joined_by_plus(logs: Sequence[Log]) -> str:
+    """What to do with logs of which one holds commands and another one poses, one line; empty for all others."""
+    known = [(log, commands_in(log).channels, pose_in(log).channels.keys() & {"x", "y", "z"}) for log in logs]
+    commands = [log.path for log, told, seen in known if told and not seen]
+    poses = [log.path for log, told, seen in known if seen and not told]
+    if not commands or not poses:
+        return ""
+    both = f"{commands[0]}+{poses[0]}"
+    return (
+        f"{commands[0]} holds commands and {poses[0]} poses; if they are of one flight, join them by a plus: "
+        f"`rotorfit info {both} --draft-card FILE`, then `rotorfit fit {both} --card FILE`"
+    )
 
 
 def card_of(log: Log) -> Card:

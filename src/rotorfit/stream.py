@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.beside import drawn, held_beside, is_beside, sampled, told
+from rotorfit.beside import drawn, held_beside, is_beside, rows_of_others, sample_rows, sampled, told
 from rotorfit.card import Card, Channel
 from rotorfit.card_columns import column, split_source
 from rotorfit.clock import (
@@ -25,6 +25,7 @@ from rotorfit.clock import (
     stamps_of,
 )
 from rotorfit.errors import CardError, FlightError
+from rotorfit.finding import counted
 from rotorfit.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.log import Log
 from rotorfit.window import conditions, idle_ends, resets
@@ -89,9 +90,10 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
     series, silent = _commanded(series)
     values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
     stream = Stream("command", stamps, values, np.full(len(stamps), NEVER), (*notes, *silent))
+    silence = ~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)
     if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
         # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
-        stream = closed(stream, stamps[~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)])
+        stream = closed(stream, stamps[silence & ~rows_of_others(log, card)[: len(stamps)]])
     stream = _inside_window(in_order(numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
     stream = _without_idle_ends(_without_garbage_start(stream))
@@ -133,30 +135,6 @@ def poses_of(log: Log, card: Card) -> Stream:
             f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
         )
     return stream
-
-
-def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
-    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
-
-    Args:
-        log: As recorded.
-        time: The stream's clock.
-        channels: What it consists of.
-
-    Returns:
-        Shape (N,), True where any channel is a number; N is the number of stamps.
-
-    Raises:
-        CardError: A column is not there.
-    """
-    stamps = stamps_of(log, time)
-    rows = np.zeros(len(stamps), dtype=np.bool_)
-    own = [channel for channel in channels.values() if not is_beside(time, channel)]
-    for channel in own or channels.values():
-        if isinstance(channel.source, str):  # a constant is no sample
-            there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
-            rows[: len(there)] |= there
-    return rows
 
 
 def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
@@ -318,7 +296,9 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     if not steps.size:
         return stream
     note = Note(
-        "pose_resets", f"{steps.size} steps of the estimator's own in the pose: the flight is split there", steps.size
+        "pose_resets",
+        f"{counted(steps.size, 'step')} of the estimator's own in the pose: the flight is split there",
+        steps.size,
     )
     margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
     return replace(closed(stream, steps - margin), notes=(*stream.notes, note))

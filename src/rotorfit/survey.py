@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorfit.beside import sample_rows
 from rotorfit.card import Card
-from rotorfit.card_columns import fitting_cards
+from rotorfit.card_columns import fitting_cards, split_source, tables_of
 from rotorfit.card_file import load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
@@ -20,10 +21,12 @@ from rotorfit.flight import Flight, Note, flight_from_log
 from rotorfit.frames import AXES, Array
 from rotorfit.joined import bound, flights_of
 from rotorfit.log import Log, Table
-from rotorfit.proposal import proposal
+from rotorfit.log_span import WHOLE, Span, parse_log
+from rotorfit.proposal import joined_by_plus, proposal
+from rotorfit.recognition import commands_in, pose_in, velocity_in
 from rotorfit.sources import read
 from rotorfit.sources.content import one_line
-from rotorfit.stream import recorder_clock, sample_rows
+from rotorfit.stream import recorder_clock
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class TableSurvey:
         count: Samples.
         time: Column taken for its clock; None where nothing looks like one.
         rate: Of that clock.
+        used: Whether the card reads it; without a card, whether its names look like commands, a pose or a velocity.
     """
 
     name: str
@@ -43,6 +47,7 @@ class TableSurvey:
     count: int
     time: str | None
     rate: Rate | None
+    used: bool = True
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Excitation:
         low: Smallest value.
         high: Largest value.
         levels: Distinct values.
-        extreme_share: Share of time at the smallest or the largest value: saturation, where there are many levels.
+        extreme_share: Share of time at the smallest or the largest value, but 0: saturation, where levels are many.
         bandwidth: Frequency below which 95 % of its power about the mean lies [Hz]; None for a constant.
     """
 
@@ -134,12 +139,13 @@ class Survey:
     events: tuple[tuple[float, str], ...] = ()
 
 
-def survey(log: Log, card: Card | None = None) -> Survey:
+def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
     """Looks through a log.
 
     Args:
         log: As recorded.
         card: To apply; None for the log's own, or the built-in card that fits, if there is one.
+        span: Part of the flight [s], from the start of its common window.
 
     Raises:
         CardError: The card that was given does not fit.
@@ -154,13 +160,14 @@ def survey(log: Log, card: Card | None = None) -> Survey:
     if card is not None:
         card = bound(card, log)
         try:
-            flight = _flight_survey(log, card, flight_from_log(log, card))
+            flight = _flight_survey(log, card, flight_from_log(log, card, span))
         except FlightError as err:
             problem = str(err)
+    used = _used(log, card)
     return Survey(
         path=str(log.path),
         format=log.format,
-        tables=tuple(_table_survey(log, table, card) for table in log.tables.values()),
+        tables=tuple(_table_survey(log, table, card, used) for table in log.tables.values()),
         skipped=log.skipped,
         notes=log.notes,
         fitting=tuple(fitting_cards(log)),
@@ -189,7 +196,7 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
     """Reads logs and looks through them; logs that only together hold what the card names are one flight.
 
     Args:
-        paths: Of the logs.
+        paths: Of the logs, each as `LOG` or `LOG@T0:T1`.
         card: Name or file of the card to apply; None for the built-in card that fits, if there is one.
 
     Raises:
@@ -197,24 +204,29 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
         CardError: The card that was given is none, or does not fit.
     """
     chosen = None if card is None else load_card(card)
-    return tuple(survey(log, chosen) for _, log in flights_of([read(path) for path in paths], chosen))
+    asked = [parse_log(path) for path in paths]
+    logs = [read(one.path) for one in asked]
+    found = [survey(log, chosen, asked[place].span) for place, log in flights_of(logs, chosen)]
+    apart = joined_by_plus(logs) if chosen is None else ""
+    return tuple(replace(one, problem=apart) if apart and not one.flight else one for one in found)
 
 
 def survey_draft(path: str, draft: Path) -> Survey:
     """Reads a log and looks through it by the card that was drafted for it.
 
     Args:
-        path: Of the log.
+        path: Of the log, as `LOG` or `LOG@T0:T1`.
         draft: The card; as drafted it need not be complete.
 
     Raises:
         LogError: The log cannot be read.
     """
-    log = read(path)
+    asked = parse_log(path)
+    log = read(asked.path)
     try:
-        return survey(log, load_card(str(draft)))
+        return survey(log, load_card(str(draft)), asked.span)
     except CardError:
-        found = survey(log)
+        found = survey(log, span=asked.span)
     if found.flight:
         return found
     return replace(found, problem=f"the card drafted in {draft} is not complete: fill in the lines marked EDIT")
@@ -231,7 +243,7 @@ def excitation(flight: Flight) -> tuple[Excitation, ...]:
 
 def _excitation(axis: str, values: Array, weight: Array, time: Array) -> Excitation:
     low, high = float(np.min(values)), float(np.max(values))
-    at_end = ((values == low) | (values == high)) & (low < high)
+    at_end = ((values == low) | (values == high)) & (values != 0) & (low < high)
     return Excitation(
         axis=axis,
         nonzero_share=float(np.sum(weight[values != 0]) / np.sum(weight)),
@@ -273,7 +285,16 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
     )
 
 
-def _table_survey(log: Log, table: Table, card: Card | None) -> TableSurvey:
+def _used(log: Log, card: Card | None) -> frozenset[str]:
+    """Names of the tables that matter for a flight."""
+    if card is not None:
+        return tables_of(card) or frozenset(log.tables)
+    commands, pose = commands_in(log), pose_in(log)
+    told = (commands, pose, velocity_in(log, commands, pose))
+    return frozenset(split_source(one.source)[0] for stream in told for one in stream.channels.values())
+
+
+def _table_survey(log: Log, table: Table, card: Card | None, used: frozenset[str]) -> TableSurvey:
     time = clock_of(log, table, sample_count(table))
     for own in (card.command_time, card.pose_time) if card is not None else ():
         if len(log.tables) == 1 or str(own.source).startswith(f"{table.name}:"):
@@ -285,4 +306,5 @@ def _table_survey(log: Log, table: Table, card: Card | None) -> TableSurvey:
         count=sample_count(table) if stamps is None else len(stamps),
         time=None if time is None else str(time.source).removeprefix(f"{table.name}:"),
         rate=None if stamps is None else rate(stamps),
+        used=len(log.tables) == 1 or table.name in used,
     )

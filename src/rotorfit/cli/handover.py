@@ -42,8 +42,9 @@ def export(
         return show(export_formats_view(FORMATS))
     if model_path is None or output is None:
         raise click.UsageError("give a model and -o FILE: rotorfit export model.json --to NAME -o FILE")
+    from rotorfit.log_span import parse_log
     from rotorfit.model_file import load
-    from rotorfit.pipeline import check_destination, parse_log, training_flights, validate_logs
+    from rotorfit.pipeline import check_destination, training_flights, validate_logs
 
     check_destination(output, MARK)
     model = load(model_path)

@@ -45,8 +45,9 @@ def demo(directory: Path, as_json: bool) -> None:
     metavar="FILE",
     help="Write a card for the log, to be edited.",
 )
+@click.option("--fresh", is_flag=True, help="Draft by names and motion even where a built-in card fits.")
 @JSON
-def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: bool) -> None:
+def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool, as_json: bool) -> None:
     """Show what is inside logs.
 
     Tables, columns, rates, gaps; which card fits; stale frames, clocks, the excitation of each axis; findings.
@@ -54,13 +55,16 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, as_json: boo
     from dataclasses import asdict
 
     from rotorfit.draft import write_draft
+    from rotorfit.log_span import parse_log
     from rotorfit.sources import read
     from rotorfit.survey import survey_draft, survey_logs
 
     if draft and len(logs) > 1:
         raise click.UsageError("--draft-card drafts for one log: give one")
+    if fresh and not draft:
+        raise click.UsageError("--fresh is about --draft-card: give its file")
     if draft:
-        write_draft(read(logs[0]), draft)
+        write_draft(read(parse_log(logs[0]).path), draft, fresh)
     surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})

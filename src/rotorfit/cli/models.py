@@ -57,8 +57,9 @@ def fit(
     """Estimate the coefficients from one or several flights."""
     from rotorfit.fit import LIKELIHOOD
     from rotorfit.leave_one_out import require_two
+    from rotorfit.log_span import parse_log
     from rotorfit.model_file import save, to_mapping
-    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs, parse_log
+    from rotorfit.pipeline import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs
 
     if output:
         check_destination(output, MODEL_MARK)
@@ -96,7 +97,8 @@ def fit(
 def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json: bool) -> None:
     """Fit by every method, side by side, and test their agreement."""
     from rotorfit.ladder import to_mapping
-    from rotorfit.pipeline import ladder_logs, parse_log
+    from rotorfit.log_span import parse_log
+    from rotorfit.pipeline import ladder_logs
 
     with progress_bar() as progress:
         result = ladder_logs([parse_log(log, span) for log in logs], card, axes, progress)

@@ -13,7 +13,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def span_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     """`T0:T1` as a Span; the whole log where none is given."""
-    from rotorfit.pipeline import WHOLE, parse_span
+    from rotorfit.log_span import WHOLE, parse_span
 
     try:
         return WHOLE if text is None else parse_span(text)

@@ -27,8 +27,9 @@ from rotorfit.cli.output import print_json, progress_bar
 @JSON
 def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, horizons: Any, as_json: bool) -> None:
     """Score a model on flights that were not fitted."""
+    from rotorfit.log_span import parse_log
     from rotorfit.model_file import load
-    from rotorfit.pipeline import parse_log, validate_logs
+    from rotorfit.pipeline import validate_logs
     from rotorfit.validation import to_mapping
 
     model = load(model_path)

@@ -20,8 +20,9 @@ from rotorfit.card_file import load_card
 from rotorfit.errors import RotorfitError
 from rotorfit.flight import Flight
 from rotorfit.forecast import CURVE
+from rotorfit.log_span import LogSpan
 from rotorfit.model_file import load, save
-from rotorfit.pipeline import LogSpan, compare_logs, comparison_mapping, fit_logs, validate_logs
+from rotorfit.pipeline import compare_logs, comparison_mapping, fit_logs, validate_logs
 from rotorfit.report import write_report
 from rotorfit.studio.wire import compared_mapping, result_mapping
 from rotorfit.studio.workspace import written

@@ -12,23 +12,24 @@ from rotorfit.terminal.tables import View, bullets, finding_view, indented, tabl
 if TYPE_CHECKING:  # it brings numba, which what needs no flight can do without
     from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
 
+MANY_TABLES = 12
+"""Tables beyond which only those that matter are listed."""
+
 LEAST_JITTER = 0.01
 """Jitter below which its figures say nothing [ms]."""
 
 
 def survey_view(survey: "Survey") -> View:
-    """What is in a log, which cards fit, and what the flight is like."""
+    """What the flight is like, which cards fit, and what is in the log."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield title(f"{survey.path}: {survey.format}, {tables}")
-    for one in survey.tables:
-        yield indented(_table_line(one))
-        yield indented(", ".join(one.columns), 4, "dim")
-    yield from bullets([f"{name}: not read: {reason}" for name, reason in survey.skipped.items()])
-    yield from bullets(survey.notes)
     if survey.recording:
         yield indented(", ".join(f"{key} {text}" for key, text in survey.recording.items()))
+    yield from bullets(survey.notes)
     yield from bullets([f"{since:.2f} s: {text}" for since, text in survey.events])
     yield indented(f"Built-in cards that fit: {', '.join(survey.fitting) or 'none'}")
+    if survey.problem:
+        yield indented(f"No flight: {survey.problem}", 2, "yellow")
     if survey.flight:
         yield ""
         yield title(f"Flight by the card {survey.card}")
@@ -38,8 +39,24 @@ def survey_view(survey: "Survey") -> View:
         for finding in survey.flight.findings:
             yield ""
             yield from finding_view(finding)
-    if survey.problem:
-        yield indented(f"No flight: {survey.problem}", 2, "yellow")
+    yield ""
+    yield from _tables_view(survey)
+
+
+def _tables_view(survey: "Survey") -> View:
+    """Tables with their columns; of a log of many those that matter for a flight, where any does."""
+    shown = [one for one in survey.tables if one.used]
+    if len(survey.tables) <= MANY_TABLES or not shown:
+        shown = list(survey.tables)
+    yield title("Tables")
+    for one in shown:
+        yield indented(_table_line(one))
+        yield indented(", ".join(one.columns), 4, "dim")
+    others = len(survey.tables) - len(shown)
+    if others:
+        yield indented(f"and {others} more that no flight needs, {len(survey.skipped)} not read (--json has them)")
+    else:
+        yield from bullets([f"{name}: not read: {reason}" for name, reason in survey.skipped.items()])
 
 
 def _table_line(table: "TableSurvey") -> str:
@@ -88,6 +105,13 @@ def _flight_view(flight: "FlightSurvey") -> View:
     yield from bullets([note.text for note in flight.notes])
 
 
+def _percent(share: float) -> str:
+    """A share in whole per cent; what is little is not nothing, and what is most is not all."""
+    if 0 < share < 0.005:
+        return "<1 %"
+    return ">99 %" if 0.995 <= share < 1 else f"{100 * share:.0f} %"
+
+
 def _later(offset: float) -> str:
     return f"{abs(offset):.3f} s {'after' if offset >= 0 else 'before'}"
 
@@ -97,10 +121,10 @@ def _excitation_table(axes: "Iterable[Excitation]") -> RenderableType:
     for axis in axes:
         out.add_row(
             axis.axis,
-            f"{100 * axis.nonzero_share:.0f} %",
+            _percent(axis.nonzero_share),
             *(f"{value:.3g}" for value in (axis.rms, axis.low, axis.high)),
             str(axis.levels),
-            f"{100 * axis.extreme_share:.0f} %",
+            _percent(axis.extreme_share),
             "-" if axis.bandwidth is None else f"{axis.bandwidth:.2g} Hz",
         )
     return Padding(out, (0, 0, 0, 2), expand=False)

@@ -80,7 +80,8 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
             yield indented(f"No scores of {', '.join(missing)}: no model of the axis, or fewer than 5 predictions.")
         still = [axis for axis in AXES if axis not in flight.moved]
         if still:
-            yield indented(f"Not shown: {', '.join(still)}, which the flight does not command (--json has them).")
+            names = ", ".join(still)
+            yield indented(f"Not shown: {names}, not commanded or merely held in this stretch (--json has them).")
         yield ""
     yield Text(
         "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "
