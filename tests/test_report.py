@@ -131,7 +131,10 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
     assert "rotorfit validate model.json validation.bag@0:" in text
     assert "numba" in text
     assert "Is the difference from the baselines real?" in text
-    assert re.search(r"validation\.bag x paper 1 s −[\d.]+ ± [\d.]+ cm/s (better|no difference shown|too short)", text)
+    assert re.search(
+        r"validation\.bag x paper 1 s −[\d.]+ \(−[\d.]+ to [−+][\d.]+\) cm/s (better|no difference shown|too short)",
+        text,
+    )
     assert re.search(r"validation\.bag z white \(p = [\d.]+\) \d+, 30 free of them", text)
     assert 'name = "rotorfit demo quadrotor"' in text
 

@@ -47,6 +47,7 @@ RIVER = (
     "pose_checks",
     "motion_checks",
     "frame_checks",
+    "restoring",
     "answers",
     "draft",
     "doctor",

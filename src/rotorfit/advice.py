@@ -15,6 +15,7 @@ from rotorfit.frames import AXES
 from rotorfit.influence import prior_findings
 from rotorfit.model import Axis
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE
+from rotorfit.restoring import restored
 from rotorfit.robust import outlier_findings
 from rotorfit.rungs import NOT_VALID
 from rotorfit.uncertainty import disagreement_findings
@@ -56,7 +57,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
+        found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
         if axis.predictor and name not in wrong:
             found += _sign_findings(fit, name, axis)
             told = _coefficient_findings(name, axis)
@@ -88,13 +89,15 @@ def _weak(axis: Axis) -> bool:
     return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
 
 
-def _status_findings(name: str, axis: Axis, moved: bool, remark: str) -> Iterator[Finding]:
+def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: str) -> Iterator[Finding]:
     status = axis.status["input"]
-    if status == "not_excited" and moved and axis.noise:
+    if status == "not_excited" and flights and axis.noise:
         yield Finding(
             "not_excited",
             "warning",
-            f"the {name} command explains nothing: with it the motion is predicted no better than without it",
+            f"the {name} command only answers the motion, as a position controller's does: nothing else is in it"
+            if restored(flights, name)
+            else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
             name,

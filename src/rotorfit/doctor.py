@@ -12,6 +12,7 @@ from rotorfit.log import Log
 from rotorfit.motion_checks import motion_findings
 from rotorfit.pose_checks import pose_findings
 from rotorfit.regression import motion_from_flight
+from rotorfit.restoring import restoring_findings
 
 SHORT_TIME = 20.0
 """Flight time below which it is called short [s]."""
@@ -38,6 +39,7 @@ def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, .
             if not (framed and finding.code == "wind_dominates" and finding.axis in ("x", "y"))  # the frame says why
         ),
         *framed,
+        *restoring_findings(flight, motion),
     ]
     return by_gravity(replace(finding, evidence=f"{flight.path}: {finding.evidence}") for finding in found)
 
