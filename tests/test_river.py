@@ -62,6 +62,7 @@ RIVER = (
     "prediction",
     "forecast",
     "long_run",
+    "events",
     "paired",
     "levels",
     "record",

@@ -8,6 +8,7 @@ from rotorfit.command_checks import share_above
 from rotorfit.constancy import changed_coefficients
 from rotorfit.doctor import SHORT_TIME
 from rotorfit.estimate import LOOP_SIGMAS, Estimate, answer
+from rotorfit.events import EVENT, ONE, TWICE, command_events, widening
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
@@ -58,6 +59,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
         found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
+        found += _event_findings(name, axis, flights)
         if axis.predictor and name not in wrong:
             found += _sign_findings(fit, name, axis)
             told = _coefficient_findings(name, axis)
@@ -102,7 +104,7 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
             name,
         )
-    elif status == "too_short":
+    elif status == "too_short" and command_events(flights, name) >= ONE:
         yield Finding(
             "too_short",
             "warning",
@@ -122,6 +124,30 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
             "check the card's columns and signs for this axis, or give a span without take-off and landing",
             name,
         )
+
+
+def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Commands that say something only once, or hardly more often."""
+    lost = axis.status["input"] == "too_short"
+    if not flights or not (axis.predictor or lost):
+        return
+    events = command_events(flights, name)
+    factor = widening(events)
+    if factor < TWICE:
+        return
+    yield Finding(
+        "few_command_events",
+        "warning",
+        f"the {name} command changes in one event of {EVENT:g} s, or in none beside it that count"
+        if events < ONE
+        else f"the {name} command changes in few events: they count as {events:.1f} equal ones of {EVENT:g} s",
+        f"no coefficient of {name} is a number: one event cannot show that what the model leaves out averages out"
+        if lost
+        else f"intervals of {name} hold if the model is right; if what it leaves out is another thing at each event, "
+        f"they are {factor:.1f} times as wide",
+        f"command {name} again and again: ten steps or more, or the paper's two sines",
+        name,
+    )
 
 
 def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
