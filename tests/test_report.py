@@ -348,6 +348,25 @@ def residual(white_p: float = 0.5, command_p: float | None = 0.5) -> ResidualTes
     )  # fmt: skip
 
 
+def test_residuals_of_another_size_than_in_the_fit_are_not_clean_though_no_test_fails() -> None:
+    for ratio, colour in ((66.0, "yellow"), (0.1, "yellow"), (3.0, "green"), (0.4, "green")):
+        light = light_of(0.05, tests=replace(residual(), variance_ratio=ratio, variance_ci95=(0.0, 2 * ratio)))
+        assert light.lamps[2].colour == light.colour == colour, ratio
+        assert (f"{ratio:g} times" in light.lamps[2].text) == (colour == "yellow")
+
+
+def test_a_delay_below_zero_is_never_green_whether_a_finding_tells_of_it_or_not() -> None:
+    model = known_model()
+    early = replace(model.axes["x"], delay=-0.02, ci95={**model.axes["x"].ci95, "delay": (-0.07, 0.03)})
+    scores = [score("x", 0.05, horizon=h) for h in (0.5, 1.0, 2.0, 5.0)]
+    one = replace(model, axes={**model.axes, "x": early}, findings=())
+    light = verdict_of(one, scores, against_hold(), [{"x": residual()}]).lights[0]
+
+    assert light.lamps[1].colour == "yellow"
+    assert "no vehicle answers before its command" in light.lamps[1].text
+    assert any("before it is sent" in text for text in light.sentences)
+
+
 def light_of(
     error: float | None, findings: tuple[Finding, ...] = (), word: str = "better", tests: ResidualTests | None = None
 ) -> Light:

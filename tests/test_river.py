@@ -107,6 +107,7 @@ RIVER = (
     "ladder",
     "leave_one_out",
     "constancy",
+    "too_early",
     "advice",
     "plausibility",
     "summary",

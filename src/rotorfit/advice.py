@@ -19,6 +19,7 @@ from rotorfit.record import BLOCK_RATE, DELAY_RANGE
 from rotorfit.restoring import restored
 from rotorfit.robust import outlier_findings
 from rotorfit.rungs import NOT_VALID
+from rotorfit.too_early import too_early
 from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
@@ -62,7 +63,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
         found += _event_findings(name, axis, flights)
         if axis.predictor and name not in wrong:
             found += _sign_findings(fit, name, axis)
-            told = _coefficient_findings(name, axis)
+            told = _coefficient_findings(name, axis, flights)
             found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
@@ -170,14 +171,14 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
     )
 
 
-def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
+def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
     point = axis.predictor
     assert point is not None
     if point.damping < 0:
         _, high = axis.ci95["damping"]
         yield _unstable(name, point.input, point.damping, high is not None and high < 0)
     if "delay" in axis.status and axis.profile:
-        yield from _delay_findings(name, axis, point.delay)
+        yield from _delay_findings(name, axis, point.delay, flights)
     if axis.status["damping"] == "not_identifiable":
         low, high = axis.ci95["damping"]
         gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
@@ -212,7 +213,7 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
         )
 
 
-def _delay_findings(name: str, axis: Axis, delay: float) -> Iterator[Finding]:
+def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Flight]) -> Iterator[Finding]:
     low, high = axis.ci95["delay"]
     if min(abs(delay - end) for end in DELAY_RANGE) < 1e-6:
         yield Finding(
@@ -228,8 +229,7 @@ def _delay_findings(name: str, axis: Axis, delay: float) -> Iterator[Finding]:
             "delay_negative",
             "warning",
             f"{name} seems to answer {-1e3 * delay:.0f} ms before its command (95 %: {_end(low)} to {_end(high)} s)",
-            "the clocks of commands and poses disagree by at least as much; the delay is not the vehicle's",
-            "use one clock for both streams, or the stamps at which both were received",
+            *too_early(flights, -delay),
             name,
         )
     elif axis.status["delay"] == "not_identifiable":
@@ -331,12 +331,13 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
     if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
+    lost = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
+    late = "" if lost else f" of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s"
     yield Finding(
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s, and the "
-        "damping pays; the likelihood keeps it",
+        f"it leaves out the delay{late}, and the damping pays; the likelihood keeps it",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )

@@ -211,13 +211,13 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
         )
     if best.turns in (DEGREE, 1 / DEGREE):
         unit = "deg" if best.turns == DEGREE else "rad"
-        world = f', or write frame = "world" in [command]{SAME_THING}' if best.turns == DEGREE else ""
+        instead = f', or write frame = "world" in [command]{SAME_THING}' if best.turns == DEGREE else ""
         return Finding(
             "unit_mistake",
             "error",
             told.format(f"with yaw in {unit}"),
             effect,
-            f'give yaw in [pose] of the card unit = "{unit}"{world}',
+            f'give yaw in [pose] of the card unit = "{unit}"{instead}',
         )
     world = card.command_frame == "world"
     return Finding(
