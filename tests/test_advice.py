@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 
 import pytest
 
@@ -13,7 +14,9 @@ from rotorfit.fit import Fit, fit
 from rotorfit.flight import Segment
 from rotorfit.model import Mode, Predictor
 from rotorfit.paper_vehicle import GAMMA_B, Truth
+from rotorfit.pipeline import fit_logs, parse_log
 from rotorfit.record import DELAY_RANGE
+from rotorfit.too_early import too_early
 
 NO_STALE = replace(Truth(), stale_share=0.0)
 
@@ -114,6 +117,25 @@ def test_a_negative_delay_beyond_its_interval_is_about_clocks() -> None:
     told = found(fit([late], axes=("z",)))["delay_negative", "z"]
     assert "clock" in told.effect
     assert ("delay_negative", "z") not in found(fit([flight], axes=("z",)))
+
+
+def test_a_negative_delay_within_one_clock_is_about_how_often_commands_are_logged(real_flights: Path) -> None:
+    """An autopilot logs its set-points at 10 Hz; in a log that two computers stamp, it may be their clocks."""
+    flight = flown(replace(NO_STALE, delay=(0.0,) * 4), steps(("z",), seed=2), 40.0, 2)
+    seldom = replace(flight, command_time=flight.command_time[::5] + 0.05, command=flight.command[::5])
+    log = replace(seldom, path="flight.ulg", segments=(Segment(0.05, flight.segments[0].end),))
+
+    effect, remedy = too_early([log], 0.05)
+    assert "not the clocks" in effect
+    assert "logged every" in effect
+    assert "ms in the mean" in effect
+    assert "log every command" in remedy
+    assert "nor that commands are logged" in too_early([log], 0.6)[0]
+    assert "clocks of commands and poses disagree" in too_early([replace(log, path="flight.mcap")], 0.05)[0]
+    done = fit_logs([parse_log(f"{real_flights / 'px4-s500' / 'TestFlight1.ulg'}@0:30")], axes=("yaw",)).model
+    (told,) = [one for one in done.findings if one.code == "delay_negative"]
+    assert "not the clocks" in told.effect
+    assert "49 ms in the mean" in told.effect
 
 
 def test_commands_stamped_later_than_any_searched_delay_are_a_matter_of_clocks_not_of_excitation() -> None:

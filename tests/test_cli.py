@@ -218,7 +218,7 @@ def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(fo
     proof = found.partition("Leave one out")[2]
     assert all(f"{log.name}, 0.00 to" in proof for log in logs)
     assert "No proof" not in proof
-    assert re.search(r"^x +vs hold +-[\d.]+ \+- [\d.]+ +better ", proof, re.MULTILINE)
+    assert re.search(r"^x +vs hold +-[\d.]+ \(-[\d.]+ to -[\d.]+\) +better ", proof, re.MULTILINE)
     assert re.search(r"^ +damping +[\d.]+ +[\d.]+ +[\d.]+ +[\d.]+$", proof, re.MULTILINE)
     kept = json.loads(output.read_text())["leave_one_out"]
     assert [Path(flight["path"]).name for flight in kept["flights"]] == ["first.bag", "second.bag"]
@@ -310,7 +310,7 @@ def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:
     assert found["paired"][3]["axes"]["x"]["1"]["velocity"]["pooled"]["verdict"] == "better"
     assert found["paired"][0]["axes"]["z"]["1"]["velocity"]["flights"] == [None]
     text = done("compare", *models, log)
-    assert re.search(r"2 vs 1 +\+[\d.]+ \+- [\d.]+ +(worse|none shown)", text)
+    assert re.search(r"2 vs 1 +\+[\d.]+ \([-+][\d.]+ to \+[\d.]+\) +(worse|none shown)", text)
 
 
 def test_a_model_beside_itself_is_not_told_apart(folder: Path) -> None:

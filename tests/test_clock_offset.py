@@ -17,7 +17,7 @@ from rotorfit.flight import Flight, flight_from_log
 from rotorfit.frames import world_from_heading
 from rotorfit.joined import bound, joined
 from rotorfit.log import Log, Table
-from rotorfit.one_clock import NORMAL, Clocks
+from rotorfit.one_clock import ANSWER_HALF, NORMAL, Clocks
 from rotorfit.paper_vehicle import SimulatedFlight, Truth, simulate_flight
 from rotorfit.sources import read as read_log
 from twin_logs import Sensor, Skew, as_one, card_of, in_two_files
@@ -247,6 +247,11 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
     assert codes(log, velocity=False)["clock_includes_delay"] == "warning"
     assert (model.delay, model.status["delay"], model.ci95["delay"]) == (None, "not_identifiable", (None, None))
     assert "total_lag" not in model.combinations
+    total, truth = model.combinations["offset_plus_delay"], offset + Truth().delay[3]
+    assert total.ci95[0] is not None
+    assert total.ci95[1] is not None
+    assert total.ci95[0] - 0.01 < truth < total.ci95[1] + 0.01  # what was measured, with its interval
+    assert abs(result.clocks.with_delay - truth) < ANSWER_HALF
     assert model.status["input"] == "ok"
     low, high = model.ci95["input"]
     assert low is not None

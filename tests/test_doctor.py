@@ -476,6 +476,15 @@ def test_degrees_of_a_slow_turn_are_told_by_where_the_commands_lead(tmp_path: Pa
     assert said("info", *log.write(tmp_path, right)) == {}
 
 
+def test_degrees_of_a_heading_that_is_only_held_are_told_by_where_the_commands_lead(tmp_path: Path) -> None:
+    """Read as radians it wanders by ten degrees: the gains of x and y come out 5 % too small."""
+    log = Csv(flown(steps(("x", "y"), seed=4), 60.0, TRUTH, Controller()))
+    log.pose[:, 3] = np.degrees(log.pose[:, 3])
+
+    assert 0.05 < np.std(log.pose[:, 3]) < 0.35
+    assert 'unit = "deg"' in said("info", *log.write(tmp_path))["unit_mistake", None]["remedy"]
+
+
 def test_radians_that_the_card_takes_for_degrees(tmp_path: Path) -> None:
     words = Csv(flown(TURNING, 60.0)).write(
         tmp_path, CARD.replace('yaw = "yaw"', 'yaw = { from = "yaw", unit = "deg" }')

@@ -54,7 +54,8 @@ CARDS, FINDINGS, METHOD, ARCHITECTURE = (
 )
 CHECKS = (
     "advice", "clock_checks", "command_checks", "constancy", "convert", "doctor", "frame_checks", "motion_checks",
-    "influence", "plausibility", "pose_checks", "robust", "sign_checks", "two_files", "uncertainty", "whiteness",
+    "influence", "plausibility", "pose_checks", "restoring", "robust", "sign_checks", "two_files", "uncertainty",
+    "whiteness",
 )  # fmt: skip
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (

@@ -39,15 +39,15 @@ def paired_of(
     return PairedTest("model", "hold", axes)
 
 
-def test_differences_are_told_with_error_and_verdict_in_units_for_people() -> None:
+def test_differences_are_told_with_interval_and_verdict_in_units_for_people() -> None:
     found = told(paired_view([paired_of(BETTER)], scores_of("dir/flight.bag")))
 
     assert "Is the difference real? flight.bag" in found
     assert "v 1 s" in found
     assert "p 5 s" in found
     lines = found.splitlines()
-    assert any(line.split()[:6] == ["x", "vs", "hold", "-1.23", "+-", "0.20"] and "better" in line for line in lines)
-    assert any(line.startswith("yaw") and "-0.705 +- 0.11" in line for line in lines)
+    assert any(line.startswith("x") and "-1.23 (-1.68 to -0.78)  better" in line for line in lines)  # t of 9: 2.26
+    assert any(line.startswith("yaw") and "-0.70 (-0.96 to -0.45)" in line for line in lines)
     assert not any(line.startswith(("y ", "z ")) for line in lines)
     assert "fitted" not in found
 
@@ -98,3 +98,14 @@ def test_the_spread_stands_beside_what_the_fit_states() -> None:
     assert ["x", "damping", "1", "1.2", "0.1", "0.031"] in lines
     assert ["total", "lag", "0.5", "0.5", "-", "-"] in lines
     assert "z: only one flight moves it" in found
+
+
+def test_what_is_not_shown_has_an_interval_that_holds_zero_however_small_its_standard_error() -> None:
+    """-20.6 with a standard error of 2.1 is ten of them, and with one degree of freedom no more than chance."""
+    doubtful = Difference(60, -0.206, 0.021, 1.0, 0.065, -1e-3, 2e-4, "no_difference_shown")
+
+    ends = doubtful.rmse_ci95
+    assert ends is not None
+    assert ends[0] < 0 < ends[1]
+    assert "-21 (-47 to +6)  none shown" in told(paired_view([paired_of(doubtful)], scores_of("flight.bag")))
+    assert SHORT.rmse_ci95 is None

@@ -131,7 +131,10 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
     assert "rotorfit validate model.json validation.bag@0:" in text
     assert "numba" in text
     assert "Is the difference from the baselines real?" in text
-    assert re.search(r"validation\.bag x paper 1 s −[\d.]+ ± [\d.]+ cm/s (better|no difference shown|too short)", text)
+    assert re.search(
+        r"validation\.bag x paper 1 s −[\d.]+ \(−[\d.]+ to [−+][\d.]+\) cm/s (better|no difference shown|too short)",
+        text,
+    )
     assert re.search(r"validation\.bag z white \(p = [\d.]+\) \d+, 30 free of them", text)
     assert 'name = "rotorfit demo quadrotor"' in text
 
@@ -343,6 +346,25 @@ def residual(white_p: float = 0.5, command_p: float | None = 0.5) -> ResidualTes
         command_peak=1.0, command_peak_lag=0.2, variance_ratio=1.0, variance_ci95=(0.9, 1.1), optimism={},
         white=white_p >= 0.05, follows_command=None if command_p is None else command_p < 0.05,
     )  # fmt: skip
+
+
+def test_residuals_of_another_size_than_in_the_fit_are_not_clean_though_no_test_fails() -> None:
+    for ratio, colour in ((66.0, "yellow"), (0.1, "yellow"), (3.0, "green"), (0.4, "green")):
+        light = light_of(0.05, tests=replace(residual(), variance_ratio=ratio, variance_ci95=(0.0, 2 * ratio)))
+        assert light.lamps[2].colour == light.colour == colour, ratio
+        assert (f"{ratio:g} times" in light.lamps[2].text) == (colour == "yellow")
+
+
+def test_a_delay_below_zero_is_never_green_whether_a_finding_tells_of_it_or_not() -> None:
+    model = known_model()
+    early = replace(model.axes["x"], delay=-0.02, ci95={**model.axes["x"].ci95, "delay": (-0.07, 0.03)})
+    scores = [score("x", 0.05, horizon=h) for h in (0.5, 1.0, 2.0, 5.0)]
+    one = replace(model, axes={**model.axes, "x": early}, findings=())
+    light = verdict_of(one, scores, against_hold(), [{"x": residual()}]).lights[0]
+
+    assert light.lamps[1].colour == "yellow"
+    assert "no vehicle answers before its command" in light.lamps[1].text
+    assert any("before it is sent" in text for text in light.sentences)
 
 
 def light_of(

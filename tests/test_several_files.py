@@ -113,6 +113,10 @@ def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files:
     found = {finding.code for finding in apart.findings}
     assert "clock_includes_delay" in found
     assert "delay_not_identifiable" not in found
+    low, high = apart.axes["yaw"].combinations["offset_plus_delay"].ci95
+    assert low is not None
+    assert high is not None
+    assert high - low < 0.1
     assert apart.axes["yaw"].delay is None
     assert told.flights[0].path == path
     flights, left_out = training_flights(told)
@@ -175,4 +179,4 @@ def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[l
     ):
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
-    assert "the delay is in it" in Path(page).read_text()
+    assert "offset and delay together" in Path(page).read_text()

@@ -9,6 +9,7 @@ from rotorfit.command_checks import share_above
 from rotorfit.constancy import changed_coefficients
 from rotorfit.doctor import SHORT_TIME
 from rotorfit.estimate import LOOP_SIGMAS, Estimate, answer
+from rotorfit.events import EVENT, ONE, TWICE, command_events, widening
 from rotorfit.finding import Finding, by_gravity
 from rotorfit.fit import Fit
 from rotorfit.flight import Flight
@@ -16,9 +17,11 @@ from rotorfit.frames import AXES
 from rotorfit.influence import prior_findings
 from rotorfit.model import Axis
 from rotorfit.record import BLOCK_RATE, DELAY_RANGE
+from rotorfit.restoring import restored
 from rotorfit.robust import outlier_findings
 from rotorfit.rungs import NOT_VALID
 from rotorfit.sign_checks import OVER
+from rotorfit.too_early import too_early
 from rotorfit.uncertainty import disagreement_findings
 
 WEAK_GAIN = 0.2
@@ -62,10 +65,11 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
     for k, name in enumerate(AXES):
         axis = fit.model.axes[name]
         flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
-        found += _status_findings(name, axis, bool(flights), fit.remarks.get(name, ""))
+        found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
+        found += _event_findings(name, axis, flights)
         if axis.predictor and name not in wrong:
             found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
-            told = _coefficient_findings(name, axis)
+            told = _coefficient_findings(name, axis, flights)
             found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
@@ -94,18 +98,20 @@ def _weak(axis: Axis) -> bool:
     return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
 
 
-def _status_findings(name: str, axis: Axis, moved: bool, remark: str) -> Iterator[Finding]:
+def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: str) -> Iterator[Finding]:
     status = axis.status["input"]
-    if status == "not_excited" and moved and axis.noise:
+    if status == "not_excited" and flights and axis.noise:
         yield Finding(
             "not_excited",
             "warning",
-            f"the {name} command explains nothing: with it the motion is predicted no better than without it",
+            f"the {name} command only answers the motion, as a position controller's does: nothing else is in it"
+            if restored(flights, name)
+            else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
             name,
         )
-    elif status == "too_short":
+    elif status == "too_short" and command_events(flights, name) >= ONE:
         yield Finding(
             "too_short",
             "warning",
@@ -125,6 +131,30 @@ def _status_findings(name: str, axis: Axis, moved: bool, remark: str) -> Iterato
             "check the card's columns and signs for this axis, or give a span without take-off and landing",
             name,
         )
+
+
+def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Commands that say something only once, or hardly more often."""
+    lost = axis.status["input"] == "too_short"
+    if not flights or not (axis.predictor or lost):
+        return
+    events = command_events(flights, name)
+    factor = widening(events)
+    if factor < TWICE:
+        return
+    yield Finding(
+        "few_command_events",
+        "warning",
+        f"the {name} command changes in one event of {EVENT:g} s, or in none beside it that count"
+        if events < ONE
+        else f"the {name} command changes in few events: they count as {events:.1f} equal ones of {EVENT:g} s",
+        f"no coefficient of {name} is a number: one event cannot show that what the model leaves out averages out"
+        if lost
+        else f"intervals of {name} hold if the model is right; if what it leaves out is another thing at each event, "
+        f"they are {factor:.1f} times as wide",
+        f"command {name} again and again: ten steps or more, or the paper's two sines",
+        name,
+    )
 
 
 def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
@@ -161,14 +191,14 @@ def _or_the_pose(fit: Fit, name: str) -> str:
     return ""
 
 
-def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
+def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
     point = axis.predictor
     assert point is not None
     if point.damping < 0:
         _, high = axis.ci95["damping"]
         yield _unstable(name, point.input, point.damping, high is not None and high < 0)
     if "delay" in axis.status and axis.profile:
-        yield from _delay_findings(name, axis, point.delay)
+        yield from _delay_findings(name, axis, point.delay, flights)
     if axis.status["damping"] == "not_identifiable":
         low, high = axis.ci95["damping"]
         gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
@@ -203,7 +233,7 @@ def _coefficient_findings(name: str, axis: Axis) -> Iterator[Finding]:
         )
 
 
-def _delay_findings(name: str, axis: Axis, delay: float) -> Iterator[Finding]:
+def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Flight]) -> Iterator[Finding]:
     low, high = axis.ci95["delay"]
     if min(abs(delay - end) for end in DELAY_RANGE) < 1e-6:
         yield Finding(
@@ -219,8 +249,7 @@ def _delay_findings(name: str, axis: Axis, delay: float) -> Iterator[Finding]:
             "delay_negative",
             "warning",
             f"{name} seems to answer {-1e3 * delay:.0f} ms before its command (95 %: {_end(low)} to {_end(high)} s)",
-            "the clocks of commands and poses disagree by at least as much; the delay is not the vehicle's",
-            "use one clock for both streams, or the stamps at which both were received",
+            *too_early(flights, -delay),
             name,
         )
     elif axis.status["delay"] == "not_identifiable":
@@ -322,12 +351,13 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
     axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
     if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
         return
+    lost = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
+    late = "" if lost else f" of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s"
     yield Finding(
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s, and the "
-        "damping pays; the likelihood keeps it",
+        f"it leaves out the delay{late}, and the damping pays; the likelihood keeps it",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )

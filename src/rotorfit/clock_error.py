@@ -53,9 +53,11 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
         flights: That it was fitted to.
     """
     wider = with_delay_error(model, {axis: clock_half_width(flights, axis) for axis in AXES}, (AXES,))
-    if not any(flight.clocks and flight.clocks.includes_delay for flight in flights):
+    held = [flight.clocks for flight in flights if flight.clocks and flight.clocks.includes_delay]
+    if not held:
         return wider
-    return replace(wider, axes={name: _without_delay(axis) for name, axis in model.axes.items()})
+    offset = held[0].offset if len(flights) == 1 else None
+    return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in model.axes.items()})
 
 
 def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:
@@ -78,17 +80,21 @@ def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[S
     return replace(model, axes=axes, covariance=covariance)
 
 
-def _without_delay(axis: Axis) -> Axis:
-    """An axis whose delay is not its own."""
+def _without_delay(axis: Axis, offset: float | None) -> Axis:
+    """An axis whose delay is not its own; of a single flight with what was measured, the sum of offset and delay."""
     if axis.predictor is None:
         return axis
+    kept = {name: one for name, one in axis.combinations.items() if name not in _WITH_DELAY}
+    if offset is not None:
+        low, high = (None if end is None else offset + end for end in axis.ci95["delay"])
+        kept["offset_plus_delay"] = Combination(offset + axis.predictor.delay, (low, high))
     return replace(
         axis,
         delay=None,
         stderr={**axis.stderr, "delay": None},
         ci95={**axis.ci95, "delay": (None, None)},
         status={**axis.status, "delay": "not_identifiable"},
-        combinations={name: one for name, one in axis.combinations.items() if name not in _WITH_DELAY},
+        combinations=kept,
     )
 
 

@@ -12,6 +12,7 @@ from rotorfit.log import Log
 from rotorfit.motion_checks import motion_findings
 from rotorfit.pose_checks import pose_findings
 from rotorfit.regression import motion_from_flight
+from rotorfit.restoring import restoring_findings
 from rotorfit.sign_checks import sign_findings
 
 SHORT_TIME = 20.0
@@ -40,6 +41,7 @@ def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, .
         ),
         *framed,
         *(() if framed else sign_findings(card, flight, motion)),
+        *restoring_findings(flight, motion),
     ]
     return by_gravity(replace(finding, evidence=f"{flight.path}: {finding.evidence}") for finding in found)
 

@@ -15,6 +15,7 @@ from rotorfit.modes import Found, excerpt, prediction_error, reads_backwards, se
 from rotorfit.point import Point
 from rotorfit.prior import GaussianPrior
 from rotorfit.record import Record, measured_by, record
+from rotorfit.restoring import restored
 from rotorfit.structure import FIRST_ORDER_DELAY, Structure
 
 EXPLAINS = 0.9
@@ -209,11 +210,12 @@ def _explains(serving: Sequence[Flight], group: Sequence[str], records: Sequence
     """Whether the commands of an axis explain its motion.
 
     In an open loop the interval of the gain decides, and prediction must only not deny it. In a feedback loop the
-    likelihood can be sure of what is not so, and the commands must show their worth in prediction. Flights too short to
-    predict get the benefit of the doubt.
+    likelihood can be sure of what is not so, and the commands must show their worth in prediction. Commands that are a
+    controller's answer and nothing else excite nothing, even where stamps of clocks that disagree put them before the
+    motion that they answer. Flights too short to predict get the benefit of the doubt.
     """
     error = found.prediction[k]
-    if reads_backwards(found.optimum, k):
+    if reads_backwards(found.optimum, k) or restored(serving, group[k]):
         return False
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True

@@ -10,7 +10,6 @@ import numpy as np
 
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES, Array
-from rotorfit.long_run import quantile
 from rotorfit.model import COEFFICIENTS, Axis, Model
 from rotorfit.paired import PairedTest, Quantity
 from rotorfit.structure import structure_named
@@ -195,8 +194,8 @@ def _band(scores: Sequence[Score], paired: Sequence[PairedTest], what: Quantity)
     for test in sorted(paired, key=lambda test: test.second == "paper"):  # the paper's, where there is one, stays
         for i, score in enumerate(scores):
             found = test.axes[score.axis].get(f"{score.horizon:g}", {}).get(what)
-            if found and found.pooled and found.pooled.rmse_stderr is not None and found.pooled.freedom is not None:
-                half[i] = quantile(found.pooled.freedom) * found.pooled.rmse_stderr
+            if found and found.pooled and (ends := found.pooled.rmse_ci95) is not None:
+                half[i] = (ends[1] - ends[0]) / 2
     return half
 
 

@@ -13,7 +13,7 @@ from rotorfit.frames import AXES, Array, heading_from_world
 from rotorfit.ground import airborne
 from rotorfit.joined import bound
 from rotorfit.log import Log
-from rotorfit.one_clock import Clocks, on_one_clock
+from rotorfit.one_clock import ANSWER, ANSWER_HALF, Clocks, on_one_clock
 from rotorfit.stamping import with_sound_stamps
 from rotorfit.stream import Note, Stream, commands_of, poses_of, reference_of
 from rotorfit.velocity import Velocity, in_the_world, velocities_of, with_travel
@@ -170,8 +170,9 @@ def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
     )
     if clocks.includes_delay:
         text = (
-            f"{count} commands were moved onto the clock of the poses by about {clocks.offset:+.2f} s, told by the "
-            "answer to them: the delay is in it"
+            f"{count} commands were moved onto the clock of the poses, so that their answer comes {ANSWER:g} s after "
+            f"them: as stamped, it comes {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s after them, offset and delay "
+            "together, and nothing tells the one from the other"
         )
     elif clocks.moved:
         text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"

@@ -48,6 +48,13 @@ DEGREE = float(np.pi / 180)
 TURNING = np.radians(20.0)
 """Standard deviation of yaw from which on frames can be told apart: of less, a turned frame is a wrong zero of yaw."""
 
+SLIGHT = np.radians(3.0)
+"""Standard deviation of yaw as it is read from which on degrees that are taken for radians matter: below, turned by the
+wrong heading, the gains of x and y change by less than 1 - cos(3 degrees), a thousandth."""
+
+SAME_THING = ": of a heading that is a few degrees off 0 all the time the commands tell no difference"
+"""Why degrees read as radians and commands of the world are one finding where the heading hardly turned."""
+
 OFF = np.radians(12.0)
 """Deviation of a direction that is said, where it passes also `TOLD` standard errors. Markers put on by eye are off by
 2 to 5 degrees."""
@@ -105,8 +112,13 @@ def _other_turns(card: Card, turning: float) -> list[float]:
     """What k may be if the card is wrong; none where the vehicle turned too little to tell."""
     yaw = card.pose.get("yaw")
     others = [(2.0, 0.0), (0.0, -1.0)][card.command_frame == "heading"] if turning > TURNING else ()
-    units = {None: [DEGREE], "rad": [DEGREE], "deg": [1 / DEGREE]}[yaw.unit] if yaw and card.frame == "ENU" else []
-    return [*others, *(unit for unit in units if turning * unit > TURNING)]
+    angle = yaw.unit or "rad" if yaw and card.frame == "ENU" else None
+    units = []
+    if angle == "rad" and (SLIGHT < turning <= TURNING or turning * DEGREE > TURNING):
+        units = [DEGREE]  # between, degrees that hardly turned and commands of the world are one
+    elif angle == "deg" and turning / DEGREE > TURNING:
+        units = [1 / DEGREE]
+    return [*others, *units]
 
 
 def directions(flight: Flight, motion: Motion, moved: list[str], turns: float) -> Directions:
@@ -199,12 +211,13 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
         )
     if best.turns in (DEGREE, 1 / DEGREE):
         unit = "deg" if best.turns == DEGREE else "rad"
+        instead = f', or write frame = "world" in [command]{SAME_THING}' if best.turns == DEGREE else ""
         return Finding(
             "unit_mistake",
             "error",
             told.format(f"with yaw in {unit}"),
             effect,
-            f'give yaw in [pose] of the card unit = "{unit}"',
+            f'give yaw in [pose] of the card unit = "{unit}"{instead}',
         )
     world = card.command_frame == "world"
     return Finding(
@@ -212,7 +225,8 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
         "error",
         told.format(f"with commands taken in the {'heading' if world else 'world'} frame"),
         effect,
-        f'write frame = "{"heading" if world else "world"}" in [command] of the card (now "{card.command_frame}")',
+        f'write frame = "{"heading" if world else "world"}" in [command] of the card (now "{card.command_frame}")'
+        + ("" if world else f', or give yaw in [pose] unit = "deg"{SAME_THING}'),
     )
 
 

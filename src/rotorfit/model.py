@@ -144,7 +144,8 @@ class Axis:
             `velocity_variance` beside or in place of that of the pose, where a velocity was measured.
         predictor: What simulation uses; None where the axis is not excited.
         combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; of other structures
-            further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`.
+            further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`; of clocks
+            whose offset is not known, `offset_plus_delay` [s] instead of `total_lag`.
         modes: Optima of the likelihood, the chosen one first.
         profile: Delays [s] and the log-likelihood, less its maximum, re-maximised over everything else at each.
         profile_fall: How far it falls to the ends of the delay's interval.

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorfit.forecast import LEAST_SCORES, START_EVERY, StartErrors
 from rotorfit.frames import AXES, Array
-from rotorfit.long_run import frequencies, two_sided, variance_of_mean
+from rotorfit.long_run import frequencies, quantile, two_sided, variance_of_mean
 
 Verdict = Literal["better", "worse", "no_difference_shown", "too_short"]
 Quantity = Literal["velocity", "position"]
@@ -63,6 +63,14 @@ class Difference:
     mse: float
     mse_stderr: float | None
     verdict: Verdict
+
+    @property
+    def rmse_ci95(self) -> tuple[float, float] | None:
+        """95 % interval of the difference of the RMSE, by Student's t: it holds 0 where no difference is shown."""
+        if self.rmse_stderr is None or self.freedom is None:
+            return None
+        half = quantile(self.freedom) * self.rmse_stderr
+        return self.rmse - half, self.rmse + half
 
 
 @dataclass(frozen=True)

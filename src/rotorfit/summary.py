@@ -17,7 +17,7 @@ _METHODS = {
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 _REASONS = {
     "not_excited": "no flight excites {}",
-    "too_short": "the flights are too short for {}",
+    "too_short": "the flights are too short for {}, or command it only once",
     "diverged": "the estimation of {} did not converge",
 }
 

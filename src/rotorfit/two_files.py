@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from rotorfit.finding import Finding
-from rotorfit.one_clock import Clocks
+from rotorfit.one_clock import ANSWER_HALF, Clocks
 
 
 def two_files(clocks: Clocks) -> Iterator[Finding]:
@@ -60,10 +60,11 @@ def _includes_delay(clocks: Clocks) -> Finding:
     return Finding(
         "clock_includes_delay",
         "warning",
-        "commands and poses are from two files, and only the answer to the commands tells how their clocks stand: "
-        f"about {clocks.offset:+.2f} s apart, with the delay in it, by {_explained(clocks)}",
-        "the delay of every axis is not identifiable; input gain and damping keep their values, but for a drift of the "
-        "clocks",
+        "commands and poses are from two files, and only the answer to the commands tells how their clocks stand: the "
+        f"answer is stamped {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s (95 %) after its command, offset and delay "
+        f"together, by {_explained(clocks)}",
+        "what part of that is the delay cannot be told, and no delay is published; input gain and damping keep their "
+        "values, but for a drift of the clocks",
         "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
         'clock = "one" there if the clocks are one',
     )

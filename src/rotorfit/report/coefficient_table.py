@@ -57,7 +57,7 @@ def _row_text(row: CoefficientRow) -> RowText:
     known = row.low is not None or row.high is not None
     interval = f"{ends[0]} to {ends[1]}" if known else "—"
     kind = {"ok": "ok", "diverged": "bad"}.get(row.status, "missing")
-    if row.name in ("steady_gain", "total_lag"):
+    if row.name in ("steady_gain", "total_lag", "offset_plus_delay"):
         kind = "combination"
     paper = rounded(row.paper, scale)
     told = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"

@@ -110,7 +110,7 @@ def _score_row(score: Score) -> list[str]:
 
 
 def paired_rows(validation: Validation) -> list[list[str]]:
-    """Differences from the baselines with their standard errors, flight by flight and pooled."""
+    """Differences from the baselines with their 95 % intervals, flight by flight and pooled."""
     paths = [flight.path for flight in validation.flights]
     rows = []
     for axis in AXES:
@@ -134,8 +134,9 @@ def _difference(found: Difference | None, unit: str, factor: float) -> list[str]
     """Figures and verdict."""
     if found is None:
         return ["—", "—"]
-    error = "" if found.rmse_stderr is None else f" ± {factor * found.rmse_stderr:.2g}"
-    return [f"{factor * found.rmse:+.3g}{error} {unit}".replace("-", "−"), found.verdict.replace("_", " ")]
+    ends = found.rmse_ci95
+    told = "" if ends is None else f" ({factor * ends[0]:+.2g} to {factor * ends[1]:+.2g})"
+    return [f"{factor * found.rmse:+.3g}{told} {unit}".replace("-", "−"), found.verdict.replace("_", " ")]
 
 
 def residual_rows(paths: Sequence[str], tests: Sequence[Mapping[str, ResidualTests]]) -> list[list[str]]:

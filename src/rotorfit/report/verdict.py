@@ -20,6 +20,10 @@ COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", 
 DOUBT = 0.01
 """p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
 
+OTHER = 4.0
+"""Variance of the innovations over that of the fit from which on it is doubted: standard deviations, and with them the
+intervals of what was fitted, are twice what the fit believed; or half, from the inverse."""
+
 MOST_REASONS = 2
 """So many reasons stand beside a lamp; the rest are among the findings."""
 
@@ -165,7 +169,12 @@ def _coefficients(model: Model, axis: str) -> Lamp:
     """Whether they are known and nothing was found that warns of them."""
     mine = [f for f in model.findings if f.axis in (axis, None) and not f.code.startswith("residuals_")]
     forbidden = [f.evidence for f in mine if f.severity == "error"]
-    doubts = [*_unknown(model.axes[axis], model.method), *(f.evidence for f in mine if f.severity == "warning")]
+    early = any(f.code == "delay_negative" for f in mine)
+    doubts = [
+        *_unknown(model.axes[axis], model.method),
+        *_early(model.axes[axis], early),
+        *(f.evidence for f in mine if f.severity == "warning"),
+    ]
     if forbidden or doubts:
         told = [*forbidden, *doubts]
         more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
@@ -175,12 +184,17 @@ def _coefficients(model: Model, axis: str) -> Lamp:
 
 
 def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
-    """Whether any test of any flight speaks against the model at 95 %."""
+    """Whether any test of any flight speaks against the model at 95 %, or they have another size than in the fit."""
     found = [(each.white_p, "not white") for each in tests]
     found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
     if not found:
         return Lamp("residuals", "grey", "not tested", "No flight is long enough for the tests, or none is at hand.")
     against = sorted(each for each in found if each[0] < LEVEL)
+    ratios = [each.variance_ratio for each in tests if not 1 / OTHER <= each.variance_ratio <= OTHER]
+    if not against and ratios:
+        told = ", ".join(f"{ratio:.2g}" for ratio in ratios)
+        text = f"their variance is {told} times that of the fit, whose intervals are those of other wind and noise"
+        return Lamp("residuals", "yellow", "of other size", sentences([text])[0])
     if not against:
         return Lamp("residuals", "green", "clean", f"{len(found)} tests, the smallest {chance(min(found)[0])}.")
     follows = [each for each in against if each[1] != "not white" and each[0] < FINDING_LEVEL]
@@ -205,8 +219,19 @@ def _unknown(known: Axis, method: str) -> list[str]:
     return told
 
 
+def _early(known: Axis, told: bool) -> list[str]:
+    """A delay that no vehicle has, where no finding tells of it."""
+    if told or known.delay is None or known.delay >= 0:
+        return []
+    high = known.ci95["delay"][1]
+    reaches = "" if high is None else f"; up to {high:.2f} s belongs to its interval"
+    return [f"the delay is {known.delay:.3f} s: no vehicle answers before its command{reaches}"]
+
+
 def _answers(known: Axis) -> list[str]:
     """How late the vehicle answers, as far as it is known."""
+    if known.delay is not None and known.delay < 0:
+        return [f"by the stamps a command acts {-known.delay:.2f} s before it is sent"]
     if known.delay is not None:
         return [f"a command acts after {known.delay:.2f} s"]
     lag = known.combinations.get("total_lag")

@@ -12,6 +12,7 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "damping": "b: how fast the speed fades when the command is zero, as a share per second.",
         "delay": "Time from the stamp of a command until the vehicle begins to answer.",
         "steady gain": "g / b: speed that is reached in the end per unit of a command that lasts.",
+        "offset plus delay": "From a command's stamp to its answer's, by two clocks: what is delay cannot be told.",
         "total lag": "delay + 1 / b: by how much the speed trails behind a command that changes slowly.",
         "standard error": "Standard deviation that the estimate would have over repetitions of the flights.",
         "estimate": "The most likely value, with as many digits as its uncertainty deserves.",
@@ -67,6 +68,7 @@ COEFFICIENT = MappingProxyType(
         "delay": "delay",
         "steady_gain": "steady gain",
         "total_lag": "total lag",
+        "offset_plus_delay": "offset plus delay",
     }
 )
 """Coefficient to its term."""

@@ -31,6 +31,7 @@ _UNITS = {
     "steady_gain": ("m/s", "rad/s"),
     "total_lag": ("s", "s"),
     "delay_plus_lag": ("s", "s"),
+    "offset_plus_delay": ("s", "s"),
     "natural_frequency": ("rad/s", "rad/s"),
     "quadratic_drag": ("1/m", "1/rad"),
     "damping_at_rest": ("1/s", "1/s"),

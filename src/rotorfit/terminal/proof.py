@@ -63,8 +63,8 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
             yield out
     yield from _disagreements(tests, columns)
     yield Text(
-        "Difference of the RMSE on the same starts [cm/s, cm; yaw deg/s, deg], below 0: the first is better, +- its "
-        "standard error; the word is the verdict at 95 %.",
+        "Difference of the RMSE on the same starts [cm/s, cm; yaw deg/s, deg], below 0: the first is better, with its "
+        "95 % interval by Student's t: a short flight has few degrees of freedom; the word is the verdict.",
         style="dim",
     )
 
@@ -80,13 +80,13 @@ def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
     if found is None:
         return "-", ""
     scale = 180 / math.pi if axis == "yaw" else 100.0
-    sign = "-" if found.rmse < 0 else "+"
-    error = "" if found.rmse_stderr is None else f" +- {_two_digits(scale * found.rmse_stderr)}"
-    return f"{sign}{three_digits(scale * abs(found.rmse))}{error}", VERDICTS[found.verdict]
-
-
-def _two_digits(value: float) -> str:
-    return f"{value:.{max(0, 1 - math.floor(math.log10(value)))}f}" if value > NOTHING else "0"
+    ends, value = found.rmse_ci95, scale * found.rmse
+    sign = "-" if value < 0 else "+"
+    if ends is None or scale * (ends[1] - ends[0]) / 2 < NOTHING:
+        return f"{sign}{three_digits(abs(value))}", VERDICTS[found.verdict]
+    low, high = scale * ends[0], scale * ends[1]
+    decimals = max(0, 1 - math.floor(math.log10((high - low) / 2)))  # two digits of the half width
+    return f"{value:+.{decimals}f} ({low:+.{decimals}f} to {high:+.{decimals}f})", VERDICTS[found.verdict]
 
 
 def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
