@@ -330,7 +330,7 @@ def test_latched_command(tmp_path: Path) -> None:
     found = said("info", *log.write(tmp_path))["latched_command", None]
     length, start, ratio = numbers(found["evidence"])
     assert (length, start) == pytest.approx((20, 40), abs=0.1)
-    assert 70 < ratio < 150
+    assert 0.7 < ratio < 1.5
     assert "--span :40.0" in found["remedy"]
 
 
