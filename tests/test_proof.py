@@ -46,7 +46,7 @@ def test_differences_are_told_with_interval_and_verdict_in_units_for_people() ->
     assert "v 1 s" in found
     assert "p 5 s" in found
     lines = found.splitlines()
-    assert any(line.startswith("x") and "-1.23 (-1.68 to -0.78)  better" in line for line in lines)  # t of 9: 2.26
+    assert any(line.startswith("x") and "-1.23 (-1.68 to -0.78) better" in line for line in lines)  # t of 9: 2.26
     assert any(line.startswith("yaw") and "-0.70 (-0.96 to -0.45)" in line for line in lines)
     assert not any(line.startswith(("y ", "z ")) for line in lines)
     assert "fitted" not in found
@@ -55,7 +55,7 @@ def test_differences_are_told_with_interval_and_verdict_in_units_for_people() ->
 def test_an_axis_that_the_flight_does_not_move_is_not_shown() -> None:
     found = told(paired_view([paired_of(BETTER)], scores_of("flight.bag", moved=("x",))))
 
-    assert "x     vs hold" in found
+    assert "x    vs hold" in found
     assert "yaw " not in found.partition("Difference of")[0]
 
 
@@ -69,7 +69,7 @@ def test_several_flights_are_told_apart_and_together_and_a_contradiction_is_name
 
 
 def test_a_flight_too_short_for_an_error_shows_the_difference_and_why() -> None:
-    assert "-1.00  too short" in told(paired_view([paired_of(SHORT)], scores_of("a.bag")))
+    assert "-1.00 too short" in told(paired_view([paired_of(SHORT)], scores_of("a.bag")))
 
 
 def test_no_flight_and_no_test_show_nothing() -> None:
@@ -107,5 +107,5 @@ def test_what_is_not_shown_has_an_interval_that_holds_zero_however_small_its_sta
     ends = doubtful.rmse_ci95
     assert ends is not None
     assert ends[0] < 0 < ends[1]
-    assert "-21 (-47 to +6)  none shown" in told(paired_view([paired_of(doubtful)], scores_of("flight.bag")))
+    assert "-21 (-47 to +6) none shown" in told(paired_view([paired_of(doubtful)], scores_of("flight.bag")))
     assert SHORT.rmse_ci95 is None

@@ -46,7 +46,7 @@ def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]
     for number in range(len(flights) + (len(flights) > 1)):
         pooled = number == len(flights)
         out = table(
-            "axis", "", *(h for what, key in columns for h in (f"{what[0]} {key} s", "")), left=(0, 1, 3, 5), gap=2
+            "axis", "", *(h for what, key in columns for h in (f"{what[0]} {key} s", "")), left=(0, 1, 3, 5), gap=1
         )
         for axis in AXES if pooled else flights[number].moved:
             rows = [(t, [_found(t, axis, column, None if pooled else number) for column in columns]) for t in tests]
