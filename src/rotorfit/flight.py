@@ -1,5 +1,6 @@
 """Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -152,11 +153,17 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         position=position,
         yaw=yaw,
         segments=segments,
-        notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
+        notes=(*_read_notes(log), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
     )
+
+
+def _read_notes(log: Log) -> Iterator[Note]:
+    """What was noticed when the file was read, what is lost first."""
+    yield from (Note("damage", text, 1) for text in log.damage)
+    yield from (Note("reading", text, 1) for text in log.notes)
 
 
 def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:

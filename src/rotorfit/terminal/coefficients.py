@@ -7,6 +7,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from rotorfit.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
+from rotorfit.finding import DAMAGED
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Mode, Model
 from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
@@ -43,6 +44,11 @@ _UNITS = {
 def model_view(model: Model, axes: Sequence[str]) -> View:
     """Verdict, coefficients, how sure the search is, repairs of the flights, findings."""
     wanted = [axis for axis in AXES if axis in axes]
+    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+    for finding in concerned:
+        if finding.code == DAMAGED:
+            yield from finding_view(finding)
+            yield ""
     yield Text(summary_of_model(model, wanted))
     yield ""
     yield _coefficient_table(model, wanted)
@@ -71,11 +77,11 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         yield ""
         start, end = flight.span
         yield title(f"{flight.path}, {start:.2f} to {end:.2f} s, commands {', '.join(flight.axes) or 'nothing'}")
-        yield from bullets([note.text for note in flight.notes])
-    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+        yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # said first
     for finding in concerned:
-        yield ""
-        yield from finding_view(finding)
+        if finding.code != DAMAGED:
+            yield ""
+            yield from finding_view(finding)
 
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:

@@ -12,6 +12,9 @@ from rotorfit.terminal.tables import View, bullets, finding_view, indented, tabl
 if TYPE_CHECKING:  # it brings numba, which what needs no flight can do without
     from rotorfit.survey import Excitation, FlightSurvey, Survey, TableSurvey
 
+OF_THE_FILE = ("damage", "reading")
+"""Notes that the list of tables has shown already."""
+
 LEAST_JITTER = 0.01
 """Jitter below which its figures say nothing [ms]."""
 
@@ -20,6 +23,8 @@ def survey_view(survey: "Survey") -> View:
     """What is in a log, which cards fit, and what the flight is like."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield title(f"{survey.path}: {survey.format}, {tables}")
+    if survey.damage:
+        yield from finding_view(survey.damage)
     for one in survey.tables:
         yield indented(_table_line(one))
         yield indented(", ".join(one.columns), 4, "dim")
@@ -36,8 +41,9 @@ def survey_view(survey: "Survey") -> View:
             yield indented(f"Proposed: {survey.why}")
         yield from _flight_view(survey.flight)
         for finding in survey.flight.findings:
-            yield ""
-            yield from finding_view(finding)
+            if finding != survey.damage:  # said first
+                yield ""
+                yield from finding_view(finding)
     if survey.problem:
         yield indented(f"No flight: {survey.problem}", 2, "yellow")
 
@@ -85,7 +91,7 @@ def _flight_view(flight: "FlightSurvey") -> View:
             f"({1e3 * drift.spread[0]:+.2g} to {1e3 * drift.spread[1]:+.2g} ms), drift {1e6 * drift.drift:.2g} us/s"
         )
     yield _excitation_table(flight.axes)
-    yield from bullets([note.text for note in flight.notes])
+    yield from bullets([note.text for note in flight.notes if note.code not in OF_THE_FILE])
 
 
 def _later(offset: float) -> str:
