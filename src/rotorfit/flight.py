@@ -270,5 +270,9 @@ def _in_heading_frame(
     order = np.argsort(time, kind="stable")
     time, values = time[order], np.concatenate([command, command[held[added]]])[order]
     turned = heading_from_world(values[:, :2], np.interp(time, pose_time, yaw))
-    text = f"{len(command)} world commands were resolved by the measured yaw, {len(added)} added where it turned"
+    text = (
+        f"{len(command)} commands along the axes of the world were turned to those of the vehicle by the measured yaw"
+    )
+    if added:
+        text += f"; {len(added)} were added where it turned while a command held"
     return time, np.hstack([turned, values[:, 2:]]), Note("world_commands", text, len(added))
