@@ -89,7 +89,7 @@ def work(name: str, seconds: float, seed: int, folder: Path, keep: Path) -> int:
         signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
             log = read(path)
-            ends["read with a note" if log.notes else "read"] += 1
+            ends["read with a note" if log.notes or log.damage else "read"] += 1
         except LogError as error:
             ends["refused"] += 1
             fault = "an error of several lines" if "\n" in str(error) else ""

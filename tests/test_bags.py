@@ -282,7 +282,68 @@ def test_of_a_bag_cut_at_50_random_places_every_message_before_the_cut_is_read(n
         tables = [log.tables[topic].columns["log_time"] for topic in ("/drone/pose", "/cmd_vel") if topic in log.tables]
         assert sum(map(len, tables)) >= before
         assert all((np.diff(times) > 0).all() for times in tables)
-        assert log.notes or sum(map(len, tables)) == 490
+        assert log.damage or sum(map(len, tables)) == 490
+
+
+def write_loose(path: Path, rec: Recording) -> Path:
+    """An MCAP without chunks, with the channels once more in its summary."""
+    records, channels = list[bytes](), b""
+    for number, (topic, kind) in enumerate(TOPICS.items()):
+        name, (definition, _) = kind.replace("/msg/", "/"), NOETIC.generate_msgdef(kind)
+        channels += mcap_record(3, struct.pack("<H", number + 1), text(name), text("ros1msg"), text(definition))
+        channels += mcap_record(4, struct.pack("<HH", number, number + 1), text(topic), text("ros1"), text(""))
+    for time, topic, data in messages(rec, NOETIC):
+        records.append(mcap_record(5, struct.pack("<HIQQ", [*TOPICS].index(topic), 0, time, time), data))
+    magic = b"\x89MCAP0\r\n"
+    content = magic + mcap_record(1, text("ros1"), text("test")) + channels + b"".join(records)
+    content += mcap_record(15, bytes(4))
+    footer = mcap_record(2, struct.pack("<QQI", len(content), 0, 0))
+    path.write_bytes(content + channels + footer + magic)
+    return path
+
+
+HOLED: dict[str, Write] = {
+    "mcap, loose": write_loose,
+    "mcap, many chunks": write_mcap,
+    "mcap, one chunk": lambda path, rec: write_mcap(path, rec, 10_000),
+    "rosbag1, many chunks": write_bag1,
+    "rosbag1, one chunk": lambda path, rec: write_bag1(path, rec, 1 << 20),
+}
+
+
+@pytest.mark.parametrize("noise", [False, True], ids=["zeros", "noise"])
+@pytest.mark.parametrize("name", HOLED)
+def test_a_hole_costs_what_it_hits_and_its_size_is_told(name: str, noise: bool, tmp_path: Path) -> None:
+    rec, rng, hole = recording(400, 90), random.Random(6), 2000
+    content = HOLED[name](tmp_path / "bag", rec).read_bytes()
+    data = {time: data for time, topic, data in messages(rec, NOETIC) if topic != "/camera"}
+    places = {content.index(one): time for time, one in data.items()}
+    first, last = min(places) + 3000, max(places) - 6000
+    for at in (rng.randrange(first, last) for _ in range(12)):
+        filling = rng.randbytes(hole) if noise else bytes(hole)
+        (tmp_path / "hole").write_bytes(content[:at] + filling + content[at + hole :])
+
+        log = read(tmp_path / "hole")
+
+        got = as_recording(log)
+        assert set(map(tuple, got.pose)) <= set(map(tuple, rec.pose))  # nothing is made up
+        assert set(map(tuple, got.command)) <= set(map(tuple, rec.command))
+        missing = 490 - len(got.pose) - len(got.command)
+        hit = sum(at - 2000 < place < at + hole + 500 for place in places)  # with a chunk's head or index, its rest
+        assert missing <= hit, f"{missing} of {hit} at {at}"
+        assert not missing or "bytes lost" in log.damage[0]
+        assert missing < 5 or "s without a message" in log.damage[0]
+
+
+def test_the_channels_of_an_mcap_are_found_in_its_summary(tmp_path: Path) -> None:
+    rec = recording(400, 90)
+    content = write_loose(tmp_path / "bag", rec).read_bytes()
+    (tmp_path / "hole").write_bytes(content[:30] + bytes(3000) + content[3030:])
+
+    log = read(tmp_path / "hole")
+
+    assert len(as_recording(log).pose) > 300
+    assert "bytes lost" in log.damage[0]
 
 
 def test_messages_behind_a_page_of_the_tree_that_is_lost_are_found(tmp_path: Path) -> None:
@@ -297,7 +358,7 @@ def test_messages_behind_a_page_of_the_tree_that_is_lost_are_found(tmp_path: Pat
     log = read(tmp_path / "holes")
 
     check_same(log, rec)
-    assert "is damaged" in log.notes[0]
+    assert "is damaged" in log.damage[0]
 
 
 # Hostile files
@@ -343,7 +404,7 @@ def test_an_mcap_that_claims_2_to_the_60_bytes_gives_what_is_before(kind: str, t
 
     assert log is not None
     check_same(log, rec)
-    assert log.notes
+    assert log.damage
 
 
 def test_a_chunk_of_thousands_of_frames_is_refused_quickly(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_log_whose_only_clock_is_that_of_satellites_is_stamped_by_it_between_t
 def test_a_log_of_definitions_only_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="the log defines 1 messages and holds none of them; download it"):
         log_of(tmp_path, HEAD)
-    with pytest.raises(LogError, match=r"holds none of them \(the file is cut short"):
+    with pytest.raises(LogError, match=r"holds none of them \(the file ends in the middle"):
         log_of(tmp_path, HEAD[:-5])
 
 
@@ -149,7 +149,8 @@ def test_a_truncated_log_gives_every_message_before_the_cut(seed: int, tmp_path:
 
     whole, left = divmod(cut - len(HEAD), each)
     np.testing.assert_array_equal(log.tables["ATT"].columns["TimeUS"], STAMPS[:whole])
-    assert log.notes == ((f"the file is cut short: its last {left} bytes are no whole record",) if left else ())
+    said = f"the file ends in the middle of a record, of which it holds {left} bytes: what came after is lost"
+    assert log.damage == ((said,) if left else ())
 
 
 @pytest.mark.parametrize("damage", ["zeros", "noise", "torn", "doubled"])
@@ -164,7 +165,7 @@ def test_damage_costs_the_records_that_it_hits_and_no_others(damage: str, tmp_pa
     got = log.tables["ATT"].columns["TimeUS"].tolist()
     assert set(STAMPS[:60]) | set(STAMPS[60 + 100 // each + 2 :]) <= set(got)
     assert set(got) <= set(STAMPS.tolist())
-    assert any(note.startswith(("damaged at byte", "damaged in")) for note in log.notes)
+    assert any(text.startswith(("damaged at byte", "damaged in")) for text in log.damage)
 
 
 def test_blocks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

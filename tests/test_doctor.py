@@ -1,6 +1,7 @@
 """The data doctor through the command line: every finding from a log spoiled in the right way, with numbers."""
 
 import re
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -20,8 +21,10 @@ from rotorfit.excitation import two_sines
 from rotorfit.fit import fit
 from rotorfit.flight import flight_from_log
 from rotorfit.frames import Array, world_from_heading
+from rotorfit.log import Log
 from rotorfit.paper_log import as_log
 from rotorfit.paper_vehicle import GAMMA_B, Controller, Excitation, SimulatedFlight, Truth, simulate_flight
+from rotorfit.sources import read
 
 TRUTH = replace(Truth(), stale_share=0.0)
 SIGNS = {"axes_turned", "sign_flipped"}
@@ -339,6 +342,25 @@ def test_short_data(tmp_path: Path) -> None:
 
     assert numbers(said("info", *words)["short_data", None]["evidence"])[0] == pytest.approx(12.0, abs=0.1)
     assert set(said("fit", *words)) == {("short_data", "z")}
+
+
+@pytest.mark.parametrize("verb", ["info", "fit"])
+def test_damage_of_the_file_is_said_first_and_once(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = Csv(flown(steps(("z",), seed=2), 12.0)).write(tmp_path)
+    damage, note = "damaged at byte 7 of 90: 5 bytes lost", "2 columns left out"
+
+    def damaged(path: str | Path, tables: Collection[str] | None = None) -> Log:
+        return replace(read(path, tables), damage=(damage,), notes=(note,))
+
+    monkeypatch.setattr("rotorfit.survey.read", damaged)
+    monkeypatch.setattr("rotorfit.pipeline.read", damaged)
+
+    text = CliRunner(env={"COLUMNS": "300"}).invoke(main, [verb, *words]).output
+
+    lines = text.splitlines()
+    assert any("log_damaged" in line and damage in line for line in lines[:2])
+    assert text.count(damage) == text.count(note) == 1
+    assert said(verb, *words)["log_damaged", None]["severity"] == "warning"
 
 
 # Frames

@@ -394,7 +394,7 @@ def test_kill_9_in_flight_costs_less_than_the_last_second(tmp_path: Path) -> Non
     log = read(path)
     stamps = log.tables["/rotorfit/command"].columns["log_time"]
     assert (stamps[-1] - stamps[0]) / SECOND > 3.0
-    assert log.notes[0].startswith(("the file was never closed", "damaged after byte"))
+    assert log.damage[0].startswith(("the file was never closed", "damaged at byte"))
     assert fit_logs([LogSpan(str(path), (None, None))], axes=("x",)).flights[0].duration > 2.5
 
 

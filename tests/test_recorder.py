@@ -149,7 +149,7 @@ def test_what_is_written_is_on_the_disk_within_a_quarter_of_a_second(tmp_path: P
 
     log = read(tmp_path / "log.mcap")
     assert log.tables[COMMAND].columns["twist.linear.y"].tolist() == [0.2]
-    assert log.notes == ("the file was never closed; read from front to back",)
+    assert log.damage == ("the file was never closed: what was recorded behind its end is lost",)
     recorder.close()
 
 

@@ -32,7 +32,7 @@ from rotorfit.report.next_steps import next_steps, wanted_chart
 from rotorfit.report.reproduce import card_text, recipe_of
 from rotorfit.report.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
 from rotorfit.report.usable import uses_of
-from rotorfit.report.verdict import Light, verdict_of
+from rotorfit.report.verdict import Light, better, verdict_of
 from rotorfit.report.words import figure, rounded
 from rotorfit.validation import Validation, validate
 from rotorfit.views import Chart, Line, flight_view, overlaid
@@ -808,3 +808,11 @@ def test_figures_without_content_are_left_out(training: Flight, tmp_path: Path) 
 
     assert {file.stem for file in alone} == {"acceleration", "velocity", "delay", "residuals"}
     assert nothing == []
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [(2.24, "2.2 times better than"), (1.04, "equal to"), (0.97, "equal to"), (0.9, "1.1 times worse than")],
+)
+def test_a_factor_that_rounds_to_one_is_called_equal(times: float, said: str) -> None:
+    assert better(times) == f", {said} holding the velocity"

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from rotorfit.model import Combination, Model
+from rotorfit.model import Combination, Mode, Model
 from rotorfit.terminal import show
 from rotorfit.terminal.coefficients import model_view
 from test_summary import axis, model
@@ -57,3 +57,24 @@ def test_names_that_look_like_markup_are_shown_as_they_are(capsys: pytest.Captur
     show(model_view(odd, ("x",)))
 
     assert "[red]:smile:.bag, 0.00 to 30.00 s" in capsys.readouterr().out
+
+
+def test_other_delays_are_told_in_one_line_an_axis_and_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    chosen = Mode(0.178, 2.3, 4.0, -3.0, 2, 0.02, chosen=True)
+    others = {
+        "as likely": Mode(0.216, 2.5, 4.0, -3.4, 3, 0.02, chosen=False),
+        "less likely": Mode(0.3, 2.5, 4.0, -6.0, 3, 0.02, chosen=False),
+        "more likely, but predicts 2.0 times worse": Mode(0.012, 90.0, 80.0, 0.0, 1, 0.04, chosen=False),
+    }
+    far = Mode(0.5, 2.5, 4.0, -60.0, 3, 0.02, chosen=False)
+    several = replace(axis(), modes=(chosen, *others.values(), far))
+    lone = replace(axis(), modes=(chosen, far))
+
+    show(model_view(model({"x": lone, "y": lone, "z": several}), ("x", "y", "z")))
+
+    lines = [line for line in " ".join(capsys.readouterr().out.split()).split(" - ") if "other delay" in line]
+    assert lines[0] == (
+        "z: other delays fit almost as well: 0.012 s (more likely, but predicts 2.0 times worse), "
+        "0.216 s (as likely), 0.300 s (less likely)"
+    )
+    assert lines[1].startswith("x, y: no other delay was found that fits nearly as well")

@@ -134,7 +134,8 @@ def test_a_truncated_log_gives_every_message_before_the_cut(seed: int, tmp_path:
     whole = (cut - len(HEAD)) // each
     np.testing.assert_array_equal(log.tables["state"].columns["timestamp"], STAMPS[:whole])
     left = cut - len(HEAD) - whole * each
-    assert log.notes == ((f"the file is cut short: its last {left} bytes are no whole record",) if left else ())
+    said = f"the file ends in the middle of a record, of which it holds {left} bytes: what came after is lost"
+    assert log.damage == ((said,) if left else ())
 
 
 @pytest.mark.parametrize("damage", ["zeros", "noise", "torn", "doubled"])
@@ -150,7 +151,7 @@ def test_damage_costs_the_records_that_it_hits_and_no_others(damage: str, tmp_pa
     got = log.tables["state"].columns["timestamp"]
     assert set(STAMPS[:60]) | set(STAMPS[60 + 100 // each + 2 :]) <= set(got.tolist())
     assert set(got.tolist()) <= set(STAMPS.tolist())
-    assert any(note.startswith(("damaged at byte", "damaged in")) for note in log.notes)
+    assert any(text.startswith(("damaged at byte", "damaged in")) for text in log.damage)
 
 
 def test_blocks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

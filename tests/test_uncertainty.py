@@ -22,7 +22,13 @@ from rotorfit.model_file import from_mapping, to_mapping
 from rotorfit.paper_log import write_bag
 from rotorfit.paper_vehicle import GAMMA_B, Truth, simulate_flight
 from rotorfit.scatter import scatter
-from rotorfit.uncertainty import disagreement_findings, observed_covariance, sandwich_covariance, with_uncertainty
+from rotorfit.uncertainty import (
+    disagreement_findings,
+    most_unlike,
+    observed_covariance,
+    sandwich_covariance,
+    with_uncertainty,
+)
 
 ERRORS = ("observed", "sandwich", "bootstrap")
 
@@ -158,6 +164,21 @@ def test_flights_of_two_vehicles_disagree_in_the_coefficient_that_differs() -> N
     assert spread.i_squared["input"] > 0.9
     first, second = (one.value["input"] for one in spread.flights)
     assert second / first == pytest.approx(1.3, rel=0.1)
+
+
+def test_flights_that_disagree_in_no_coefficient_alone_are_told_apart_by_what_they_know() -> None:
+    """Of gain and damping, which move together in slow flights, each is known badly and their ratio is not."""
+    spread = scatter(unlike().estimates["z"], [0, 1])
+    assert spread is not None
+    vague = replace(spread, cochran=spread.cochran | dict.fromkeys(COEFFICIENTS, 0.7))
+
+    assert most_unlike(spread) == ("input", True)
+    assert most_unlike(vague) == ("steady_gain", False)
+    first, second = (one.value["steady_gain"] for one in spread.flights)
+    assert second / first == pytest.approx(1.3, rel=0.05)
+    assert spread.cochran["steady_gain"] == pytest.approx(
+        (second - first) ** 2 / sum(one.stderr["steady_gain"] ** 2 for one in spread.flights)
+    )
 
 
 def test_the_scatter_factor_of_one_coefficient_is_birges() -> None:

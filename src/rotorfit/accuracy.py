@@ -65,8 +65,9 @@ class Scatter:
     Attributes:
         flights: What each says alone.
         mean: Coefficient name to weighted mean (of the damping: in its logarithm).
-        cochran: Coefficient name to Cochran's Q: chi-square of one less than the flights where they agree.
-        i_squared: Coefficient name to the share of the scatter that is more than chance.
+        cochran: Coefficient name, and `steady_gain` and `total_lag` of the default structure, to Cochran's Q:
+            chi-square of one less than the flights where they agree.
+        i_squared: The same to the share of the scatter that is more than chance.
         factor: Coefficient name to how many times more it scatters among flights than its error says, at least 1. For
             a coefficient alone it is sqrt(Q / (flights - 1)); it holds, too, where no flight tells two of them apart.
         ratio: Twice the log-likelihood that coefficients of their own would gain the flights.
@@ -245,7 +246,7 @@ def accuracy_lines(table: Uncertainty) -> Iterator[str]:
             if known_one.disturbance is not None and known_one.disturbance > CORRELATION_LIMIT:
                 yield f"{axis}: {name} and the disturbance move together (correlation {known_one.disturbance:.2f})"
         if one.scatter:
-            q = ", ".join(f"{name} {value:.1f}" for name, value in one.scatter.cochran.items())
+            q = ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in one.scatter.cochran.items())
             i2 = ", ".join(f"{100 * value:.0f} %" for value in one.scatter.i_squared.values())
             yield (
                 f"{axis}: {len(one.scatter.flights)} flights, Cochran's Q {q} (I^2 {i2}); together chi-square "

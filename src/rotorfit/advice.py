@@ -271,11 +271,13 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
     rival = max(rivals, key=lambda mode: mode.log_likelihood)
     above = rival.log_likelihood - chosen.log_likelihood
     if above > LIKELIHOOD_DOUBT and rival.prediction and chosen.prediction and rival.prediction > chosen.prediction:
+        worse = rival.prediction / chosen.prediction
+        by = f"{worse:.1f} times worse" if worse >= 1.05 else "hardly worse"
         yield Finding(
             "likelihood_and_prediction_disagree",
             "warning",
-            f"the likelihood of {name} is {above:.0f} log units higher at a delay of {rival.delay:.3f} s, but predicts "
-            f"{rival.prediction / chosen.prediction:.1f} times worse over 1 s than the delay of {chosen.delay:.3f} s",
+            f"the likelihood of {name} is {above:.0f} log units higher at a delay of {rival.delay:.3f} s; it predicts "
+            f"{by} over 1 s than the delay of {chosen.delay:.3f} s",
             "the optimum that predicts was taken; the other reads the commands of a feedback loop as a measurement",
             f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
             name,

@@ -24,7 +24,7 @@ from rotorfit.plan_file import PLAN_MARK, load_plan, plan_text
 from rotorfit.planning import plan_flight
 from rotorfit.preflight import preflight, refuse
 from rotorfit.recorder import record
-from rotorfit.sources.mcap import MAGIC
+from rotorfit.sources.mcap_records import MAGIC
 from rotorfit.space import space_of_room
 from rotorfit.validation import Validation, to_mapping
 from rotorfit.vehicle import Linear, load_vehicle

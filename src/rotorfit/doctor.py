@@ -5,7 +5,7 @@ from dataclasses import replace
 from rotorfit.card import Card
 from rotorfit.clock_checks import clock_findings
 from rotorfit.command_checks import command_findings
-from rotorfit.finding import Finding, by_gravity
+from rotorfit.finding import DAMAGED, Finding, by_gravity
 from rotorfit.flight import Flight
 from rotorfit.frame_checks import frame_findings
 from rotorfit.log import Log
@@ -30,6 +30,7 @@ def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, .
     motion = motion_from_flight(flight)
     framed = tuple(frame_findings(card, flight, motion))
     found = [
+        *damage_findings(log),
         *_short(flight),
         *clock_findings(log, card, flight),
         *command_findings(card, flight),
@@ -43,7 +44,25 @@ def findings_of_flight(log: Log, card: Card, flight: Flight) -> tuple[Finding, .
         *(() if framed else sign_findings(card, flight, motion)),
         *restoring_findings(flight, motion),
     ]
-    return by_gravity(replace(finding, evidence=f"{flight.path}: {finding.evidence}") for finding in found)
+    return by_gravity(
+        finding if finding.code == DAMAGED else replace(finding, evidence=f"{flight.path}: {finding.evidence}")
+        for finding in found
+    )
+
+
+def damage_findings(log: Log) -> tuple[Finding, ...]:
+    """What is lost of a damaged log; nothing where it is whole."""
+    if not log.damage:
+        return ()
+    return (
+        Finding(
+            "log_damaged",
+            "warning",
+            f"{log.path}: {'; '.join(log.damage)}",
+            "what is lost is missing from all that follows: the flight is shorter, or has a hole",
+            "copy or download the log again from where it was recorded; else go on with what is there",
+        ),
+    )
 
 
 def _short(flight: Flight) -> list[Finding]:

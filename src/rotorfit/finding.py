@@ -6,6 +6,9 @@ from typing import Literal
 
 Severity = Literal["info", "warning", "error"]
 
+DAMAGED = "log_damaged"
+"""The finding that is shown before all others: it is about what is not there."""
+
 
 @dataclass(frozen=True)
 class Finding:

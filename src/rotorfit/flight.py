@@ -1,5 +1,6 @@
 """Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -153,11 +154,17 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         position=position,
         yaw=yaw,
         segments=segments,
-        notes=(*(Note("reading", text, 1) for text in log.notes), *commands.notes, *poses.notes, *notes),
+        notes=(*_read_notes(log), *commands.notes, *poses.notes, *notes),
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
     )
+
+
+def _read_notes(log: Log) -> Iterator[Note]:
+    """What was noticed when the file was read, what is lost first."""
+    yield from (Note("damage", text, 1) for text in log.damage)
+    yield from (Note("reading", text, 1) for text in log.notes)
 
 
 def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
@@ -267,5 +274,9 @@ def _in_heading_frame(
     order = np.argsort(time, kind="stable")
     time, values = time[order], np.concatenate([command, command[held[added]]])[order]
     turned = heading_from_world(values[:, :2], np.interp(time, pose_time, yaw))
-    text = f"{len(command)} world commands were resolved by the measured yaw, {len(added)} added where it turned"
+    text = (
+        f"{len(command)} commands along the axes of the world were turned to those of the vehicle by the measured yaw"
+    )
+    if added:
+        text += f"; {len(added)} were added where it turned while a command held"
     return time, np.hstack([turned, values[:, 2:]]), Note("world_commands", text, len(added))

@@ -51,6 +51,7 @@ def joined(logs: Sequence[Log]) -> Log:
         tables=tables,
         skipped=skipped,
         notes=tuple(f"{log.path.name}: {note}" for log in logs for note in log.notes),
+        damage=tuple(f"{log.path.name}: {text}" for log in logs for text in log.damage),
         file_of=file_of,
         attached={name: text for log in logs for name, text in log.attached.items()},
         events=tuple(event for log in logs for event in log.events),

@@ -50,12 +50,13 @@ class Log:
         sha256: Hex digest of the file (of a folder: of the bytes of its files in the order of their names).
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
-        notes: What was lost or recovered on reading, and which columns were left out, one line each.
+        notes: What was recovered on reading, and which columns were left out, one line each.
         attached: What `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit` (version).
         events: What it noted in flight, in order.
         file_of: Table to the file that it is from, where several files were joined; else empty.
         retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
             clock, or straightened. Empty as read.
+        damage: What was lost because the file is damaged or cut short, one line each.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Log:
     events: tuple[Event, ...] = ()
     file_of: Mapping[str, str] = field(default_factory=dict)
     retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
+    damage: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -48,26 +48,50 @@ def scatter(estimate: Estimate, serving: Sequence[int]) -> Scatter | None:
         height += alone[-1].score.log_likelihood
     ratio = max(2 * (height - common.score.log_likelihood), 0.0)
     values = np.array([optimum.point.flat()[own] for optimum in alone])
-    variance = np.array([np.diag(inverted(o.score.information, o.free))[own] for o in alone])
-    weight = 1 / np.maximum(variance, 1e-300)
-    mean = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
-    q, freedom = np.sum(weight * (values - mean) ** 2, axis=0), len(alone) - 1
+    covariance = [inverted(o.score.information, o.free)[np.ix_(own, own)] for o in alone]
+    variance = np.array([np.diag(one) for one in covariance])
+    (q, mean), freedom = _cochran(values, variance), len(alone) - 1
+    together = {} if estimate.optimum.point.structures else _combined(values, covariance)
+    cochran = _named(q) | {name: float(_cochran(*parts)[0]) for name, parts in together.items()}
     bread = inverted(common.score.information, common.free)[np.ix_(own, own)]
     among = np.diag(bread @ filling @ bread) * len(alone) / freedom
     flights = [
-        FlightEstimate(place, _named(_plain(value)), _named(np.sqrt(spread) * [1.0, np.exp(value[1]), 1.0]))
-        for place, value, spread in zip(serving, values, variance, strict=True)
+        FlightEstimate(
+            place,
+            _named(_plain(values[i])) | {name: float(value[i]) for name, (value, _) in together.items()},
+            _named(np.sqrt(variance[i]) * [1.0, np.exp(values[i][1]), 1.0])
+            | {name: float(np.sqrt(spread[i])) for name, (_, spread) in together.items()},
+        )
+        for i, place in enumerate(serving)
     ]
     return Scatter(
         flights=tuple(flights),
         mean=_named(_plain(mean)),
-        cochran=_named(q),
-        i_squared=_named(np.maximum(1 - freedom / np.maximum(q, 1e-300), 0.0)),
+        cochran=cochran,
+        i_squared={name: max(1 - freedom / max(one, 1e-300), 0.0) for name, one in cochran.items()},
         factor=_named(np.sqrt(np.maximum(among / np.diag(bread), 1.0))),
         ratio=ratio,
         freedom=len(own) * freedom,
         p_value=float(chdtrc(len(own) * freedom, ratio)),
     )
+
+
+def _cochran(values: Array, variance: Array) -> tuple[Array, Array]:
+    """Cochran's Q, and the weighted mean, over the flights, which are the rows."""
+    weight = 1 / np.maximum(variance, 1e-300)
+    mean = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
+    return np.sum(weight * (values - mean) ** 2, axis=0), mean
+
+
+def _combined(values: Array, covariance: Sequence[Array]) -> dict[str, tuple[Array, Array]]:
+    """Steady gain and total lag of each flight, and their variances: known where their parts are not."""
+    gain, damping, delay = values[:, 0], np.exp(values[:, 1]), values[:, 2]
+    zero, one = np.zeros(len(values)), np.ones(len(values))
+    parts = {
+        "steady_gain": (gain / damping, np.stack([1 / damping, -gain / damping, zero], axis=1)),
+        "total_lag": (delay + 1 / damping, np.stack([zero, -1 / damping, one], axis=1)),
+    }
+    return {name: (told, np.einsum("fi,fij,fj->f", by, np.array(covariance), by)) for name, (told, by) in parts.items()}
 
 
 def _settled(records: Sequence[Record], near: Optimum, own: Sequence[int]) -> Optimum:

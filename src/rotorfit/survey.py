@@ -14,7 +14,7 @@ from rotorfit.card_file import load_card
 from rotorfit.clock import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
 from rotorfit.columns import clock_of, sample_count, shape_text
 from rotorfit.command_checks import spectrum
-from rotorfit.doctor import findings_of_flight
+from rotorfit.doctor import damage_findings, findings_of_flight
 from rotorfit.errors import CardError, FlightError
 from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note, flight_from_log
@@ -115,7 +115,7 @@ class Survey:
         format: Name of the format.
         tables: In the order of the log.
         skipped: Tables that were not decoded, with the reason.
-        notes: What was lost or recovered on reading.
+        notes: What was recovered or left out on reading.
         fitting: Names of the built-in cards whose columns are all there.
         card: What the card that was applied calls itself; None where none was given and not exactly one fits.
         flight: What it makes of the log; None where no card fits or there is no usable flight.
@@ -123,6 +123,7 @@ class Survey:
         why: What speaks for that card; None where it was given.
         recording: Of a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
         events: What it noted: seconds since the first one, and the text.
+        damage: What is lost of a damaged log.
     """
 
     path: str
@@ -137,6 +138,7 @@ class Survey:
     why: str | None = None
     recording: Mapping[str, str] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()
+    damage: Finding | None = None
 
 
 def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
@@ -177,6 +179,7 @@ def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
         why=why,
         recording=_recording(log),
         events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
+        damage=next(iter(damage_findings(log)), None),
     )
 
 

@@ -225,15 +225,32 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
         if spread.p_value > DISAGREE / len(found):
             continue
         wide = [f"{coefficient} {factor:.1f}" for coefficient, factor in spread.factor.items()]
-        worst = max(COEFFICIENTS, key=lambda coefficient: spread.cochran[coefficient])
-        said = ", ".join(f"{one.value[worst]:.3g}" for one in spread.flights)
+        worst, alone = most_unlike(spread)
+        values = ", ".join(f"{one.value[worst]:.3g}" for one in spread.flights)
+        said = f"most in {worst}: {values}"
+        if not alone:
+            said = f"no coefficient alone by more than its error, most in {worst.replace('_', ' ')}: {values}"
         yield Finding(
             "flights_disagree",
             "warning",
             f"the {len(spread.flights)} flights that move {name} differ by more than their errors (chi-square "
-            f"{spread.ratio:.0f} of {spread.freedom}, p = {spread.p_value:.1g}); most in {worst}: {said}",
+            f"{spread.ratio:.0f} of {spread.freedom}, p = {spread.p_value:.1g}); {said}",
             f"intervals of {name} are too narrow by these factors: {', '.join(wide)}",
             "fit the flights apart and compare their settings, payload, battery and wind; else use the error that "
             "holds the scatter (--uncertainty)",
             name,
         )
+
+
+def most_unlike(spread: Scatter) -> tuple[str, bool]:
+    """What the flights disagree about most, and whether it is a coefficient that does so alone.
+
+    Where none is beyond chance alone the flights disagree in what several of them do together, which each flight knows
+    better than the parts. The coefficient is that whose interval is too narrow by most.
+    """
+    from scipy.special import chdtrc
+
+    beyond = [name for name in COEFFICIENTS if chdtrc(len(spread.flights) - 1, spread.cochran[name]) < DISAGREE]
+    if beyond or len(spread.cochran) == len(COEFFICIENTS):
+        return max(beyond or COEFFICIENTS, key=lambda name: spread.factor[name]), bool(beyond)
+    return max(set(spread.cochran) - set(COEFFICIENTS), key=lambda name: spread.cochran[name]), False

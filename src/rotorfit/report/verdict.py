@@ -17,6 +17,9 @@ PLANNING = 1.0
 COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", "missing": "grey"}
 """Answer of the predictions to the colour of their lamp; `open` is an unlit lamp with a question mark."""
 
+EQUAL = "1.0"
+"""A factor that is neither better nor worse, as it would be printed."""
+
 DOUBT = 0.01
 """p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
 
@@ -275,13 +278,14 @@ def better(times: float | None) -> str:
     if times is None:
         return ""
     word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
+    if figure(size) == EQUAL:
+        return ", equal to holding the velocity"
     return f", {figure(size)} times {word} than holding the velocity"
 
 
 def _ratio(times: float) -> str:
-    if abs(times - 1) < 0.03:
-        return "as good"
-    return f"{figure(times)} times better" if times > 1 else f"{figure(1 / times)} times worse"
+    word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
+    return "equal" if figure(size) == EQUAL else f"{figure(size)} times {word}"
 
 
 def _headline(lights: Sequence[Light]) -> str:

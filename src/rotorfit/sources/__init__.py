@@ -70,7 +70,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
                 with _hashed(path) as digest:
                     content: Content = source.read(path, None if tables is None else frozenset(tables))
                     found = (content.tables, content.skipped, content.notes, content.attached, content.events)
-                    return Log(path, name, digest(), *found)
+                    return Log(path, name, digest(), *found, damage=content.damage)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
     if path.is_dir():

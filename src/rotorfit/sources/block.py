@@ -1,6 +1,6 @@
 """Messages where they lie in a block of bytes: found, checked and taken out many at once."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,11 +79,42 @@ def integers(data: Bytes, places: Places, form: str) -> npt.NDArray[np.int64]:
     return windows[places].astype(np.int64, copy=False)
 
 
+@dataclass(frozen=True)
+class Fault:
+    """What ended a walk from record to record before its end.
+
+    Attributes:
+        place: Where the next record should begin.
+        why: What is wrong there.
+        torn: Whether what stands there cannot be a record: then the one before may be torn as well.
+    """
+
+    place: int
+    why: str
+    torn: bool
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Records that follow each other, up to damage or the end of their block.
+
+    Attributes:
+        starts: Of the records, ascending, shape (N,).
+        lost: Bytes behind them that belong to no record.
+        why: What is wrong there, or "".
+    """
+
+    starts: Places
+    lost: int = 0
+    why: str = ""
+
+
 Ends = Callable[[bytes, Places], Places | None]
-Walk = Callable[[bytes, int, int], tuple[list[int], str]]
+Walk = Callable[[bytes, int, int], tuple[list[int], Fault | None]]
+Resume = Callable[[bytes, int], int | None]
 
 
-def record_starts(data: bytes, hints: Places, ends_of: Ends, walk: Walk) -> tuple[Places, str]:
+def stretches(data: bytes, hints: Places, ends_of: Ends, walk: Walk, resume: Resume) -> Iterator[Stretch]:
     """Where the records of a block begin.
 
     Each record says how long it is, so that they can only be found one after the other. An index tells where they
@@ -94,16 +125,24 @@ def record_starts(data: bytes, hints: Places, ends_of: Ends, walk: Walk) -> tupl
         data: The block.
         hints: Starts of records by the index, in any order, shape (N,); none where there is no index.
         ends_of: Ends of the records that begin at the starts; None where any does not fit in the block.
-        walk: Starts of the records between two places, and the damage that ended the walk, or "".
-
-    Returns:
-        Starts, ascending, and the damage behind the last of them, or "".
+        walk: Starts of the records between two places, and the damage that ended the walk.
+        resume: Where records follow each other again from a place on; None where they do not. Asked when the stretch
+            before has been taken, so that it may know what that defines.
     """
     found = _by_index(data, hints, ends_of, walk)
     if found is not None:
-        return found, ""
-    starts, fault = walk(data, 0, len(data))
-    return np.array(starts, dtype=np.int64), fault
+        yield Stretch(found)
+        return
+    place: int | None = 0
+    while place is not None:
+        starts, fault = walk(data, place, len(data))
+        if fault is None:
+            yield Stretch(np.array(starts, dtype=np.int64))
+            return
+        end = starts.pop() if fault.torn and starts else fault.place
+        yield Stretch(np.array(starts, dtype=np.int64))
+        place = resume(data, end + 1)
+        yield Stretch(np.zeros(0, np.int64), (len(data) if place is None else place) - end, fault.why)
 
 
 def _by_index(data: bytes, hints: Places, ends_of: Ends, walk: Walk) -> Places | None:

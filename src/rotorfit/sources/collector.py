@@ -12,6 +12,7 @@ from rotorfit.log import Column, Event, Table
 from rotorfit.sources.block import Messages, gathered, integers, joined, messages_of
 from rotorfit.sources.compression import ZSTD_MAGIC, unpacked
 from rotorfit.sources.content import LIMIT, Content, DamageError, listed, one_line
+from rotorfit.sources.losses import Losses
 from rotorfit.sources.messages import BULK_TYPES, Topic, Types, decoded, has_numbers, types_of
 
 _BATCH = 4096  # messages decoded at once, or
@@ -62,6 +63,9 @@ class Collector:
     """Takes the messages of a bag in the order of the file and gives the content.
 
     Only messages of wanted topics are kept, and those only until a batch of them is decoded.
+
+    Attributes:
+        losses: Holes in the file between messages.
     """
 
     def __init__(self, path: Path, tables: Collection[str] | None) -> None:
@@ -71,6 +75,8 @@ class Collector:
         self._of_topic: dict[Topic, _Stream] = {}
         self._notes: list[str] = []
         self._more_notes = 0
+        self._damage: list[str] = []
+        self.losses = Losses()
         self._bytes = 0
         self._text = self._parsed = 0
         self._types: dict[tuple[str, str, str, str], Types] = {}
@@ -83,6 +89,11 @@ class Collector:
             self._notes.append(one_line(text))
         else:
             self._more_notes += 1
+
+    def damaged(self, text: str) -> None:
+        """Says what is lost because the file is damaged or cut short."""
+        if len(self._damage) < _MOST_NOTES:
+            self._damage.append(one_line(text))
 
     def attach(self, texts: Mapping[str, str]) -> None:
         """Takes what was written beside the messages.
@@ -150,6 +161,7 @@ class Collector:
         """
         stream = self._of_topic[topic]
         stream.count += 1
+        self.losses.seen(time, time)
         if stream.types is None or self._is_foreign(stream, topic, 1):
             return
         if not 0 <= time <= _LATEST:
@@ -222,6 +234,8 @@ class Collector:
         of_number = {int(numbers[part[0]]): part for part in np.split(rows, ends[:-1]) if len(part)}
         if not all(number in topics for number in of_number):
             return False
+        if len(rows):
+            self.losses.seen(int(times[rows].min()), int(times[rows].max()))
         same: dict[tuple[str, str, str], list[int]] = {}  # several may publish on a topic: their order is kept
         for number in of_number:
             topic = topics[number]
@@ -241,10 +255,12 @@ class Collector:
         Raises:
             LogError: There was no message at all.
         """
+        damage = (*self._damage, *self.losses.texts())
         for stream in self._streams.values():
             self._decode(stream)
         if not any(stream.count for stream in self._streams.values()):
-            why = f" ({self._notes[0]})" if self._notes else "; check that the topics were published"
+            said = [*damage, *self._notes]
+            why = f" ({said[0]})" if said else "; check that the topics were published"
             raise LogError(f"{self._path}: the bag holds no messages{why}")
         tables: dict[str, Table] = {}
         skipped: dict[str, str] = {}
@@ -260,7 +276,7 @@ class Collector:
                 skipped[name] = one_line(f"{reason} ({stream.topic.msgtype}, {stream.count} messages)")
         if self._more_notes:
             self._notes.append(f"and {self._more_notes} more such notes")
-        return Content(tables, skipped, tuple(self._notes), self._attached, tuple(self._events))
+        return Content(tables, skipped, tuple(self._notes), self._attached, tuple(self._events), damage)
 
     def _stream(self, topic: Topic) -> _Stream:
         """Decides whether a topic is decoded."""

@@ -24,6 +24,10 @@ class DamageError(Exception):
     """Bytes that cannot be what they claim to be. Readers turn it into a note, or into a `LogError`."""
 
 
+class TornError(DamageError):
+    """Bytes that cannot even be the head of a record: the record before them may be torn as well."""
+
+
 @dataclass(frozen=True)
 class Content:
     """What a format's reader found in a file.
@@ -31,9 +35,10 @@ class Content:
     Attributes:
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason.
-        notes: What was lost or recovered on reading, one sentence each.
+        notes: What was recovered or left out on reading, one sentence each.
         attached: As `Log.attached`.
         events: As `Log.events`.
+        damage: What was lost because the file is damaged or cut short, one sentence each.
     """
 
     tables: Mapping[str, Table]
@@ -41,6 +46,7 @@ class Content:
     notes: tuple[str, ...]
     attached: Mapping[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
+    damage: tuple[str, ...] = ()
 
 
 def check_size(path: Path, columns: Iterable[Column]) -> None:

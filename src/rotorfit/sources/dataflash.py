@@ -302,14 +302,14 @@ def _units(log: _Log, data: bytes, found: list[int]) -> None:
 
 def _content(path: Path, log: _Log, size: int) -> Content:
     """Tables of what was found."""
-    notes = log.damage.notes(size)
+    notes: list[str] = []
     if log.redefined:
         notes.append(f"later definitions of {listed(sorted(log.redefined))} differ: the first one is used")
 
     def columns(message: Message) -> dict[str, Column]:
         return message.rows.columns(message.layout) if message.layout is not None else {}
 
-    return content_of(path, log.wanted, log.messages.values(), columns, _timeline(log), notes)
+    return content_of(path, log.wanted, log.messages.values(), columns, _timeline(log), notes, log.damage.texts(size))
 
 
 def content_of(
@@ -319,6 +319,7 @@ def content_of(
     columns_of_message: Callable[[Message], dict[str, Column]],
     timeline: Anchors | None,
     notes: list[str],
+    damage: tuple[str, ...],
 ) -> Content:
     """Tables of messages; those without a time get `log_time` from their places.
 
@@ -328,13 +329,14 @@ def content_of(
         messages: All that are defined.
         columns_of_message: Gives the columns of one.
         timeline: Places in the file and the time there [ns]; None where nothing tells it.
-        notes: What was lost so far.
+        notes: What was left out so far.
+        damage: As `Content.damage`.
 
     Raises:
         LogError: No message besides definitions.
     """
     if not any(message.count for message in messages if message.name not in ABOUT):
-        why = f" ({notes[0]})" if notes else ""
+        why = f" ({[*damage, *notes][0]})" if damage or notes else ""
         raise LogError(
             f"{path}: the log defines {len(messages)} messages and holds none of them{why}; "
             "download it from the autopilot again"
@@ -359,4 +361,4 @@ def content_of(
                 skipped[name] = "not asked for"
     if placed:
         notes.append(f"no time in {listed(placed)}: their log_time is told by their place among messages that have one")
-    return Content(tables, skipped, tuple(notes))
+    return Content(tables, skipped, tuple(notes), damage=damage)

@@ -71,7 +71,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     def columns(message: Message) -> dict[str, Column]:
         return _columns(path, message, bytes(log.texts.get(message.name.encode(), b"")), notes)
 
-    return content_of(path, tables, log.messages.values(), columns, _timeline(log), notes)
+    return content_of(path, tables, log.messages.values(), columns, _timeline(log), notes, ())
 
 
 def _take(log: _Log, wanted: Collection[str] | None, number: int, line: bytes) -> None:

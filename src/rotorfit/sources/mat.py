@@ -61,6 +61,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     columns: dict[str, Column] = {}
     others: list[str] = []
     notes: list[str] = []
+    damage: list[str] = []
     with path.open("rb") as file:
         order = _BYTE_ORDERS[file.read(_HEADER)[126:128]]
         left = path.stat().st_size - _HEADER
@@ -69,18 +70,18 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
             kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
             left -= 8 + length
             if left < 0:
-                notes.append("the file is cut short inside its last variable, which is left out")
+                damage.append("the file is cut short inside its last variable, which is left out")
                 break
             try:
                 _take(kind, file.read(length), order, columns, others, notes)
             except DamageError as error:
-                notes.append(f"a variable left out because it is damaged or too large: {error}")
+                damage.append(f"a variable left out because it is damaged or too large: {error}")
     if others:
         notes.append(f"variables left out because they are not arrays of numbers: {listed(others)}")
     if not columns:
-        why = f" ({notes[0]})" if notes else ""
+        why = f" ({[*damage, *notes][0]})" if damage or notes else ""
         raise LogError(f"{path}: no array of numbers in the file{why}; save the signals as plain arrays")
-    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes), damage=tuple(damage))
 
 
 def _take(

@@ -8,8 +8,10 @@ Source: https://mcap.dev/spec
 
 import struct
 from binascii import crc32
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -17,21 +19,36 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.log import Event
-from rotorfit.sources.block import Messages, Places, integers, record_starts
+from rotorfit.sources.block import Fault, Messages, Places, integers, stretches
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import unpacked
-from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, one_line
+from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, TornError, one_line
+from rotorfit.sources.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_HEAD,
+    DATA_END,
+    FOOTER,
+    INDEX,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    METADATA,
+    PREFIX,
+    SCHEMA,
+    bytes_at,
+    next_record,
+    small_at,
+    summary_channels,
+    text_at,
+)
 from rotorfit.sources.messages import Topic, normal_type
 
-MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
-_METADATA, _DATA_END = 0x0C, 0x0F
 ATTACHED, EVENTS = "rotorfit", "/rotorfit/event"
 """Name of the Metadata record, and the topic of std_msgs/msg/String, in which `rotorfit fly` writes what it did."""
 
-_PREFIX, _MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ"), struct.Struct("<QQQI")
-_INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the place in the unpacked chunk
-_MOST_INDEXED, _MOST_CHANNELS = BLOCK_LIMIT // _PREFIX.size, 1 << 12  # messages, channels in the index of a chunk
+_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the place in the unpacked chunk
+_MOST_INDEXED, _MOST_CHANNELS = BLOCK_LIMIT // PREFIX.size, 1 << 12  # messages, channels in the index of a chunk
 _MOST_TEXT = 1 << 25  # characters of definitions
 _LANGUAGES: dict[str, Literal["msg", "idl"]] = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
@@ -74,11 +91,13 @@ class _Chunk:
     Attributes:
         start: Of its record's data in the file.
         length: Of them, as far as they are there.
+        torn: Whether damage stands right behind it, so that its last record may be torn.
         index: Channel to the places of its messages in the unpacked chunk.
     """
 
     start: int
     length: int
+    torn: bool = False
     index: dict[int, Places] = field(default_factory=dict)
 
 
@@ -86,87 +105,158 @@ def collect(path: Path, collector: Collector) -> None:
     """Gives all messages of a file to a collector."""
     size = path.stat().st_size
     known = _Known()
-    chunk: _Chunk | None = None
     with path.open("rb") as file:
-        file.seek(len(MAGIC))
-        try:
-            for kind, start, length in _records(file, size):
-                if kind == _INDEX:
-                    if chunk is not None:
-                        _keep_index(file, chunk, start, length)
-                    continue
-                _take(file, chunk, known, collector)
-                chunk = None
-                if kind in (_DATA_END, _FOOTER):
-                    return
-                if kind == _CHUNK:
-                    chunk = _Chunk(start, length)
-                elif kind in (_MESSAGE, _SCHEMA, _CHANNEL, _METADATA):
-                    _record(kind, _data(file, start, length), known, collector)
-            _take(file, chunk, known, collector)
-            collector.note("the file was never closed; read from front to back")
-        except DamageError as error:
-            place = file.tell()
-            _take(file, chunk, known, collector)
-            collector.note(f"damaged after byte {place} of {size} ({error}); read up to there")
+        walk: _Walk | None = _Walk(file, size, len(MAGIC))
+        while walk is not None:
+            walk = _walked(walk, known, collector)
+
+
+@dataclass
+class _Walk:
+    """A walk from record to record, and what waits to be taken.
+
+    Attributes:
+        file: That is read.
+        size: Of it.
+        place: Of the record that is looked at.
+        chunk: Waits until the index behind it is known.
+        message: Outside of chunks, with its place: waits until a record follows, for before damage it may be torn.
+    """
+
+    file: BinaryIO
+    size: int
+    place: int
+    chunk: _Chunk | None = None
+    message: tuple[int, bytes] | None = None
+
+
+def _walked(walk: _Walk, known: _Known, collector: Collector) -> _Walk | None:
+    """Walks to the end, or to damage: then gives the walk from behind it, if there is one."""
+    try:
+        while walk.place < walk.size:
+            kind, start, length = _head(walk)
+            if not _pass(walk, kind, start, length, known, collector):
+                return None
+            walk.place = start + length
+        _settle(walk, known, collector)
+        collector.damaged("the file was never closed: what was recorded behind its end is lost")
+        return None
+    except DamageError as error:
+        if isinstance(error, TornError) and walk.message:
+            walk.place, walk.message = walk.message[0], None
+        place = walk.place
+        if walk.chunk and isinstance(error, TornError):
+            walk.chunk.torn = place == walk.chunk.start + walk.chunk.length
+        _settle(walk, known, collector)
+        behind = _behind(walk, place + 1, known, collector)
+        collector.losses.found(place, walk.size, (behind or walk.size) - place, str(error))
+        return None if behind is None else _Walk(walk.file, walk.size, behind)
+
+
+def _pass(walk: _Walk, kind: int, start: int, length: int, known: _Known, collector: Collector) -> bool:
+    """Takes one record, and what waited for it; False where it ends the data."""
+    if kind == INDEX:
+        if walk.chunk is not None:
+            _keep_index(walk.file, walk.chunk, start, length)
+        return True
+    data = _data(walk.file, start, length) if kind in (MESSAGE, SCHEMA, CHANNEL, METADATA) else b""
+    if kind == MESSAGE and (len(data) < MESSAGE_HEAD.size or small_at(data, 0)[0] not in known.topics):
+        raise TornError("a message without its channel")
+    _settle(walk, known, collector)
+    if kind == MESSAGE:
+        walk.message = walk.place, data
+    elif kind == CHUNK:
+        walk.chunk = _Chunk(start, min(length, walk.size - start))
+        if length > walk.size - start:
+            behind = _behind(walk, start, known, collector, in_chunk=False)
+            walk.place = walk.size if behind is None else behind
+            walk.chunk.length = walk.place - start
+            raise DamageError("the chunk before it is cut short")
+    elif kind in (SCHEMA, CHANNEL, METADATA):
+        _record(kind, data, known, collector)
+    return kind not in (DATA_END, FOOTER)
+
+
+def _settle(walk: _Walk, known: _Known, collector: Collector) -> None:
+    """Takes what waited."""
+    chunk, message, walk.chunk, walk.message = walk.chunk, walk.message, None, None
+    if chunk is not None:
+        _take(walk, chunk, known, collector)
+    if message is not None:
+        _record(MESSAGE, message[1], known, collector)
+
+
+def _behind(walk: _Walk, start: int, known: _Known, collector: Collector, in_chunk: bool = True) -> int | None:
+    """Where records follow each other again; what the summary says of channels is known from then on."""
+    with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
+        with suppress(DamageError):
+            for kind, record in summary_channels(data):
+                _record(kind, record, known, collector)
+        return next_record(data, start, known.topics, collector.losses.until, in_chunk)
 
 
 def _keep_index(file: BinaryIO, chunk: _Chunk, start: int, length: int) -> None:
     """Keeps where the messages of one channel are said to lie in the chunk; one that cannot be is forgotten."""
     try:
-        if length > _MOST_INDEXED * _INDEX_ENTRY.itemsize or len(chunk.index) == _MOST_CHANNELS:
+        if length > _MOST_INDEXED * _ENTRY.itemsize or len(chunk.index) == _MOST_CHANNELS:
             raise DamageError("more than fits in a chunk")
         data = _data(file, start, length)
-        number, start = _small(data, 0)
-        entries, _ = _bytes(data, start)
-        chunk.index[number] = np.frombuffer(entries[: len(entries) // 16 * 16], _INDEX_ENTRY)["place"].astype(np.int64)
+        number, start = small_at(data, 0)
+        entries, _ = bytes_at(data, start)
+        chunk.index[number] = np.frombuffer(entries[: len(entries) // 16 * 16], _ENTRY)["place"].astype(np.int64)
         if sum(map(len, chunk.index.values())) > _MOST_INDEXED:
             raise DamageError("more than fits in a chunk")
     except DamageError:
         chunk.index.clear()
 
 
-def _take(file: BinaryIO, chunk: _Chunk | None, known: _Known, collector: Collector) -> None:
-    """Takes the messages of a chunk; damage inside costs the rest of this chunk only."""
-    if chunk is None:
-        return
+def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> None:
+    """Takes the messages of a chunk; damage inside costs what it hit, of a packed chunk all behind it."""
     eventful = any(number in known.topics and _tells_events(known.topics[number]) for number in chunk.index)
     if not eventful and collector.passed_over(known.topics, chunk.index):
         return
+    place, left = chunk.start - PREFIX.size, chunk.length
+
+    def resume(data: bytes, start: int) -> int | None:
+        return next_record(data, start, known.topics, collector.losses.until)
+
     try:
-        plain, size = _plain(_data(file, chunk.start, chunk.length))
-        _messages(plain, np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)]), known, collector)
-        if len(plain) < size:
-            raise DamageError(f"{len(plain)} of {size} bytes")
+        plain, claim = _plain(_data(walk.file, chunk.start, chunk.length))
+        plain = plain[:-1] if chunk.torn else plain  # the last record is none then
+        hints = np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)])
+        for part in stretches(plain, hints, _ends, _starts, resume):
+            left = len(plain) - int(part.starts[0]) if len(part.starts) else 0
+            _messages(plain, part.starts, known, collector)
+            if part.lost:
+                collector.losses.found(place, walk.size, part.lost, f"in a chunk, {part.why}")
+        left = claim - len(plain)
+        if left > 0:
+            raise DamageError(f"{len(plain)} of {claim} bytes")
     except DamageError as error:
-        end = chunk.start + chunk.length
-        collector.note(f"the chunk that ends at byte {end} is damaged ({error}); read up to the damage")
+        collector.losses.found(place, walk.size, left, f"in a chunk, {error}")
 
 
 def _plain(data: bytes) -> tuple[bytes, int]:
     """A chunk unpacked, and how many bytes it says it is."""
-    if len(data) < _CHUNK_HEAD.size:
+    if len(data) < CHUNK_HEAD.size:
         raise DamageError("its head is cut short")
-    _, _, size, checksum = _CHUNK_HEAD.unpack_from(data)
-    method, start = _text(data, _CHUNK_HEAD.size)
+    _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
+    method, start = text_at(data, CHUNK_HEAD.size)
     plain = unpacked(memoryview(data)[start + 8 :], method, size)
     if len(plain) == size and checksum and crc32(plain) != checksum:
         raise DamageError("its checksum is wrong, so none of it is used")
     return plain, size
 
 
-def _messages(plain: bytes, hints: Places, known: _Known, collector: Collector) -> None:
-    """Takes the records of an unpacked chunk, all messages at once where their channels are known."""
-    starts, fault = record_starts(plain, hints, _ends, _starts)
-    bodies = starts + _PREFIX.size
+def _messages(plain: bytes, starts: Places, known: _Known, collector: Collector) -> None:
+    """Takes records of an unpacked chunk, all messages at once where their channels are known."""
+    bodies = starts + PREFIX.size
     found = Messages(plain, bodies, integers(plain, bodies - 8, "<u8"))
     kinds = integers(plain, starts, "u1")
-    is_message = kinds == _MESSAGE
+    is_message = kinds == MESSAGE
     if not _at_once(found, kinds, is_message, known, collector):
         for row, kind in enumerate(kinds.tolist()):
             _record(kind, found.one(row), known, collector)
-    if fault:
-        raise DamageError(fault)
 
 
 def _at_once(
@@ -179,10 +269,10 @@ def _at_once(
     except DamageError:
         return False
     messages = found[is_message]
-    if messages.lengths.min(initial=_MESSAGE_HEAD.size) < _MESSAGE_HEAD.size:
+    if messages.lengths.min(initial=MESSAGE_HEAD.size) < MESSAGE_HEAD.size:
         return False
     numbers, times = (integers(messages.data, messages.starts + at, form) for at, form in ((0, "<u2"), (6, "<u8")))
-    inner = Messages(messages.data, messages.starts + _MESSAGE_HEAD.size, messages.lengths - _MESSAGE_HEAD.size)
+    inner = Messages(messages.data, messages.starts + MESSAGE_HEAD.size, messages.lengths - MESSAGE_HEAD.size)
     telling = np.isin(numbers, [number for number, topic in known.topics.items() if _tells_events(topic)])
     if not collector.add_mixed(known.topics, np.where(telling, -1, numbers), times, inner):
         return False
@@ -192,61 +282,63 @@ def _at_once(
 
 
 def _ends(data: bytes, starts: Places) -> Places | None:
-    """Ends of the records at these starts; None where one does not fit."""
-    if len(data) < _PREFIX.size or starts.min() < 0 or starts.max() > len(data) - _PREFIX.size:
+    """Ends of the records at these starts; None where one does not fit, or is none."""
+    if len(data) < PREFIX.size or starts.min() < 0 or starts.max() > len(data) - PREFIX.size:
         return None
     lengths = integers(data, starts + 1, "<u8")
-    if lengths.min() < 0 or lengths.max() > len(data):
+    if lengths.min() < 0 or lengths.max() > len(data) or integers(data, starts, "u1").min() == 0:
         return None
-    ends = starts + _PREFIX.size + lengths
+    ends = starts + PREFIX.size + lengths
     return None if ends.max() > len(data) else ends
 
 
-def _starts(data: bytes, start: int, end: int) -> tuple[list[int], str]:
+def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]:
     """Walks records from one place to another: their starts, and what is wrong behind the last that is whole."""
     starts: list[int] = []
-    prefix = _PREFIX.unpack_from
+    prefix = PREFIX.unpack_from
     try:
         while start < end:
-            after = start + _PREFIX.size + prefix(data, start)[1]
-            if after > end:
-                return starts, "the last record is cut short"
+            kind, length = prefix(data, start)
+            after = start + PREFIX.size + length
+            if kind == 0 or after > end:
+                torn = kind == 0 or length > BLOCK_LIMIT
+                return starts, Fault(start, "bytes that are no record" if torn else "a record is cut short", torn)
             starts.append(start)
             start = after
     except struct.error:
-        return starts, "a record is cut short"
-    return starts, ""
+        return starts, Fault(start, "a record is cut short", torn=False)
+    return starts, None
 
 
 def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None:
     """Takes a message, a channel, a schema or what is attached; other records hold nothing for us."""
     schemas, topics = known.schemas, known.topics
-    if kind == _MESSAGE:
-        if len(data) < _MESSAGE_HEAD.size:
+    if kind == MESSAGE:
+        if len(data) < MESSAGE_HEAD.size:
             raise DamageError("a message is cut short")
-        number, _, time, _ = _MESSAGE_HEAD.unpack_from(data)
+        number, _, time, _ = MESSAGE_HEAD.unpack_from(data)
         if number not in topics:
             raise DamageError("a message without its channel")
         if _tells_events(topics[number]):
-            _event(time, data[_MESSAGE_HEAD.size :], collector)
+            _event(time, data[MESSAGE_HEAD.size :], collector)
         else:
-            collector.add(topics[number], time, data[_MESSAGE_HEAD.size :])
-    elif kind == _METADATA:
+            collector.add(topics[number], time, data[MESSAGE_HEAD.size :])
+    elif kind == METADATA:
         _attached(data, collector)
-    elif kind == _SCHEMA:
-        number, start = _small(data, 0)
-        name, start = _text(data, start)
-        language, start = _text(data, start)
-        definition, start = _bytes(data, start)
+    elif kind == SCHEMA:
+        number, start = small_at(data, 0)
+        name, start = text_at(data, start)
+        language, start = text_at(data, start)
+        definition, start = bytes_at(data, start)
         known.text += len(definition) - len(schemas.get(number, ("", "", b""))[2])
         schemas[number] = (name, language, definition)
         if known.text > _MOST_TEXT:
             raise DamageError(f"more than {_MOST_TEXT >> 20} MiB of definitions")
-    elif kind == _CHANNEL:
-        number, start = _small(data, 0)
-        schema, start = _small(data, start)
-        name, start = _text(data, start)
-        encoding, start = _text(data, start)
+    elif kind == CHANNEL:
+        number, start = small_at(data, 0)
+        schema, start = small_at(data, start)
+        name, start = text_at(data, start)
+        encoding, start = text_at(data, start)
         msgtype, language, definition = schemas.get(schema, ("", "", b""))
         if number not in topics:
             text = definition.decode(errors="replace") if language in _LANGUAGES else ""
@@ -262,7 +354,7 @@ def _tells_events(topic: Topic) -> bool:
 def _event(time: int, data: bytes, to: Collector) -> None:
     """Takes an event; a damaged one costs itself only."""
     try:
-        value, _ = _text(data, 4)  # behind the head of CDR
+        value, _ = text_at(data, 4)  # behind the head of CDR
         to.happened(Event(time, one_line(value.rstrip("\0"))))
     except DamageError as error:
         to.note(f"an event is damaged ({error}); left out")
@@ -271,35 +363,31 @@ def _event(time: int, data: bytes, to: Collector) -> None:
 def _attached(data: bytes, to: Collector) -> None:
     """Takes the Metadata record of `rotorfit fly`: a name, then a map of texts. A damaged one costs itself only."""
     try:
-        name, start = _text(data, 0)
+        name, start = text_at(data, 0)
         if name != ATTACHED:
             return
-        pairs, texts, start = _bytes(data, start)[0], {}, 0
+        pairs, texts, start = bytes_at(data, start)[0], {}, 0
         while start < len(pairs):
-            key, start = _text(pairs, start)
-            texts[key], start = _text(pairs, start)
+            key, start = text_at(pairs, start)
+            texts[key], start = text_at(pairs, start)
         to.attach(texts)
     except DamageError as error:
         to.note(f"what is attached is damaged ({error}); left out")
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Kind, place and length of the data of each record; of a chunk cut short, its part before the damage."""
-    position = file.tell()
-    while position < size:
-        file.seek(position)
-        prefix = file.read(_PREFIX.size)
-        if len(prefix) < _PREFIX.size:
-            raise DamageError("a record is cut short")
-        kind, length = _PREFIX.unpack(prefix)
-        start = position + _PREFIX.size
-        if length > size - start and kind != _CHUNK:
-            raise DamageError("the last record is cut short")
-        yield kind, start, min(length, size - start)
-        if length > size - start:
-            file.seek(size)
-            raise DamageError("the last chunk is cut short")
-        position = start + length
+def _head(walk: _Walk) -> tuple[int, int, int]:
+    """Kind, place and length of the data of the record that is looked at; only a chunk may be cut short."""
+    walk.file.seek(walk.place)
+    prefix = walk.file.read(PREFIX.size)
+    if len(prefix) < PREFIX.size:
+        raise DamageError("the last record is cut short")
+    kind, length = PREFIX.unpack(prefix)
+    start = walk.place + PREFIX.size
+    if kind == 0 or length > max(BLOCK_LIMIT, walk.size):
+        raise TornError("bytes that are no record")
+    if length > walk.size - start and kind != CHUNK:
+        raise DamageError("a record is cut short")
+    return kind, start, length
 
 
 def _data(file: BinaryIO, start: int, length: int) -> bytes:
@@ -308,24 +396,3 @@ def _data(file: BinaryIO, start: int, length: int) -> bytes:
         raise DamageError(f"a record of {length} bytes")
     file.seek(start)
     return file.read(length)
-
-
-def _small(data: bytes, start: int) -> tuple[int, int]:
-    """A two-byte number, and where it ends."""
-    if start + 2 > len(data):
-        raise DamageError("a record is cut short")
-    return int.from_bytes(data[start : start + 2], "little"), start + 2
-
-
-def _bytes(data: bytes, start: int) -> tuple[bytes, int]:
-    """Bytes with their length before them, and where they end."""
-    end = start + 4 + int.from_bytes(data[start : start + 4], "little")
-    if start + 4 > len(data) or end > len(data):
-        raise DamageError("a record is cut short")
-    return data[start + 4 : end], end
-
-
-def _text(data: bytes, start: int) -> tuple[str, int]:
-    """Text with its length before it, and where it ends."""
-    value, end = _bytes(data, start)
-    return value.decode(errors="replace"), end

@@ -93,15 +93,17 @@ class Damage:
         self.places += 1
         self.skipped += skipped
 
-    def notes(self, size: int) -> list[str]:
+    def texts(self, size: int) -> tuple[str, ...]:
         """What is said of it; nothing where the file is whole."""
-        notes = []
+        texts = []
         if self.places:
             where = "" if self.places == 1 else f"in {self.places} places, first "
-            notes.append(f"damaged {where}at byte {self.first} of {size}: {self.skipped} bytes left out")
+            texts.append(f"damaged {where}at byte {self.first} of {size}: {self.skipped} bytes left out")
         if self.left:
-            notes.append(f"the file is cut short: its last {self.left} bytes are no whole record")
-        return notes
+            texts.append(
+                f"the file ends in the middle of a record, of which it holds {self.left} bytes: what came after is lost"
+            )
+        return tuple(texts)
 
 
 class Walker(Protocol):

@@ -7,8 +7,9 @@ Source: http://wiki.ros.org/Bags/Format/2.0
 """
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,22 +17,33 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.errors import LogError
-from rotorfit.sources.block import Messages, Places, integers, record_starts
+from rotorfit.sources.bag_headers import (
+    BAG_HEADER,
+    CHUNK,
+    CONNECTION,
+    INDEX,
+    INDEX_ENTRY,
+    LONGEST_HEADER,
+    MESSAGE,
+    TIME,
+    U32,
+    U64,
+    Header,
+    fields_of,
+    next_record,
+    number_of,
+    spans_of,
+)
+from rotorfit.sources.block import Fault, Messages, Places, integers, stretches
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import unpacked
-from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError
+from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, TornError
 from rotorfit.sources.messages import Topic, normal_type
 
 _MAGIC, _VERSION = b"#ROSBAG V", b"#ROSBAG V2.0\n"
-_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x03", b"\x04", b"\x05", b"\x07"
-_U32, _U64, _TIME = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
-_INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u4")])  # the place in the unpacked chunk
 _LEAST_RECORD = 8  # bytes
 _MOST_INDEXED = 1 << 12  # connections in a chunk
-_LONGEST_HEADER = 1 << 20
 _MOST_LAYOUTS = 8  # of message headers in a chunk; a writer has one
-
-_Header = dict[bytes, bytes]
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
@@ -53,7 +65,10 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
                 f"{path}: a ROS bag of version {version[9:-1].decode('latin-1')!r}, only 2.0 is read; "
                 "convert it with `rosbag migrate`"
             )
-        _walk(path, file, path.stat().st_size, collector)
+        topics: dict[int, Topic] = {}
+        walk: _Walk | None = _Walk(path, file, path.stat().st_size, len(_VERSION))
+        while walk is not None:
+            walk = _walked(walk, topics, collector)
     return collector.content()
 
 
@@ -63,95 +78,165 @@ class _Chunk:
 
     Attributes:
         header: Of its record.
+        place: Of that in the file.
         start: Of its bytes in the file.
         length: Of them, as far as they are there.
+        torn: Whether damage stands right behind it, so that its last record may be torn.
         index: Connection to the places of its messages in the unpacked chunk.
     """
 
-    header: _Header
+    header: Header
+    place: int
     start: int
     length: int
+    torn: bool = False
     index: dict[int, Places] = field(default_factory=dict)
 
 
-def _walk(path: Path, file: BinaryIO, size: int, collector: Collector) -> None:
-    """Walks the records of the file: chunks of messages, connections, index."""
-    topics: dict[int, Topic] = {}
+@dataclass
+class _Walk:
+    """A walk from record to record, and what waits to be taken.
+
+    Attributes:
+        path: Of the file.
+        file: That is read.
+        size: Of it.
+        place: Of the record that is looked at.
+        chunk: Waits until the index behind it is known.
+        message: Outside of chunks, with its place: waits until a record follows, for before damage it may be torn.
+    """
+
+    path: Path
+    file: BinaryIO
+    size: int
+    place: int
     chunk: _Chunk | None = None
+    message: tuple[int, Header, bytes] | None = None
+
+
+def _walked(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> _Walk | None:
+    """Walks to the end, or to damage: then gives the walk from behind it, if there is one."""
     try:
-        for header, start, length in _records(file, size):
-            kind = header.get(b"op")
-            if kind == _INDEX:
-                if chunk is not None:
-                    _keep_index(file, chunk, header, start, length)
-                continue
-            _take(file, chunk, topics, collector)
-            chunk = None
-            if kind == _BAG_HEADER:
-                _check_bag_header(path, header, size, collector)
-            elif kind == _CHUNK:
-                chunk = _Chunk(header, start, length)
-            else:
-                _record(header, _bytes(file, start, length), topics, collector)
-        _take(file, chunk, topics, collector)
+        while walk.place < walk.size:
+            header, start, length = _head(walk)
+            _pass(walk, header, start, length, topics, collector)
+            walk.place = start + length
+        _settle(walk, topics, collector)
+        return None
     except DamageError as error:
-        place = file.tell()
-        _take(file, chunk, topics, collector)
-        collector.note(f"damaged after byte {place} of {size} ({error}); read up to there")
+        if isinstance(error, TornError) and walk.message:
+            walk.place, walk.message = walk.message[0], None
+        place = walk.place
+        if walk.chunk and isinstance(error, TornError):
+            walk.chunk.torn = place == walk.chunk.start + walk.chunk.length
+        _settle(walk, topics, collector)
+        behind = _behind(walk, place + 1, topics)
+        collector.losses.found(place, walk.size, (behind or walk.size) - place, str(error))
+        return None if behind is None else _Walk(walk.path, walk.file, walk.size, behind)
 
 
-def _check_bag_header(path: Path, header: _Header, size: int, collector: Collector) -> None:
+def _pass(walk: _Walk, header: Header, start: int, length: int, topics: dict[int, Topic], collector: Collector) -> None:
+    """Takes one record, and what waited for it."""
+    kind = header.get(b"op")
+    if kind == INDEX:
+        if walk.chunk is not None:
+            _keep_index(walk.file, walk.chunk, header, start, length)
+        return
+    if kind == MESSAGE and (
+        number_of(header, b"conn", U32) not in topics or len(header.get(b"time", b"")) != TIME.size
+    ):
+        raise TornError("a message without its connection or time")
+    _settle(walk, topics, collector)
+    if kind == BAG_HEADER:
+        _check_bag_header(walk.path, header, walk.size, collector)
+    elif kind == CHUNK:
+        walk.chunk = _Chunk(header, walk.place, start, min(length, walk.size - start))
+        if length > walk.size - start:
+            behind = _behind(walk, start, topics, in_chunk=False)
+            walk.place = walk.size if behind is None else behind
+            walk.chunk.length = walk.place - start
+            raise DamageError("the chunk before it is cut short")
+    elif kind == MESSAGE:
+        walk.message = walk.place, header, _bytes(walk.file, start, length)
+    else:
+        _record(header, _bytes(walk.file, start, length), topics, collector)
+
+
+def _settle(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> None:
+    """Takes what waited."""
+    chunk, message, walk.chunk, walk.message = walk.chunk, walk.message, None, None
+    if chunk is not None:
+        _take(walk, chunk, topics, collector)
+    if message is not None:
+        _record(message[1], message[2], topics, collector)
+
+
+def _behind(walk: _Walk, start: int, topics: dict[int, Topic], in_chunk: bool = True) -> int | None:
+    """Where records follow each other again."""
+    with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
+        return next_record(data, start, topics, in_chunk)
+
+
+def _check_bag_header(path: Path, header: Header, size: int, collector: Collector) -> None:
     """Says whether the bag was closed and is whole; an encrypted one cannot be read."""
     if header.get(b"encryptor"):
         raise LogError(f"{path}: an encrypted bag; decrypt it with `rosbag decrypt`")
-    index = _number(header, b"index_pos", _U64)
+    index = number_of(header, b"index_pos", U64)
     if index == 0:
-        collector.note("the bag was never closed and has no index; read from front to back")
+        collector.damaged("the bag was never closed and has no index: what was recorded behind its end is lost")
     elif index > size:
-        collector.note(f"the bag is cut short: {size} bytes, its index would begin at {index}")
+        collector.damaged(f"the bag is cut short: {size} bytes, its index would begin at {index}")
 
 
-def _keep_index(file: BinaryIO, chunk: _Chunk, header: _Header, start: int, length: int) -> None:
+def _keep_index(file: BinaryIO, chunk: _Chunk, header: Header, start: int, length: int) -> None:
     """Keeps where the messages of one connection are said to lie in the chunk; one that cannot be is forgotten."""
     try:
-        number, claim = _number(header, b"conn", _U32), _number(chunk.header, b"size", _U32)
+        number, claim = number_of(header, b"conn", U32), number_of(chunk.header, b"size", U32)
         room = claim // _LEAST_RECORD - sum(map(len, chunk.index.values()))
-        if length > room * _INDEX_ENTRY.itemsize or length % _INDEX_ENTRY.itemsize or len(chunk.index) == _MOST_INDEXED:
+        if length > room * INDEX_ENTRY.itemsize or length % INDEX_ENTRY.itemsize or len(chunk.index) == _MOST_INDEXED:
             raise DamageError("more than fits in the chunk")
-        chunk.index[number] = np.frombuffer(_bytes(file, start, length), _INDEX_ENTRY)["place"].astype(np.int64)
+        chunk.index[number] = np.frombuffer(_bytes(file, start, length), INDEX_ENTRY)["place"].astype(np.int64)
     except DamageError:
         chunk.index.clear()
 
 
-def _take(file: BinaryIO, chunk: _Chunk | None, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes the messages of a chunk; damage inside costs the rest of this chunk only."""
-    if chunk is None or collector.passed_over(topics, chunk.index):
+def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> None:
+    """Takes the messages of a chunk; damage inside costs what it hit, of a packed chunk all behind it."""
+    if collector.passed_over(topics, chunk.index):
         return
+    left = chunk.length
+
+    def resume(data: bytes, start: int) -> int | None:
+        return next_record(data, start, topics)
+
     try:
-        size = _number(chunk.header, b"size", _U32)
-        packed = _bytes(file, chunk.start, chunk.length)
-        plain = unpacked(packed, chunk.header.get(b"compression", b"").decode("latin-1"), size)
+        claim = number_of(chunk.header, b"size", U32)
+        packed = _bytes(walk.file, chunk.start, chunk.length)
+        plain = unpacked(packed, chunk.header.get(b"compression", b"").decode("latin-1"), claim)
         del packed  # a chunk may be large: one copy of it is enough
-        _messages(plain, np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)]), topics, collector)
-        if len(plain) < size:
-            raise DamageError(f"{len(plain)} of {size} bytes")
+        plain = plain[:-1] if chunk.torn else plain  # the last record is none then
+        hints = np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)])
+        for part in stretches(plain, hints, _ends, _starts, resume):
+            left = len(plain) - int(part.starts[0]) if len(part.starts) else 0
+            _messages(plain, part.starts, topics, collector)
+            if part.lost:
+                collector.losses.found(chunk.place, walk.size, part.lost, f"in a chunk, {part.why}")
+        left = claim - len(plain)
+        if left > 0:
+            raise DamageError(f"{len(plain)} of {claim} bytes")
     except DamageError as error:
-        end = chunk.start + chunk.length
-        collector.note(f"the chunk that ends at byte {end} is damaged ({error}); read up to the damage")
+        collector.losses.found(chunk.place, walk.size, left, f"in a chunk, {error}")
 
 
-def _messages(plain: bytes, hints: Places, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes the records of an unpacked chunk, all at once where they are as writers make them."""
-    starts, fault = record_starts(plain, hints, _ends, _starts)
+def _messages(plain: bytes, starts: Places, topics: dict[int, Topic], collector: Collector) -> None:
+    """Takes records of an unpacked chunk, all at once where they are as writers make them."""
     heads = integers(plain, starts, "<u4")
     bodies = starts + 8 + heads
     found = Messages(plain, bodies, integers(plain, bodies - 4, "<u4"))
     headers = Messages(plain, starts + 4, heads)
     if not _at_once(headers, found, topics, collector):
         for row in range(len(found)):
-            _record(_fields(headers.one(row)), found.one(row), topics, collector)
-    if fault:
-        raise DamageError(fault)
+            _record(fields_of(headers.one(row)), found.one(row), topics, collector)
 
 
 def _at_once(headers: Messages, found: Messages, topics: dict[int, Topic], collector: Collector) -> bool:
@@ -161,8 +246,8 @@ def _at_once(headers: Messages, found: Messages, topics: dict[int, Topic], colle
     try:
         while len(left):
             row = int(left[0])
-            header = _fields(headers.one(row))
-            if header.get(b"op") != _MESSAGE:
+            header = fields_of(headers.one(row))
+            if header.get(b"op") != MESSAGE:
                 _record(header, found.one(row), topics, collector)
                 left = left[1:]
             elif layouts == _MOST_LAYOUTS:
@@ -195,8 +280,8 @@ class _Alike:
 def _alike(headers: Messages, left: Places) -> _Alike:
     """Of the records `left`, those with a header like that of the first, which is a message's."""
     header = headers.one(int(left[0]))
-    spans = _spans(header)
-    number, time = _place(spans, b"conn", _U32), _place(spans, b"time", _TIME)
+    spans = spans_of(header)
+    number, time = _place(spans, b"conn", U32), _place(spans, b"time", TIME)
     left = left[headers.lengths[left] == len(header)]
     varying = bytearray(len(header))
     varying[number : number + 4], varying[time : time + 8] = b"\xff" * 4, b"\xff" * 8
@@ -219,52 +304,56 @@ def _place(spans: dict[bytes, tuple[int, int]], name: bytes, form: struct.Struct
 
 
 def _ends(data: bytes, starts: Places) -> Places | None:
-    """Ends of the records at these starts; None where one does not fit."""
+    """Ends of the records at these starts; None where one does not fit, or is none."""
     if len(data) < 8 or starts.min() < 0 or starts.max() > len(data) - 8:
         return None
-    bodies = starts + 8 + integers(data, starts, "<u4")
-    if bodies.max() > len(data):
+    heads = integers(data, starts, "<u4")
+    bodies = starts + 8 + heads
+    if bodies.max() > len(data) or heads.min() == 0:
         return None
     ends = bodies + integers(data, bodies - 4, "<u4")
     return None if ends.max() > len(data) else ends
 
 
-def _starts(data: bytes, start: int, end: int) -> tuple[list[int], str]:
+def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]:
     """Walks records from one place to another: their starts, and what is wrong behind the last that is whole."""
     starts: list[int] = []
-    length_at = _U32.unpack_from
+    length_at = U32.unpack_from
     try:
         while start < end:
-            body = start + 8 + length_at(data, start)[0]
+            head = length_at(data, start)[0]
+            if head == 0 or head > LONGEST_HEADER:
+                return starts, Fault(start, "bytes that are no record", torn=True)
+            body = start + 8 + head
             after = body + length_at(data, body - 4)[0]
             if after > end:
-                return starts, "the last record is cut short"
+                return starts, Fault(start, "a record is cut short", torn=False)
             starts.append(start)
             start = after
     except struct.error:
-        return starts, "a record is cut short"
-    return starts, ""
+        return starts, Fault(start, "a record is cut short", torn=False)
+    return starts, None
 
 
-def _record(header: _Header, data: bytes, topics: dict[int, Topic], collector: Collector) -> None:
+def _record(header: Header, data: bytes, topics: dict[int, Topic], collector: Collector) -> None:
     """Takes a message or a connection."""
     kind = header.get(b"op")
-    if kind == _MESSAGE:
-        topic = topics.get(_number(header, b"conn", _U32))
+    if kind == MESSAGE:
+        topic = topics.get(number_of(header, b"conn", U32))
         if topic is None:
             raise DamageError("a message without its connection")
-        if len(time := header.get(b"time", b"")) != _TIME.size:
+        if len(time := header.get(b"time", b"")) != TIME.size:
             raise DamageError("a message without time")
-        seconds, nanoseconds = _TIME.unpack(time)
+        seconds, nanoseconds = TIME.unpack(time)
         collector.add(topic, seconds * 1_000_000_000 + nanoseconds, data)
-    elif kind == _CONNECTION:
-        number = _number(header, b"conn", _U32)
+    elif kind == CONNECTION:
+        number = number_of(header, b"conn", U32)
         if number not in topics:  # the index at the end names them again
-            topics[number] = _topic(header, _fields(data))
+            topics[number] = _topic(header, fields_of(data))
             collector.declare(topics[number])
 
 
-def _topic(header: _Header, details: _Header) -> Topic:
+def _topic(header: Header, details: Header) -> Topic:
     """The topic of a connection."""
     try:
         name = header[b"topic"].decode()
@@ -274,22 +363,15 @@ def _topic(header: _Header, details: _Header) -> Topic:
         raise DamageError("a connection without topic or type") from error
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[_Header, int, int]]:
-    """Header, place and length of the data of each record; of a chunk cut short, its part before the damage."""
-    position = file.tell()
-    while position < size:
-        file.seek(position)
-        header = _fields(_block(file, size - position))
-        start = file.tell()
-        length = _length(file, size - start)
-        start += 4
-        if length > size - start and header.get(b"op") != _CHUNK:
-            raise DamageError("the last record is cut short")
-        yield header, start, min(length, size - start)
-        if length > size - start:
-            file.seek(size)
-            raise DamageError("the last chunk is cut short")
-        position = start + length
+def _head(walk: _Walk) -> tuple[Header, int, int]:
+    """Header, place and length of the data of the record that is looked at; only a chunk may be cut short."""
+    walk.file.seek(walk.place)
+    header = fields_of(_block(walk.file, walk.size - walk.place))
+    start = walk.file.tell() + 4
+    length = _length(walk.file, walk.size - start + 4)
+    if length > walk.size - start and header.get(b"op") != CHUNK:
+        raise DamageError("a record is cut short")
+    return header, start, length
 
 
 def _bytes(file: BinaryIO, start: int, length: int) -> bytes:
@@ -303,10 +385,10 @@ def _bytes(file: BinaryIO, start: int, length: int) -> bytes:
 def _block(file: BinaryIO, left: int) -> bytes:
     """Bytes with their length before them."""
     length = _length(file, left)
+    if not 0 < length <= LONGEST_HEADER:
+        raise TornError("bytes that are no record")
     if length > left - 4:
         raise DamageError("a record's header is cut short")
-    if length > _LONGEST_HEADER:
-        raise DamageError(f"a record's header of {length} bytes")
     return file.read(length)
 
 
@@ -315,30 +397,3 @@ def _length(file: BinaryIO, left: int) -> int:
     if left < 4:
         raise DamageError("a record is cut short")
     return int.from_bytes(file.read(4), "little")
-
-
-def _fields(header: bytes) -> _Header:
-    """Fields of a header: name to value."""
-    return {name: header[start:end] for name, (start, end) in _spans(header).items()}
-
-
-def _spans(header: bytes) -> dict[bytes, tuple[int, int]]:
-    """Where the values of a header lie; its fields are `name=value`, each with its length before it."""
-    spans: dict[bytes, tuple[int, int]] = {}
-    position, size = 0, len(header)
-    while position < size:
-        end = position + 4 + int.from_bytes(header[position : position + 4], "little")
-        sign = header.find(b"=", position + 4, end)
-        if end > size or sign < 0:
-            raise DamageError("a record's header cannot be understood")
-        spans[header[position + 4 : sign]] = sign + 1, end
-        position = end
-    return spans
-
-
-def _number(header: _Header, name: bytes, form: struct.Struct) -> int:
-    """A number in a header."""
-    value = header.get(name, b"")
-    if len(value) != form.size:
-        raise DamageError(f"a record without {name.decode()}")
-    return int(form.unpack(value)[0])

@@ -15,10 +15,11 @@ from rotorfit.sources import mcap
 from rotorfit.sources.collector import Collector
 from rotorfit.sources.compression import ZSTD_MAGIC, unpack_file
 from rotorfit.sources.content import BLOCK_LIMIT, Content, DamageError, one_line
+from rotorfit.sources.mcap_records import MAGIC
 from rotorfit.sources.messages import Topic, normal_type
 from rotorfit.sources.sqlite_leaves import rows_left, rows_of_table
 
-_MAGIC = b"SQLite format 3\0"
+_SQLITE = b"SQLite format 3\0"
 _FIRST_ROW = -(1 << 63)
 _UNPACKED_LIMIT = 1 << 34  # on disk
 
@@ -27,7 +28,7 @@ _Row = tuple[int, object, object, object]  # rowid, topic, time, message, of wha
 
 def sniff(path: Path, head: bytes) -> bool:
     """Whether it is a folder with metadata.yaml, an SQLite file, or a file that ROS 2 packed with zstd."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else head.startswith((_MAGIC, ZSTD_MAGIC))
+    return (path / "metadata.yaml").is_file() if path.is_dir() else head.startswith((_SQLITE, ZSTD_MAGIC))
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
@@ -41,9 +42,9 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
         with _plain(file, collector) as plain:
             with plain.open("rb") as stream:
                 head = stream.read(16)
-            if head.startswith(mcap.MAGIC):
+            if head.startswith(MAGIC):
                 mcap.collect(plain, collector)
-            elif head.startswith(_MAGIC):
+            elif head.startswith(_SQLITE):
                 _collect(file, plain, collector)
             else:
                 raise LogError(f"{file}: neither SQLite nor MCAP; check that the bag was copied whole")
@@ -82,7 +83,7 @@ def _plain(file: Path, collector: Collector) -> Iterator[Path]:
         try:
             unpack_file(file, target, _UNPACKED_LIMIT)
         except DamageError as error:
-            collector.note(f"{file.name}: {error}; read up to there")
+            collector.damaged(f"{file.name}: {error}; read up to there")
         yield target
 
 
@@ -107,7 +108,7 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
                 collector.declare(topic)
             _messages(whole, database, topics, collector)
     except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:  # the second where SQLite quotes damaged bytes
-        collector.note(f"{named.name} is damaged ({one_line(error)}); read up to there")
+        collector.damaged(f"{named.name} is damaged ({one_line(error)}); read up to there")
 
 
 @contextmanager
@@ -125,7 +126,7 @@ def _whole_pages(named: Path, file: Path, collector: Collector) -> Iterator[Path
     if size >= expected:
         yield file
         return
-    collector.note(f"{named.name} is cut short: {size} of {expected} bytes")
+    collector.damaged(f"{named.name} is cut short: {size} of {expected} bytes")
     with TemporaryDirectory(prefix="rotorfit-") as folder:
         whole = Path(shutil.copyfile(file, Path(folder) / "whole.db3"))
         with whole.open("r+b") as stream:

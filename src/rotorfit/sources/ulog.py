@@ -301,9 +301,9 @@ def _fields(
 
 def _content(path: Path, log: _Log, size: int) -> Content:
     """Tables of what was found."""
-    notes = log.damage.notes(size)
+    damage, notes = log.damage.texts(size), list[str]()
     if not any(topic.count for topic in log.topics.values()):
-        why = f" ({notes[0]})" if notes else f" ({len(log.topics)} topics announced)"
+        why = f" ({damage[0]})" if damage else f" ({len(log.topics)} topics announced)"
         raise LogError(f"{path}: no message in the log{why}; check that the vehicle was armed while it was recorded")
     if log.dropouts:
         seconds = sum(log.dropouts) / 1000
@@ -317,4 +317,4 @@ def _content(path: Path, log: _Log, size: int) -> Content:
             tables[name] = Table(name, topic.rows.columns(topic.layout))
         else:
             skipped[name] = one_line(f"{topic.reason or 'no message'} ({topic.count} messages)")
-    return Content(tables, skipped, tuple(notes))
+    return Content(tables, skipped, tuple(notes), damage=damage)

@@ -1,12 +1,13 @@
 """What the terminal shows of a model: coefficients, accuracy, physics, structures, findings."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import RenderableType
 from rich.text import Text
 
 from rotorfit.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
+from rotorfit.finding import DAMAGED
 from rotorfit.frames import AXES
 from rotorfit.model import COEFFICIENTS, Axis, Mode, Model
 from rotorfit.physics import PhysicsRow, implied_limits, physics_rows
@@ -41,9 +42,20 @@ _UNITS = {
 """Of an axis of translation and of yaw; `input` and `steady_gain` per unit of the command."""
 
 
+_AS_LIKELY, _FAR_LESS_LIKELY = 1.0, 5.0
+"""Differences of the log-likelihood: below the first nobody could tell, beyond the second nobody would doubt."""
+
+_MOST_OTHERS = 3
+
+
 def model_view(model: Model, axes: Sequence[str]) -> View:
     """Verdict, coefficients, how sure the search is, repairs of the flights, findings."""
     wanted = [axis for axis in AXES if axis in axes]
+    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+    for finding in concerned:
+        if finding.code == DAMAGED:
+            yield from finding_view(finding)
+            yield ""
     yield Text(summary_of_model(model, wanted))
     yield ""
     yield _coefficient_table(model, wanted)
@@ -52,7 +64,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     lag = "lag + " if any("lag" in axis.extra for axis in known.values()) else ""
     legend = f"; steady gain = input / damping; total lag = delay + {lag}1 / damping" if combined else ""
     yield indented(f"input is per command of 1{legend}", 0, "dim")
-    yield from bullets([line for axis, one in known.items() for line in _search_lines(axis, one)])
+    yield from bullets(_search_lines(known))
     if model.uncertainty:
         for heads, cells_of in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
             yield ""
@@ -72,11 +84,11 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         yield ""
         start, end = flight.span
         yield title(f"{flight.path}, {start:.2f} to {end:.2f} s, commands {', '.join(flight.axes) or 'nothing'}")
-        yield from bullets([note.text for note in flight.notes])
-    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+        yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # said first
     for finding in concerned:
-        yield ""
-        yield from finding_view(finding)
+        if finding.code != DAMAGED:
+            yield ""
+            yield from finding_view(finding)
 
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
@@ -166,20 +178,35 @@ def _structure_view(axis: str, known: Axis) -> View:
     yield indented("log L and BIC less the default's; errors of predictions of what was held out; * chosen", 0, "dim")
 
 
-def _search_lines(axis: str, known: Axis) -> Iterator[str]:
-    """How many starts of the search reached the chosen optimum, and what the others found."""
-    starts = sum(mode.starts for mode in known.modes)
-    for chosen in (mode for mode in known.modes if mode.chosen):
-        yield f"{axis}: {chosen.starts} of {starts} starts of the search reached this optimum{_off(axis, chosen)}"
-        for mode in (mode for mode in known.modes if not mode.chosen):
-            above = mode.log_likelihood - chosen.log_likelihood
-            stands = f"{abs(above):.0f} log units {'above' if above > 0 else 'below'}"
-            yield f"{axis}: {mode.starts} ended {stands}, at a delay of {mode.delay:.3f} s{_off(axis, mode)}"
+def _search_lines(known: Mapping[str, Axis]) -> Iterator[str]:
+    """Whether other delays explain the flights as well: a line for each axis where some do, one for the others.
+
+    How likely each is, how many starts ended there and what it predicts is in the report and with --json.
+    """
+    alone: list[str] = []
+    for axis, one in known.items():
+        chosen = next((mode for mode in one.modes if mode.chosen), None)
+        if chosen is None:
+            continue
+        others = sorted((mode for mode in one.modes if not mode.chosen), key=lambda mode: -mode.log_likelihood)
+        near = [said for mode in others if (said := _beside(chosen, mode))]
+        if near:
+            more = f" and {len(near) - _MOST_OTHERS} more" if len(near) > _MOST_OTHERS else ""
+            yield f"{axis}: other delays fit almost as well: {', '.join(near[:_MOST_OTHERS])}{more}"
+        else:
+            alone.append(axis)
+    if alone:
+        yield f"{', '.join(alone)}: no other delay was found that fits nearly as well"
 
 
-def _off(axis: str, mode: Mode) -> str:
-    """What predicts the training flights, where that was judged."""
-    if mode.prediction is None:
+def _beside(chosen: Mode, mode: Mode) -> str:
+    """What an optimum that was not chosen has for it, in words; nothing where it is far less likely."""
+    above = mode.log_likelihood - chosen.log_likelihood
+    if above < -_FAR_LESS_LIKELY:
         return ""
-    scale, unit = (180 / math.pi, "deg/s") if axis == "yaw" else (100.0, "cm/s")
-    return f", 1 s predictions there off by {three_digits(scale * mode.prediction)} {unit}"
+    same = f"{mode.delay:.3f}" == f"{chosen.delay:.3f}"
+    where = f"{mode.delay:.3f} s{f' with a damping of {mode.damping:.3g} 1/s' if same else ''}"
+    if above <= _AS_LIKELY:
+        return f"{where} ({'as' if above >= -_AS_LIKELY else 'less'} likely)"
+    worse = mode.prediction / chosen.prediction if mode.prediction and chosen.prediction else 1.0
+    return f"{where} (more likely, but predicts {f'{worse:.1f} times worse' if worse >= 1.05 else 'no better'})"

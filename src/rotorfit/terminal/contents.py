@@ -15,6 +15,9 @@ if TYPE_CHECKING:  # it brings numba, which what needs no flight can do without
 MANY_TABLES = 12
 """Tables beyond which only those that matter are listed."""
 
+OF_THE_FILE = ("damage", "reading")
+"""Notes that the list of tables has shown already."""
+
 LEAST_JITTER = 0.01
 """Jitter below which its figures say nothing [ms]."""
 
@@ -23,6 +26,8 @@ def survey_view(survey: "Survey") -> View:
     """What the flight is like, which cards fit, and what is in the log."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield title(f"{survey.path}: {survey.format}, {tables}")
+    if survey.damage:
+        yield from finding_view(survey.damage)
     if survey.recording:
         yield indented(", ".join(f"{key} {text}" for key, text in survey.recording.items()))
     yield from bullets(survey.notes)
@@ -37,8 +42,9 @@ def survey_view(survey: "Survey") -> View:
             yield indented(f"Proposed: {survey.why}")
         yield from _flight_view(survey.flight)
         for finding in survey.flight.findings:
-            yield ""
-            yield from finding_view(finding)
+            if finding != survey.damage:  # said first
+                yield ""
+                yield from finding_view(finding)
     yield ""
     yield from _tables_view(survey)
 
@@ -102,7 +108,7 @@ def _flight_view(flight: "FlightSurvey") -> View:
             f"({1e3 * drift.spread[0]:+.2g} to {1e3 * drift.spread[1]:+.2g} ms), drift {1e6 * drift.drift:.2g} us/s"
         )
     yield _excitation_table(flight.axes)
-    yield from bullets([note.text for note in flight.notes])
+    yield from bullets([note.text for note in flight.notes if note.code not in OF_THE_FILE])
 
 
 def _percent(share: float) -> str:

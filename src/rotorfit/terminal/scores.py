@@ -86,7 +86,8 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
     yield Text(
         "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "
         "at its end [cm, yaw deg]; fit: of 1 s velocity predictions; n: predictions. hold keeps the velocity of the "
-        "start, paper uses the paper's coefficients.",
+        "start, paper uses the paper's coefficients. heading predicted: x and y are predicted along the heading that "
+        "the model of yaw gives; measured: along the recorded one, for there is no model of yaw.",
         style="dim",
     )
 

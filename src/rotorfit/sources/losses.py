@@ -1,0 +1,75 @@
+"""Losses: holes in a bag, in bytes and in time."""
+
+from dataclasses import dataclass
+
+from rotorfit.sources.content import one_line
+
+_MOST = 100
+
+
+@dataclass
+class _Loss:
+    """A hole.
+
+    Attributes:
+        place: Where in the file.
+        size: Of the file.
+        count: Bytes that are lost.
+        why: What is wrong there.
+        since: When the message before was recorded [ns]; None where there was none.
+        gap: Time from there to the next message [s]; None where none was read since.
+    """
+
+    place: int
+    size: int
+    count: int
+    why: str
+    since: int | None
+    gap: float | None = None
+
+
+class Losses:
+    """Holes of a bag, taken down between the messages.
+
+    Attributes:
+        until: When the last message was recorded [ns]; None before the first one.
+    """
+
+    def __init__(self) -> None:
+        self.until: int | None = None
+        self._losses: list[_Loss] = []
+
+    def found(self, place: int, size: int, count: int, why: str) -> None:
+        """Takes down a hole between the messages seen so far and those that follow.
+
+        Args:
+            place: Of the damage in the file.
+            size: Of the file.
+            count: Bytes that are lost.
+            why: What is wrong there.
+        """
+        if self._losses and (self._losses[-1].gap is None or len(self._losses) == _MOST):
+            self._losses[-1].count += count  # one hole; or enough of them to tell
+        else:
+            self._losses.append(_Loss(place, size, count, why, self.until))
+
+    def seen(self, first: int, last: int) -> None:
+        """Takes down when messages were recorded [ns], and with it how long the hole before them is."""
+        if self._losses and self._losses[-1].gap is None:
+            since = self._losses[-1].since
+            self._losses[-1].gap = 0.0 if since is None else max(first - since, 0) / 1e9
+        self.until = last
+
+    def texts(self) -> list[str]:
+        """What is said of them, in one line: how much of the file and of the time is gone; nothing if it is whole."""
+        if not self._losses:
+            return []
+        first, count = self._losses[0], sum(loss.count for loss in self._losses)
+        gaps = [loss.gap for loss in self._losses if loss.gap]
+        where = "damaged" if len(self._losses) == 1 else f"damaged in {len(self._losses)} places, first"
+        said = [f"{where} at byte {first.place} of {first.size} ({first.why}): {count} bytes lost"]
+        if gaps:
+            said.append(f"{sum(gaps):.3g} s without a message")
+        if self._losses[-1].gap is None:
+            said.append("and what was recorded behind them")
+        return [one_line(", ".join(said))]
