@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from rotorfit.sources.content import one_line
 
-_MOST = 100
+_MOST, _MANY = 100, 5000  # holes told by themselves; holes at which reading ends
 
 
 @dataclass
@@ -38,6 +38,7 @@ class Losses:
     def __init__(self) -> None:
         self.until: int | None = None
         self._losses: list[_Loss] = []
+        self._holes = 0
 
     def found(self, place: int, size: int, count: int, why: str) -> None:
         """Takes down a hole between the messages seen so far and those that follow.
@@ -48,10 +49,16 @@ class Losses:
             count: Bytes that are lost.
             why: What is wrong there.
         """
+        self._holes += 1
         if self._losses and (self._losses[-1].gap is None or len(self._losses) == _MOST):
             self._losses[-1].count += count  # one hole; or enough of them to tell
         else:
             self._losses.append(_Loss(place, size, count, why, self.until))
+
+    @property
+    def many(self) -> bool:
+        """Whether there are more holes than any disk makes: it is not worth while to look behind them."""
+        return self._holes >= _MANY
 
     def seen(self, first: int, last: int) -> None:
         """Takes down when messages were recorded [ns], and with it how long the hole before them is."""
@@ -66,7 +73,11 @@ class Losses:
             return []
         first, count = self._losses[0], sum(loss.count for loss in self._losses)
         gaps = [loss.gap for loss in self._losses if loss.gap]
-        where = "damaged" if len(self._losses) == 1 else f"damaged in {len(self._losses)} places, first"
+        where = (
+            "damaged"
+            if len(self._losses) == 1
+            else f"damaged in {len(self._losses)}{' or more' * (len(self._losses) == _MOST)} places, first"
+        )
         said = [f"{where} at byte {first.place} of {first.size} ({first.why}): {count} bytes lost"]
         if gaps:
             said.append(f"{sum(gaps):.3g} s without a message")

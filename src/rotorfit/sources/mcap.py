@@ -188,6 +188,8 @@ def _settle(walk: _Walk, known: _Known, collector: Collector) -> None:
 
 def _behind(walk: _Walk, start: int, known: _Known, collector: Collector, in_chunk: bool = True) -> int | None:
     """Where records follow each other again; what the summary says of channels is known from then on."""
+    if collector.losses.many:
+        return None
     with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
         with suppress(DamageError):
             for kind, record in summary_channels(data):
@@ -218,7 +220,7 @@ def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> No
     place, left = chunk.start - PREFIX.size, chunk.length
 
     def resume(data: bytes, start: int) -> int | None:
-        return next_record(data, start, known.topics, collector.losses.until)
+        return None if collector.losses.many else next_record(data, start, known.topics, collector.losses.until)
 
     try:
         plain, claim = _plain(_data(walk.file, chunk.start, chunk.length))

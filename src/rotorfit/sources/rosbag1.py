@@ -130,7 +130,7 @@ def _walked(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> _Wal
         if walk.chunk and isinstance(error, TornError):
             walk.chunk.torn = place == walk.chunk.start + walk.chunk.length
         _settle(walk, topics, collector)
-        behind = _behind(walk, place + 1, topics)
+        behind = None if collector.losses.many else _behind(walk, place + 1, topics)
         collector.losses.found(place, walk.size, (behind or walk.size) - place, str(error))
         return None if behind is None else _Walk(walk.path, walk.file, walk.size, behind)
 
@@ -152,7 +152,7 @@ def _pass(walk: _Walk, header: Header, start: int, length: int, topics: dict[int
     elif kind == CHUNK:
         walk.chunk = _Chunk(header, walk.place, start, min(length, walk.size - start))
         if length > walk.size - start:
-            behind = _behind(walk, start, topics, in_chunk=False)
+            behind = None if collector.losses.many else _behind(walk, start, topics, in_chunk=False)
             walk.place = walk.size if behind is None else behind
             walk.chunk.length = walk.place - start
             raise DamageError("the chunk before it is cut short")
@@ -207,7 +207,7 @@ def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Colle
     left = chunk.length
 
     def resume(data: bytes, start: int) -> int | None:
-        return next_record(data, start, topics)
+        return None if collector.losses.many else next_record(data, start, topics)
 
     try:
         claim = number_of(chunk.header, b"size", U32)
