@@ -160,6 +160,21 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
 
     page.reload()
     expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead")
+    page.get_by_label("For", exact=True).select_option("gazebo")
+    page.get_by_role("button", name="Export").click()
+    expect(page.locator("#notices .error")).to_contain_text("z and yaw are left out")
+    step(page, "Compare")
+    expect(page.locator("#notices .error")).to_have_count(0)
+    page.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.locator("#compare .pair summary").first).to_contain_text("fit 1 against", timeout=WORK)
+    expect(page.locator("#compare .pair").first).to_contain_text("cm/s")
+    page.set_viewport_size({"width": 390, "height": 844})
+    expect(page.locator("#compare .hint").first).to_be_visible()
+    for name in ("Logs", "Card", "Ranges", "Fit", "Compare"):
+        step(page, name)
+        expect(page.locator(f"#{name.lower()} h1")).to_be_visible()
+        expect(page.locator("#steps .words").filter(has_text=name)).to_be_in_viewport(ratio=1)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390, name
     step(page, "Ranges")
     expect(page.locator("#ranges article").first.get_by_label("From in seconds")).to_have_value("1")
     assert page.complaints == []  # type: ignore[attr-defined]
@@ -170,7 +185,7 @@ def test_a_bad_file_and_a_wicked_name_do_no_harm(context: BrowserContext, addres
     wicked = '<img src=x onerror="alert(1)">.bag'
 
     drop(page, "holiday.jpg", b"\xff\xd8\xff\xe0 no log at all")
-    expect(page.locator("#logs .refused")).to_contain_text("holiday.jpg was not added. holiday.jpg: of no known format")
+    expect(page.locator("#logs .refused")).to_contain_text("holiday.jpg was not added: of no known format")
     drop(page, wicked, bag(1))
     expect(page.locator("#logs .cards .title")).to_have_text(wicked)
     expect(page.locator("#log-detail h2").first).to_have_text(wicked)

@@ -5,6 +5,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,15 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from models import model_of
 from rotorfit.card_file import card_from_mapping
 from rotorfit.derivative import local_polynomial
 from rotorfit.errors import RotorfitError
 from rotorfit.exports import FORMATS, export
 from rotorfit.flight import flight_from_log
-from rotorfit.frames import heading_from_world
+from rotorfit.frames import AXES, heading_from_world
 from rotorfit.log_span import LogSpan
-from rotorfit.model_file import load
+from rotorfit.model_file import load, save
 from rotorfit.pipeline import fit_logs
 from rotorfit.sources import read
 from rotorfit.studio.card_lines import card_from_text
@@ -292,7 +294,24 @@ def test_every_export_is_the_one_of_the_library(fitted: tuple[Studio, TestClient
     with pytest.raises(RotorfitError) as refusal:
         export(path, name, name="model_1")
     assert answer.status_code == 422
-    assert answer.json()["error"] == " ".join(str(refusal.value).split())
+    said = " ".join(str(refusal.value).split()).replace("--predictor", "'also axes that the data cannot tell'")
+    assert answer.json()["error"] == said
+
+
+def test_an_export_is_refused_in_the_words_of_the_page(page: TestClient, studio: Studio) -> None:
+    model = model_of(dict.fromkeys(AXES, (3.7, 2.0, 0.1)))
+    fit = studio.workspace.begin_fit({"kind": "fit"}, ())
+    hidden = replace(model.axes["z"], delay=None, status={**model.axes["z"].status, "delay": "not_identifiable"})
+    save(replace(model, axes={**model.axes, "z": hidden}), studio.workspace.fit_folder(fit) / "model.json")
+    studio.workspace.end_fit(fit.id, "done", "")
+    untold = page.get("/api/constants").json()["untold"]
+
+    refusal = page.get("/api/fits/1/exports/gazebo")
+
+    assert refusal.status_code == 422
+    assert f"try '{untold}'" in refusal.json()["error"]
+    assert "--" not in refusal.json()["error"]
+    assert page.get("/api/fits/1/exports/gazebo?predictor").status_code == 200
 
 
 @pytest.mark.parametrize("name", ["no-such", "..%2fmodel.json", "numpy.py.j2"])
@@ -310,7 +329,9 @@ def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studi
     at_one = next(row for row in found["rows"] if row["axis"] == "x" and row["horizon"] == 1.0)
     assert at_one["velocity"][0] < at_one["velocity"][1] < at_one["velocity"][3]
     assert at_one["path"] == "proof.bag"
-    assert {(one["first"], one["second"]) for one in found["paired"]} >= {("fit 2", "fit 1"), ("fit 1", "hold")}
+    pairs = {(one["first"], one["second"]) for one in found["paired"]}
+    assert pairs == {("fit 2", "fit 1"), ("fit 1", "hold"), ("fit 1", "paper"), ("fit 2", "hold")}
+    assert found["notes"][0].startswith("fit 2 against paper is left out: both are the same regression")
 
 
 def test_the_session_survives_the_studio(fitted: tuple[Studio, TestClient], tmp_path: Path) -> None:

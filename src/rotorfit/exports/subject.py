@@ -157,12 +157,12 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
         elif unknown and predictor:
             notes.append(
                 f"{name} is exported by the point that predicts best, as was asked: the data cannot tell "
-                f"{_listed(unknown)}, so single coefficients may be far off."
+                f"{listed(unknown)}, so single coefficients may be far off."
             )
         elif unknown:
             hidden = True
             axes[name] = replace(axis, predictor=None)
-            notes.append(f"{name} is left out and keeps its velocity: the data cannot tell {_listed(unknown)}.")
+            notes.append(f"{name} is left out and keeps its velocity: the data cannot tell {listed(unknown)}.")
     for one, other in (("x", "y"), ("y", "x")):
         if axes[one].predictor and not axes[other].predictor and structure_named(axes[one].structure).kicks >= 2:
             axes[one] = replace(axes[one], predictor=None)
@@ -173,7 +173,8 @@ def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
     return replace(model, axes=axes), notes
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Names as in a sentence: `x`, `x and y`, `x, y and z`."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from rotorfit.errors import ExportError
 from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
 from rotorfit.exports.formats import Format
-from rotorfit.exports.subject import Command, Subject
+from rotorfit.exports.subject import Command, Subject, listed
 from rotorfit.frames import AXES
 from rotorfit.model import Model, state_space
 from rotorfit.structure import FIRST_ORDER_DELAY
@@ -71,9 +71,11 @@ def check(subject: Subject, to: str, form: Format) -> None:
         )
     unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
     if to == "gazebo" and unsteady:
+        verbs, them = ("is left out or has", "it") if len(unsteady) == 1 else ("are left out or have", "them")
+        hidden = any(subject.original.axes[axis].predictor and axis not in subject.axes for axis in unsteady)
         raise ExportError(
-            f"gazebo holds a velocity on all four axes, and {', '.join(unsteady)} is left out or has no positive "
-            "damping; fit a flight that moves it, try --predictor, or export to another format"
+            f"gazebo holds a velocity on all four axes, and {listed(unsteady)} {verbs} no positive damping; fit a "
+            f"flight that moves {them}, {'try --predictor, ' if hidden else ''}or export to another format"
         )
 
 

@@ -79,8 +79,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
             "or rebuild the metadata with `ros2 bag reindex`"
         )
     raise LogError(
-        f"{path}: of no known format ({', '.join(FORMATS)}); a CSV needs a header row of names, "
-        "then rows of numbers between commas, semicolons or tabs"
+        f"{path}: of no known format; `rotorfit formats` lists what can be read, and a CSV needs a header row of names"
     )
 
 

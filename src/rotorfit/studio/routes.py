@@ -17,7 +17,7 @@ from starlette.routing import Route
 from rotorfit.answers import answers_of
 from rotorfit.doctor import findings_of_flight
 from rotorfit.draft import draft_card
-from rotorfit.errors import LogError, RotorfitError
+from rotorfit.errors import ExportError, LogError, RotorfitError
 from rotorfit.exports import FORMATS, export
 from rotorfit.frames import AXES
 from rotorfit.studio.asking import edits_from, fit_request, ranges_from, window_from
@@ -25,7 +25,7 @@ from rotorfit.studio.gate import SANDBOX, Gate, cookie_name, refused
 from rotorfit.studio.runner import BusyError, Runner
 from rotorfit.studio.shelf import Shelf
 from rotorfit.studio.windowed import Series, packed, window_of
-from rotorfit.studio.wire import constants_mapping, flight_mapping, log_mapping, session_mapping
+from rotorfit.studio.wire import UNTOLD, constants_mapping, flight_mapping, log_mapping, session_mapping
 from rotorfit.studio.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 
 LARGEST_REQUEST = 1 << 20
@@ -225,7 +225,10 @@ class Studio:
         if fit.status != "done" or not path.is_file():
             return refused(404, "there is no such result")
         name = f"model_{fit.id}"
-        made = export(path, wanted, name=name)
+        try:
+            made = export(path, wanted, name=name, predictor="predictor" in request.query_params)
+        except ExportError as error:
+            raise ExportError(_said_by_the_page(str(error))) from None
         kept = {"content-disposition": f'attachment; filename="{name}{FORMATS[wanted].suffix}"'}
         return Response(made.text, media_type="text/plain; charset=utf-8", headers=kept)
 
@@ -239,6 +242,11 @@ class Studio:
         if not self.workspace.session.card:
             raise WorkspaceError("there is no card yet")
         return self.workspace.session.card
+
+
+def _said_by_the_page(refusal: str) -> str:
+    """A refusal of an export with the page's name for what is an option on the command line."""
+    return refusal.replace("--predictor", f"'{UNTOLD}'").replace("export --to ", "export to ")
 
 
 def _static(request: Request) -> Response:

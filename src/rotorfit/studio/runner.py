@@ -84,9 +84,11 @@ class Runner:
         code = process.wait()
         process.stdin.close()
         status, text = self._outcome(fit, code, said)
-        with self._lock:
-            self._running = self._process = None
-        self._workspace.end_fit(fit.id, status, text)
+        with self._lock:  # both at once: a fit that nobody runs must not be called running
+            try:
+                self._workspace.end_fit(fit.id, status, text)
+            finally:
+                self._running = self._process = None
 
     def _outcome(self, fit: FitEntry, code: int, said: dict[str, Any]) -> tuple[Status, str]:
         if self._cancelled:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit import __version__
+from rotorfit.card import Card
 from rotorfit.clock import rate, stamps_of
 from rotorfit.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.errors import CardError
@@ -22,6 +23,7 @@ from rotorfit.pipeline import Comparison
 from rotorfit.report.coefficient_table import coefficient_table
 from rotorfit.report.rows import pooled_rows, residual_rows, score_rows
 from rotorfit.report.verdict import verdict_of
+from rotorfit.settings import meaning_of
 from rotorfit.studio.card_lines import QUANTITIES, card_from_text, parsed
 from rotorfit.studio.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
 from rotorfit.summary import summary_of_model
@@ -31,6 +33,9 @@ from rotorfit.views import Chart, FlightView, flight_view
 
 MOST_POINTS = 6000
 """Points of a line of a result: what stands in a file; the report holds more."""
+
+UNTOLD = "also axes that the data cannot tell"
+"""The page's words for `--predictor` of an export."""
 
 
 def session_mapping(session: Session, running: Running | None) -> dict[str, Any]:
@@ -59,6 +64,7 @@ def constants_mapping() -> dict[str, Any]:
         "cards": {name: card.name for name, card in builtin_cards().items()},
         "structures": ["auto", *STRUCTURES],
         "exports": {name: form.text for name, form in FORMATS.items()},
+        "untold": UNTOLD,
         "methods": ["ml", "robust", "paper", "svf", "weak", "iv", "oe"],
         "largest_log": LARGEST_LOG,
         "most_logs": MOST_LOGS,
@@ -118,12 +124,22 @@ def flight_mapping(flight: Flight) -> dict[str, Any]:
         "span": flight.span,
         "duration": flight.duration,
         "axes": flight.axes,
+        "commands_in": {axis: command_unit(flight.card, axis) for axis in flight.axes},
         "poses": int(flight.pose_time.size),
         "commands": int(flight.command_time.size),
         "segments": [(part.start, part.end) for part in flight.segments],
         "notes": [note.text for note in flight.notes],
         "excitation": [asdict(one) for one in excitation(flight)],
     }
+
+
+def command_unit(card: Card, axis: str) -> str:
+    """What a command of an axis is counted in, for people."""
+    meaning = meaning_of(card, axis)
+    if meaning.limit:
+        return f"share of the {meaning.limit.replace('_', ' ')} limit"
+    units = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+    return units[meaning.asked] if meaning.asked else "as sent"
 
 
 def result_mapping(
@@ -196,7 +212,9 @@ def _numbers(values: Array) -> str:
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
 
 
-def compared_mapping(comparison: Comparison, fits: Sequence[str], whole: Mapping[str, Any]) -> dict[str, Any]:
+def compared_mapping(
+    comparison: Comparison, fits: Sequence[str], models: Sequence[Model], whole: Mapping[str, Any]
+) -> dict[str, Any]:
     """Errors of several models and of the baselines, flight by flight, and whether the differences are real."""
     columns = {
         **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
@@ -225,7 +243,24 @@ def compared_mapping(comparison: Comparison, fits: Sequence[str], whole: Mapping
         {**test, "first": named[test["first"]], "second": named.get(test["second"], test["second"])}
         for test in whole["paired"]
     ]
-    return {"columns": list(columns), "rows": rows, "paired": paired, "notes": whole["notes"]}
+    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model, models[0])]
+    told = [
+        f"{name} against paper is left out: both are the same regression with the same coefficients, and differ only "
+        "in the filter that starts a prediction and in the disturbance that it carries on."
+        for name in alike
+    ]
+    return {
+        "columns": list(columns),
+        "rows": rows,
+        "paired": [test for test in paired if test["second"] != "paper" or test["first"] not in alike],
+        "notes": [*whole["notes"], *told],
+    }
+
+
+def _is_the_baseline(model: Model, first: Model) -> bool:
+    """Whether a model has the coefficients of the baseline `paper`, which is made of the first model's flights."""
+    pairs = zip(model.paper, first.paper, strict=True)
+    return model.method == "paper" and all(a == b for a, b in pairs if a is not None and b is not None)
 
 
 def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:

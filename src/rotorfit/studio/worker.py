@@ -86,11 +86,10 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
 
 def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     paths = [f"fits/{fit}/model.json" for fit in request["models"]]
-    for path in paths:
-        load(path)
+    models = [load(path) for path in paths]
     spans = [f"{path}@{'' if a is None else a}:{'' if b is None else b}" for path, a, b in request["validate"]]
     comparison = compare_logs([*paths, *spans], progress=progress)
-    result = compared_mapping(comparison, request["models"], comparison_mapping(comparison))
+    result = compared_mapping(comparison, request["models"], models, comparison_mapping(comparison))
     _write_result(folder, result)
     return f"{len(paths)} models on {len(spans)} stretches"
 

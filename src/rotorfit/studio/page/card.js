@@ -84,7 +84,7 @@ export function cardPanel(place, studio) {
     const label = h("div", {className: "quantity"}, labelled(words, column));
     if (listed || parts.from === undefined || key === "quaternion") return h("div", {className: "row"}, label);
     const scale = typeof parts.scale === "number" ? parts.scale : 1;
-    const sign = h("button", {type: "button", className: `sign ${scale < 0 ? "turned" : ""}`, "aria-pressed": String(scale < 0), "aria-label": `Turn the sign of ${words}`, title: "Turn the sign", onclick: () => set({scale: -scale})}, scale < 0 ? "−" : "+");
+    const sign = h("button", {type: "button", className: `sign ${scale < 0 ? "turned" : ""}`, "aria-pressed": String(scale < 0), "aria-label": `Turn the sign of ${words}`, title: "Turn the sign", onclick: () => set({scale: -scale})}, scale < 0 ? "− turned" : "+ as logged");
     const factor = figure(scale === 1 ? undefined : scale, "1", value => set({scale: value ?? 1}));
     factor.setAttribute("aria-label", `Factor of ${words}`);
     const unit = choice(["", ...units], parts.unit || "", value => set({unit: value}), value => value || (key === "time" ? "auto" : section === "command" ? "no unit" : units[0]));
@@ -160,7 +160,7 @@ export function cardPanel(place, studio) {
         path: `/api/logs/${one.id}/motion?axis=${axis}`, together, height: 150, label: `Command and velocity ${axis}`,
         lines: LINES, legend: false,
       }));
-      return h("figure", {}, h("figcaption", {}, h("span", {className: "told", "data-axis": axis}), h("strong", {}, axis), h("span", {className: "muted"}, ` [${axis === "yaw" ? "rad/s" : "m/s"}]`)), canvas);
+      return h("figure", {}, h("figcaption", {}, h("span", {}, h("strong", {}, axis), h("span", {className: "muted"}, ` velocity [${axis === "yaw" ? "rad/s" : "m/s"}], left; command [${found.commands_in[axis]}], right`)), " ", h("span", {className: "told", "data-axis": axis})), canvas);
     });
     fill(flight, h("div", {className: "bar"}, together.tools(), legendOf(LINES)), h("div", {className: "motions"}, figures),
       found.notes.length ? h("details", {}, h("summary", {}, `${found.notes.length} repairs`), h("ul", {}, found.notes.map(note => h("li", {}, note)))) : null);

@@ -1,10 +1,12 @@
 // Step 5: several models on the stretches for validation, side by side, and whether the differences are real.
 
 import {get} from "./api.js";
-import {fill, h, labelled, options} from "./dom.js";
+import {fill, h, labelled, options, wide} from "./dom.js";
 import {title} from "./fit.js";
 
 const HORIZONS = [["0.5", "0.5 s"], ["1", "1 s"], ["2", "2 s"], ["5", "5 s"]];
+
+const shownAs = axis => axis === "yaw" ? {factor: 180 / Math.PI, unit: "deg/s"} : {factor: 100, unit: "cm/s"};
 
 export function comparePanel(place, studio) {
   const boxes = h("fieldset", {className: "models"}), start = h("button", {type: "button", className: "primary", onclick: () => begin()}, "Compare");
@@ -12,37 +14,52 @@ export function comparePanel(place, studio) {
   fill(place, h("h1", {id: "compare-title"}, "Compare"), h("p", {className: "lead"}, "Models side by side, on the stretches that are marked for validation."),
     h("div", {className: "panel"}, boxes, progress, h("div", {className: "bar"}, start, lack)), result);
   let drawn = null, shown = null, found = null;
-  const chosen = new Set();
+  const chosen = new Set(), open = new Map();
 
   function begin() { studio.change("POST", "/api/fits", {compare: [...boxes.querySelectorAll("input:checked")].map(one => one.value)}); }
 
   function table() {
     if (!found) { fill(result); return; }
-    const rows = found.rows.filter(row => row.horizon === Number(horizon.value));
+    const rows = found.rows.filter(row => row.horizon === Number(horizon.value)), stretches = [...new Set(rows.map(stretch))];
     const cells = (row, what) => {
-      const best = Math.min(...row[what].filter(one => one !== null)), factor = row.axis === "yaw" ? 180 / Math.PI : 100;
-      return row[what].map((one, i) => h("td", {className: `number ${one === best ? "strong" : ""}`}, one === null ? "–" : (factor * one).toPrecision(3), row.fitted[i] ? h("abbr", {title: "fitted to part of this stretch: proves nothing"}, " *") : null));
+      const best = Math.min(...row[what].filter(one => one !== null));
+      return row[what].map((one, i) => h("td", {className: `number ${one === best ? "strong" : ""}`}, one === null ? "–" : (shownAs(row.axis).factor * one).toPrecision(3), row.fitted[i] ? h("abbr", {title: "fitted to part of this stretch: proves nothing"}, " *") : null));
     };
-    const heads = what => found.columns.map(name => h("th", {className: "number", title: what}, name));
+    const heads = what => found.columns.map(name => h("th", {className: "number", title: what}, name)), across = 2 * found.columns.length + 2;
     fill(result, h("article", {className: "panel"}, h("div", {className: "bar"}, h("h2", {}, title(shown)), labelled("Ahead", horizon, "field inline")),
-      h("div", {className: "scroll"}, h("table", {}, h("thead", {},
-        h("tr", {}, h("th", {colSpan: 2}), h("th", {colSpan: found.columns.length}, "Velocity RMSE [cm/s, yaw deg/s]"), h("th", {colSpan: found.columns.length}, "Position RMSE [cm, yaw deg]"), h("th", {})),
-        h("tr", {}, h("th", {}, "Stretch"), h("th", {}, "Axis"), heads("velocity"), heads("position"), h("th", {className: "number"}, "n"))),
-      h("tbody", {}, rows.map((row, i) => h("tr", {}, h("td", {}, i && stretch(rows[i - 1]) === stretch(row) ? "" : stretch(row)), h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n))))))),
+      wide(h("table", {}, h("thead", {},
+        h("tr", {}, h("th", {}), h("th", {colSpan: found.columns.length}, "Velocity RMSE [cm/s, yaw deg/s]"), h("th", {colSpan: found.columns.length}, "Position RMSE [cm, yaw deg]"), h("th", {})),
+        h("tr", {}, h("th", {}, "Axis"), heads("velocity"), heads("position"), h("th", {className: "number"}, "n"))),
+      stretches.map(one => h("tbody", {}, h("tr", {}, h("th", {colSpan: across}, h("span", {className: "stays"}, one))),
+        rows.filter(row => stretch(row) === one).map(row => h("tr", {}, h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n)))))))),
       h("p", {className: "muted"}, "Bold: the smallest. hold keeps the velocity of the start; paper uses the paper's coefficients. * fitted to part of this stretch."),
       paired(), found.notes.map(note => h("p", {className: "muted"}, note))));
   }
 
-  function paired() {
-    const lines = found.paired.flatMap(test => Object.entries(test.axes).flatMap(([axis, horizons]) => {
-      const one = horizons[horizon.value] && horizons[horizon.value].velocity.pooled, factor = axis === "yaw" ? 180 / Math.PI : 100;
+  function paired() { // a fold for each pair: its verdicts stand on it, the figures in it, those of other horizons one fold deeper
+    const folds = found.paired.map(test => ({test, name: `${test.first} against ${test.second}`, now: differences(test, horizon.value)})).filter(one => one.now.length);
+    if (!folds.length) return null;
+    return [h("h3", {}, "Is the difference real?"),
+      h("p", {className: "muted"}, `Velocity RMSE of the first less that of the second, ± one standard error, ${horizon.value} s ahead; the verdict is at 95 %.`),
+      folds.map(({test, name, now}, i) => {
+        const others = HORIZONS.filter(([value]) => value !== horizon.value).flatMap(([value, words]) => differences(test, value).map(one => ({...one, words})));
+        return h("details", {className: "pair", open: open.get(name) ?? i === 0, ontoggle: event => { if (event.target === event.currentTarget) open.set(name, event.target.open); }},
+          h("summary", {}, h("strong", {}, name), ": ", now.map(one => `${one.axis} ${one.verdict}`).join(", ")),
+          figures(["Axis", "Difference", "Verdict"], now.map(one => [one.axis, one.size, one.verdict])),
+          others.length ? h("details", {}, h("summary", {}, "Other horizons"), figures(["Ahead", "Axis", "Difference", "Verdict"], others.map(one => [one.words, one.axis, one.size, one.verdict]))) : null);
+      })];
+  }
+
+  function differences(test, ahead) {
+    return Object.entries(test.axes).flatMap(([axis, horizons]) => {
+      const one = horizons[ahead]?.velocity.pooled, {factor, unit} = shownAs(axis);
       if (!one) return [];
       const error = one.rmse_stderr === null ? "" : ` ± ${(factor * one.rmse_stderr).toPrecision(2)}`;
-      return [h("tr", {}, h("td", {}, `${test.first} against ${test.second}`), h("td", {}, axis), h("td", {className: "number"}, `${(factor * one.rmse).toPrecision(3)}${error}`), h("td", {}, one.verdict.replaceAll("_", " ")))];
-    }));
-    if (!lines.length) return null;
-    return [h("h3", {}, "Is the difference real?"), h("div", {className: "scroll"}, h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Models"), h("th", {}, "Axis"), h("th", {className: "number"}, "Difference of the velocity RMSE"), h("th", {}, "Verdict at 95 %"))), h("tbody", {}, lines)))];
+      return [{axis, size: `${(factor * one.rmse).toPrecision(3)}${error} ${unit}`, verdict: one.verdict.replaceAll("_", " ")}];
+    });
   }
+
+  const figures = (heads, rows) => wide(h("table", {}, h("thead", {}, h("tr", {}, heads.map(one => h("th", {}, one)))), h("tbody", {}, rows.map(row => h("tr", {}, row.map(one => h("td", {}, one)))))));
 
   const stretch = row => `${row.path}, ${row.span.map(one => one.toFixed(1)).join(" to ")} s`;
 

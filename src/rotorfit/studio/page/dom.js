@@ -31,12 +31,22 @@ export function labelled(words, control, className = "field") {
 export function notice(kind, text, action = null) {
   const place = document.getElementById("notices");
   for (const old of [...place.children]) if (old.dataset.text === text) old.remove();
-  const element = h("div", {className: `notice ${kind}`, "data-text": text}, h("p", {}, text));
+  const element = h("div", {className: `notice ${kind}${action ? " offer" : ""}`, "data-text": text}, h("p", {}, text));
   if (action) element.append(h("button", {type: "button", onclick: () => { element.remove(); action.run(); }}, action.words));
   element.append(h("button", {type: "button", className: "close", "aria-label": "Dismiss", onclick: () => element.remove()}, "×"));
   place.append(element);
   if (kind === "info") setTimeout(() => element.remove(), 6000);
   return element;
+}
+
+export function cleared() { // what was said on another page; not what offers to put text back, nor that the studio is silent
+  for (const old of document.querySelectorAll("#notices > .notice:not(.lost, .offer)")) old.remove();
+}
+
+export function wide(table) { // a table that goes on beside the screen says so
+  const hint = h("p", {className: "hint", hidden: true}, "Scroll the table sideways for the rest →"), place = h("div", {className: "scroll"}, table);
+  new ResizeObserver(() => { hint.hidden = place.scrollWidth <= place.clientWidth + 1; }).observe(place);
+  return h("div", {}, hint, place);
 }
 
 export function later(milliseconds, run) { // the last call wins

@@ -64,7 +64,7 @@ export function fitPanel(place, studio) {
     fill(result, h("p", {className: "muted"}, "Reading the result …"));
     try {
       const found = await get(`/api/fits/${fit.id}/result.json`);
-      if (shown === fit.id) fill(result, resultView(fit, found, constants.exports));
+      if (shown === fit.id) fill(result, resultView(fit, found, constants));
     } catch (error) { fill(result, h("p", {className: "notice error"}, error.message)); }
   }
 

@@ -43,7 +43,7 @@ export function logsPanel(place, studio) {
 
   function refuse(item, name, line) {
     item.className = "refused";
-    fill(item, h("p", {}, h("strong", {}, `${name} was not added. `), line),
+    fill(item, h("p", {}, h("strong", {}, `${name} was not added: `), line.startsWith(`${name}: `) ? line.slice(name.length + 2) : line),
       h("button", {type: "button", className: "close", "aria-label": "Dismiss", onclick: () => item.remove()}, "×"));
   }
 

@@ -3,7 +3,7 @@
 import {get, Refusal, send} from "./api.js";
 import {cardPanel} from "./card.js";
 import {comparePanel} from "./compare.js";
-import {fill, h, notice} from "./dom.js";
+import {cleared, fill, h, notice} from "./dom.js";
 import {fitPanel} from "./fit.js";
 import {logsPanel} from "./logs.js";
 import {rangesPanel} from "./ranges.js";
@@ -111,7 +111,7 @@ async function watch() {
   setTimeout(watch, document.hidden ? 4000 : studio.session?.running ? 400 : 1000);
 }
 
-addEventListener("hashchange", () => { studio.draw(); document.getElementById("main").scrollIntoView({block: "start"}); });
+addEventListener("hashchange", () => { cleared(); studio.draw(); document.getElementById("main").scrollIntoView({block: "start"}); });
 
 studio.constants = await get("/api/constants").catch(error => { notice("error", error.message); throw error; });
 panels.logs = logsPanel(document.getElementById("logs"), studio);

@@ -1,14 +1,14 @@
 // What came of a fit: verdict, coefficients, proof, findings, and the files to keep.
 
 import {file} from "./api.js";
-import {fill, findingList, h, labelled, notice, options} from "./dom.js";
+import {fill, findingList, h, labelled, notice, options, wide} from "./dom.js";
 import {DrawnChart, legendOf} from "./plot.js";
 
 const SCORES = ["Flight", "Axis", "Ahead", "Velocity: model", "paper", "hold", "Position: model", "paper", "hold", "n"];
 const RESIDUALS = ["Flight", "Axis", "Whiteness", "Statistic, lags", "Past commands", "Variance", "Optimism"];
 const OPEN = 2; // flights that are unfolded from the start
 
-export function resultView(fit, found, formats) {
+export function resultView(fit, found, {exports, untold}) {
   const place = name => `/api/fits/${fit.id}/${name}`;
   const validation = found.flights.filter(one => one.role === "validation"), training = found.flights.filter(one => one.role === "training");
   return [
@@ -26,7 +26,7 @@ export function resultView(fit, found, formats) {
         h("a", {className: "button primary", href: place("report.html"), target: "_blank", rel: "noopener"}, "Open the report"),
         h("a", {className: "button", href: `${place("model.json")}?download`, download: `model-${fit.id}.json`}, "Download model"),
         h("a", {className: "button", href: `${place("report.html")}?download`, download: `report-${fit.id}.html`}, "Download report"),
-        validation.length ? h("a", {className: "button", href: `${place("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null, exporter(fit, formats))),
+        validation.length ? h("a", {className: "button", href: `${place("validation.json")}?download`, download: `validation-${fit.id}.json`}, "Download scores") : null, exporter(fit, exports, untold))),
     h("article", {className: "panel"}, h("h2", {}, "Coefficients"), coefficients(found.coefficients)),
     validation.length ? h("article", {className: "panel"}, h("h2", {}, "Predicted and measured, on flights that were not fitted"),
       h("p", {className: "muted"}, validation[0].charts.length ? validation[0].charts[0].reading : ""), validation.map((one, i) => i < OPEN ? flight(one, `${fit.id}-v${i}`)
@@ -41,17 +41,20 @@ export function resultView(fit, found, formats) {
   ];
 }
 
-function exporter(fit, formats) { // a refusal is one line, so it is asked for by script and not by a link
+function exporter(fit, formats, untold) { // a refusal is one line, so it is asked for by script and not by a link
   const select = options(h("select", {}), Object.entries(formats).map(([name, words]) => [name, `${name}: ${words}`]), "numpy");
+  const also = h("input", {type: "checkbox", id: `untold-${fit.id}`});
+  let told = null;
   const save = async () => {
+    told?.remove();
     try {
-      const {blob, name} = await file(`/api/fits/${fit.id}/exports/${encodeURIComponent(select.value)}`);
+      const {blob, name} = await file(`/api/fits/${fit.id}/exports/${encodeURIComponent(select.value)}${also.checked ? "?predictor" : ""}`);
       const link = h("a", {href: URL.createObjectURL(blob), download: name});
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    } catch (error) { notice("error", error.message); }
+    } catch (error) { told = notice("error", error.message); }
   };
-  return h("div", {className: "bar export"}, labelled("For", select, "field inline"), h("button", {type: "button", onclick: save}, "Export"));
+  return h("div", {className: "bar export"}, labelled("For", select, "field inline"), h("label", {className: "check", for: also.id, title: "by the point that predicts best; its single coefficients may be far off"}, also, untold), h("button", {type: "button", onclick: save}, "Export"));
 }
 
 function lazily(make) { // charts have no width before they are shown
@@ -63,7 +66,7 @@ function lazily(make) { // charts have no width before they are shown
 }
 
 function coefficients(axes) {
-  return h("div", {className: "scroll"}, h("table", {className: "coefficients"},
+  return wide(h("table", {className: "coefficients"},
     h("thead", {}, h("tr", {}, ["Axis", "Coefficient", "Estimate", "95 % interval", "◇ paper", "Unit", "Status", "Paper"].map((head, i) => h("th", {className: [2, 7].includes(i) ? "number" : ""}, head)))),
     axes.map(({axis, rows}) => h("tbody", {}, rows.map((row, i) => h("tr", {className: row.kind},
       h("th", {}, i ? "" : axis), h("td", {}, row.term), h("td", {className: "number strong"}, row.value), h("td", {}, row.interval), h("td", {className: "bar-cell"}, interval(row.bar)),
@@ -105,6 +108,6 @@ function scores(found) {
 }
 
 export function grid(heads, rows, left) {
-  return h("div", {className: "scroll"}, h("table", {}, h("thead", {}, h("tr", {}, heads.map((head, i) => h("th", {className: i >= left ? "number" : ""}, head)))),
+  return wide(h("table", {}, h("thead", {}, h("tr", {}, heads.map((head, i) => h("th", {className: i >= left ? "number" : ""}, head)))),
     h("tbody", {}, rows.map(row => h("tr", {}, row.map((cell, i) => h("td", {className: i >= left ? "number" : ""}, cell)))))));
 }
