@@ -22,6 +22,7 @@ from rotorfit.finding import Finding
 from rotorfit.flight import Flight, Note
 from rotorfit.forecast import CURVE
 from rotorfit.frames import AXES
+from rotorfit.held import without_held
 from rotorfit.model import Axis, Model, unknown_axis
 from rotorfit.model_file import save
 from rotorfit.next_flight import wanted_errors, worst_group
@@ -119,7 +120,9 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
     text = Page(html).text
 
     assert "Can I use this model for a controller that looks 1 s ahead (MPC)?" in text
-    assert re.search(r"1 s ahead: off by [\d.]+ cm/s and [\d.]+ cm, [\d.]+ times better than holding", text)
+    assert re.search(
+        r"Over the first second: off by [\d.]+ cm/s, and [\d.]+ cm at the end, [\d.]+ times better than holding", text
+    )
     assert "3.698" in text
     assert "3.658 to 3.738" in text
     assert "m/s² per full tilt" in text
@@ -461,8 +464,8 @@ def test_the_model_as_a_whole_is_as_good_as_its_weakest_axis() -> None:
     verdict = verdict_of(known_model(), scores, against_hold(), tests)
     assert verdict.headline == "Yes, for every axis."
     assert verdict.whole == (
-        "As a whole: yes. The predictions are proven up to 5 s; 1 s ahead the weakest axis is z, off by 9.0 cm/s and "
-        "9.0 cm, 2.2 times better than holding the velocity."
+        "As a whole: yes. The predictions are proven up to 5 s; over the first second the weakest axis is z, off by "
+        "9.0 cm/s, and 9.0 cm at the end, 2.2 times better than holding the velocity."
     )
     assert [use.axis for use in verdict.weakest] == ["z"] * 4
 
@@ -474,6 +477,80 @@ def test_a_doubt_about_one_axis_is_named_for_the_whole() -> None:
     verdict = verdict_of(known_model(), scores, against_hold(), tests)
     assert verdict.headline == "Yes for x and z; with care for y and yaw."
     assert verdict.whole.startswith("As a whole: with care, because of the residuals of y and yaw.")
+
+
+@pytest.mark.parametrize(
+    ("severity", "colour", "word"),
+    [("info", "green", "known"), ("warning", "yellow", "known, with a warning"), ("error", "red", "unusable")],
+)
+@pytest.mark.parametrize("code", ["residuals_not_white", "weak_excitation"])
+def test_coefficients_are_green_only_where_no_finding_warns_of_them(
+    code: str, severity: str, colour: str, word: str
+) -> None:
+    light = light_of(0.05, (Finding(code, severity, "why", "intervals of x are optimistic", "widen them", "x"),))  # type: ignore[arg-type]
+
+    assert (light.lamps[1].colour, light.lamps[1].word) == (colour, word)
+    assert light.colour == colour
+
+
+def test_times_better_means_the_smaller_of_both_factors_at_every_horizon() -> None:
+    velocity, position = {"model": 0.01, "hold": 0.2, "paper": 0.1}, {"model": 0.01, "hold": 6.35, "paper": 0.1}
+    scores = [Score("x", h, velocity, position, 40) for h in (0.5, 1.0, 2.0, 5.0)]
+    verdict = verdict_of(known_model(), scores, against_hold(), [{"x": residual()}])
+
+    said = [text for text in verdict.lights[0].sentences if "holding the velocity" in text]
+    assert [text.partition(":")[0] for text in said] == ["Over the first second", "Over the first 5 s"]
+    assert all("20 times better" in text for text in said)
+    assert {use.times for use in verdict.uses if use.axis == "x"} == {20.0}
+
+
+@pytest.mark.parametrize(
+    ("tests", "asked"),
+    [
+        (residual(0.026), "another flight"),
+        (replace(residual(1e-9), optimism={"input": 1.29, "damping": 1.1}), "half widths of its intervals by 1.29"),
+        (residual(1e-9), "its intervals hold"),
+        (residual(command_p=1e-9), "like that of these flights only"),
+        (replace(residual(), variance_ratio=9.0, variance_ci95=(8.0, 10.0)), "by 3.0"),
+        (replace(residual(), variance_ratio=0.04, variance_ci95=(0.03, 0.05)), "less here than in the fit"),
+    ],
+)
+def test_every_doubt_says_beside_the_headline_what_to_do(tests: ResidualTests, asked: str) -> None:
+    scores = [score(axis, 0.01, horizon=h) for axis in AXES for h in (0.5, 1.0, 2.0, 5.0)]
+    clean = dict.fromkeys(AXES, residual())
+
+    verdict = verdict_of(known_model(), scores, against_hold(), [{**clean, "y": tests, "yaw": tests}])
+    (advice,) = verdict.advice
+    assert advice.startswith("y and yaw: use it")
+    assert asked in advice
+    assert verdict_of(known_model(), scores, against_hold(), [clean]).advice == ()
+    (proof,) = verdict_of(known_model(), scores, against_hold("too_short"), [clean]).advice
+    assert proof.startswith("x, y, z and yaw: use it where")
+
+
+def held_flight(axis: str, share: float) -> Flight:
+    """A flight whose commands of one axis are a share of what they would be."""
+    flight = flown(12.0, path="held.bag", seed=6)
+    command = flight.command.copy()
+    command[:, AXES.index(axis)] *= share
+    return replace(flight, command=command, sha256="c" * 64)
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.05, False), (0.5, True)])
+def test_an_axis_that_is_held_beside_the_training_flights_is_not_proven_and_never_red(
+    training: Flight, share: float, kept: bool
+) -> None:
+    (flight,) = without_held([held_flight("z", share)], (training,))
+    model = known_model(flights=(training,))
+    cases = [Case(name, model, (training,), validate(model, [flight], CURVE), (flight,)) for name in ("a", "b")]
+    scores = [scores_of(case.validation, case.flights) for case in cases]
+    light = verdict_of(model, scores[0], cases[0].validation.paired, cases[0].validation.residuals).lights[2]
+
+    assert ("z" in flight.axes) == kept
+    assert ("z" in [lead.axis for lead in leads(cases, scores, paired_cases(cases), 1.0)]) == kept
+    if not kept:
+        assert (light.colour, light.word, light.error) == ("open", "not proven", None)
+        assert light.lamps[0].text == "No flight that was not fitted moves this axis."
 
 
 def test_without_validation_flights_nothing_is_proven() -> None:
@@ -499,8 +576,9 @@ def test_the_verdict_says_how_far_off_in_units_for_people() -> None:
     scores = [score("x", 0.027, 0.1053), score("x", 0.19, 1.9, 5.0), score("yaw", 0.01, 0.1)]
 
     x, *_, yaw = verdict_of(known_model(), scores, against_hold(), speeds={"x": 0.5, "yaw": 0.5}).lights
-    assert x.sentences[0] == "1 s ahead: off by 2.7 cm/s and 2.7 cm, 3.9 times better than holding the velocity."
-    assert "5 s ahead: 19 cm, 10 times better than holding the velocity." in x.sentences
+    held = "times better than holding the velocity."
+    assert x.sentences[0] == f"Over the first second: off by 2.7 cm/s, and 2.7 cm at the end, 3.9 {held}"
+    assert x.sentences[1] == f"Over the first 5 s: off by 19 cm/s, and 19 cm at the end, 10 {held}"
     assert "Tested at up to 0.50 m/s." in x.sentences
     assert "A command acts after 0.15 s." in x.sentences
     assert yaw.error == "0.57 deg/s"

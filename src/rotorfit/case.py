@@ -65,8 +65,10 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
             if progress:
                 progress((done + fraction) / len(files), f"{files[done]} on {text}")
 
-        scored = validate_logs(model, logs, horizons=CURVE, progress=report) if logs else (UNPROVEN, ())
         training, left_out = training_flights(model)
+        scored = (
+            validate_logs(model, logs, horizons=CURVE, progress=report, beside=training) if logs else (UNPROVEN, ())
+        )
         cases.append(Case(path, model, training, *scored))
         notes += left_out
     return tuple(cases), tuple(dict.fromkeys(notes))

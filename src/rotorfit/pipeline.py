@@ -179,10 +179,14 @@ def validate_logs(
     card: str | Card | None = None,
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
+    beside: Sequence[Flight] = (),
 ) -> tuple[Validation, tuple[Flight, ...]]:
-    """Reads logs with the card given, or that which they carry, or the model's own, and scores the model on them."""
+    """Reads logs with the card given, or that which they carry, or the model's own, and scores the model on them.
+
+    An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
+    """
     own = card_from_mapping(model.card.raw, "the model's card")
-    flights = tuple(without_held(load_flights(logs, card, own)))
+    flights = tuple(without_held(load_flights(logs, card, own), beside))
     return validate(model, flights, horizons, progress), flights
 
 

@@ -22,7 +22,7 @@ from rotorfit.report.reproduce import recipe_of
 from rotorfit.report.rows import ahead_rows, mode_rows, paired_rows, pooled_rows, residual_rows, score_rows
 from rotorfit.report.side_by_side import coefficients_side_by_side, flights_side_by_side, leads, names_of
 from rotorfit.report.usable import USEFUL, USELESS
-from rotorfit.report.verdict import Verdict, verdict_of
+from rotorfit.report.verdict import Verdict, over, verdict_of
 from rotorfit.report.words import AXIS, TERMS, slug
 from rotorfit.validation import residual_tests_of_flight
 from rotorfit.views import READING, Chart, RowChart, look_of, overlaid
@@ -107,6 +107,7 @@ def page(cases: Sequence[Case]) -> str:
         verdicts=verdicts,
         ahead=[ahead_rows(verdict) for verdict in verdicts],
         leads=leads(cases, scores, paired_cases(cases), verdicts[0].horizon) if len(cases) > 1 else (),
+        over=over,
         useful=USEFUL,
         useless=USELESS,
         reading=READING,

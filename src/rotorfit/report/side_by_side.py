@@ -111,7 +111,7 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
                 if values
                 else ""
             )
-            label = f"velocity error {horizon:g} s ahead [{unit}]"
+            label = f"velocity error over {horizon:g} s [{unit}]"
             charts.append(RowChart(f"{axis}: flight by flight", label, tuple(rows), FLIGHTS, seen, x_log=True))
     return tuple(charts)
 

@@ -67,7 +67,9 @@ def uses_of(
             score = by_place.get((axis, f"{horizon:g}"))
             if axis not in known:
                 out.append(Use(axis, horizon, "missing", "there is no model of it"))
-            elif score is None or score.velocity.get("model") is None:
+            elif score is None:
+                out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves this axis"))
+            elif score.velocity.get("model") is None:
                 out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves it for long enough"))
             else:
                 out.append(_use(score, against))

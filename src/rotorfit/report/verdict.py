@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorfit.evidence import LENGTH, SPEED, Score
+from rotorfit.finding import Finding
 from rotorfit.frames import AXES
 from rotorfit.model import Axis, Model
 from rotorfit.paired import PairedTest
 from rotorfit.report.usable import USEFUL, Use, reach, uses_of, weakest
 from rotorfit.report.words import and_list, chance, figure, sentences
-from rotorfit.whiteness import FINDING_LEVEL, LEVEL, ResidualTests
+from rotorfit.whiteness import FINDING_LEVEL, LEVEL, ResidualTests, narrows_intervals
 
 PLANNING = 1.0
 """Horizon that the headline is about [s]."""
@@ -30,6 +31,18 @@ intervals of what was fitted, are twice what the fit believed; or half, from the
 MOST_REASONS = 2
 """So many reasons stand beside a lamp; the rest are among the findings."""
 
+PROOF = {
+    "limited": "use it where the errors of the table are small enough for you, and fly a longer or livelier proof",
+    "unproven": "fly a flight that moves the axis, keep it out of the fit, and report again; it may be wrong",
+}
+"""Answer of the predictions to what it asks for."""
+
+GAPS = "use it to predict, but do not read the coefficients that are doubted one by one"
+"""What is asked of whoever uses an axis with coefficients that are not known."""
+
+TOO_SURE = "an estimator that takes its noise for white is too sure: give it more"
+"""What coloured residuals mean to a filter."""
+
 GRAVITY = ("red", "grey", "open", "yellow", "green")
 """Colours from the worst to the best."""
 
@@ -43,12 +56,16 @@ STATUS = {
 
 @dataclass(frozen=True)
 class Lamp:
-    """One question about an axis: `green`, `yellow`, `red`, `open` (not proven) or `grey` (nothing to ask)."""
+    """One question about an axis: `green`, `yellow`, `red`, `open` (not proven) or `grey` (nothing to ask).
+
+    `advice` says what a doubt asks of whoever uses the axis all the same; empty where there is nothing to say.
+    """
 
     question: str
     colour: str
     word: str
     text: str
+    advice: str = ""
 
 
 @dataclass(frozen=True)
@@ -79,6 +96,7 @@ class Verdict:
     Attributes:
         headline: The answer for the planning horizon.
         whole: What holds for all axes together, one or two sentences.
+        advice: What to do about each doubt, a sentence each.
         horizon: The planning horizon [s].
         lights: Of x, y, z, yaw.
         uses: Every axis at every horizon.
@@ -87,6 +105,7 @@ class Verdict:
 
     headline: str
     whole: str
+    advice: tuple[str, ...]
     horizon: float
     lights: tuple[Light, ...]
     uses: tuple[Use, ...]
@@ -103,8 +122,8 @@ def verdict_of(
     """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
     Each axis has three lamps. Predictions: see `usable.uses_of`, at the planning horizon. Coefficients: green where
-    every one is known and no finding warns. Residuals: green where no test speaks against the model at 95 %. The light
-    of the axis is the worst of the three.
+    every one is known and no finding warns of them, those about the residuals included. Residuals: green where no test
+    speaks against the model at 95 %. The light of the axis is the worst of the three.
 
     Args:
         model: With its findings.
@@ -127,7 +146,8 @@ def verdict_of(
     )  # fmt: skip
     wanted = [axis for axis in AXES if axis in model.card.command or axis in known]
     together = weakest(uses, wanted)
-    return Verdict(_headline(lights), _whole(lights, together, uses, wanted, horizon), horizon, lights, uses, together)
+    whole = _whole(lights, together, uses, wanted, horizon)
+    return Verdict(_headline(lights), whole, _advice(lights), horizon, lights, uses, together)
 
 
 def _light(
@@ -149,7 +169,7 @@ def _light(
     colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
     unit, factor = SPEED[axis]
     error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
-    said = [] if use.velocity is None else _said(use, scores, model.method)
+    said = [] if use.velocity is None else _said(use, uses, scores, model.method)
     if use.velocity is not None and speed is not None:
         said.append(f"tested at up to {_speed(axis, speed)}")
     return Light(axis, colour, _word(colour, reach(uses)), error, sentences([*said, *_answers(known)]), lamps)
@@ -165,24 +185,24 @@ def _word(colour: str, furthest: float | None) -> str:
 def _predictions(use: Use) -> Lamp:
     words = {"yes": "proven", "limited": "partly", "unproven": "not proven", "no": "useless"}
     (text,) = sentences([use.reason or f"errors at most 1/{USEFUL:g} of holding the velocity, and that is no chance"])
-    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text)
+    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text, PROOF.get(use.answer, ""))
 
 
 def _coefficients(model: Model, axis: str) -> Lamp:
     """Whether they are known and nothing was found that warns of them."""
-    mine = [f for f in model.findings if f.axis in (axis, None) and not f.code.startswith("residuals_")]
+    mine = [f for f in model.findings if f.axis in (axis, None)]
     forbidden = [f.evidence for f in mine if f.severity == "error"]
     early = any(f.code == "delay_negative" for f in mine)
-    doubts = [
-        *_unknown(model.axes[axis], model.method),
-        *_early(model.axes[axis], early),
-        *(f.evidence for f in mine if f.severity == "warning"),
-    ]
-    if forbidden or doubts:
-        told = [*forbidden, *doubts]
+    gaps = [*_unknown(model.axes[axis], model.method), *_early(model.axes[axis], early)]
+    warnings = [f for f in mine if f.severity == "warning"]
+    told = list(dict.fromkeys([*forbidden, *gaps, *(f.effect if _of_residuals(f) else f.evidence for f in warnings)]))
+    if told:
         more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
-        colour, word = ("red", "unusable") if forbidden else ("yellow", "in part")
-        return Lamp("coefficients", colour, word, " ".join(sentences(told[:MOST_REASONS])) + more)
+        word = "unusable" if forbidden else "in part" if gaps else "known, with a warning"
+        # What the residuals ask for, their own lamp says.
+        asked = [*([GAPS] if gaps else []), *(f.remedy for f in warnings if not _of_residuals(f))]
+        text = " ".join(sentences(told[:MOST_REASONS])) + more
+        return Lamp("coefficients", "red" if forbidden else "yellow", word, text, "; ".join(asked[:1]))
     return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
 
 
@@ -191,23 +211,51 @@ def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
     found = [(each.white_p, "not white") for each in tests]
     found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
     if not found:
-        return Lamp("residuals", "grey", "not tested", "No flight is long enough for the tests, or none is at hand.")
+        return Lamp("residuals", "grey", "not tested", "No flight that moves this axis is long enough for the tests.")
     against = sorted(each for each in found if each[0] < LEVEL)
     ratios = [each.variance_ratio for each in tests if not 1 / OTHER <= each.variance_ratio <= OTHER]
     if not against and ratios:
         told = ", ".join(f"{ratio:.2g}" for ratio in ratios)
         text = f"their variance is {told} times that of the fit, whose intervals are those of other wind and noise"
-        return Lamp("residuals", "yellow", "of other size", sentences([text])[0])
+        widest = max(ratios) ** 0.5
+        more = f"use it, but multiply the standard deviations of the noise in your estimator by {figure(widest)}"
+        advice = more if widest > 1 else "use it; wind and noise are less here than in the fit, and so are the errors"
+        return Lamp("residuals", "yellow", "of other size", sentences([text])[0], advice)
     if not against:
         return Lamp("residuals", "green", "clean", f"{len(found)} tests, the smallest {chance(min(found)[0])}.")
     follows = [each for each in against if each[1] != "not white" and each[0] < FINDING_LEVEL]
     p, what = (follows or against)[0]
     if p >= DOUBT:
         text = f"{what} ({chance(p)}): weak evidence, of tests of a right model one in 20 falls below 0.05"
-        return Lamp("residuals", "yellow", "in doubt", sentences([text])[0])
+        advice = "use it; this may be chance, and another flight that is not fitted will tell"
+        return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
     means = "the model leaves out part of the answer, other motion may be predicted worse"
     text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
-    return Lamp("residuals", "yellow", "not clean", sentences([text])[0])
+    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], _with_residuals(tests, bool(follows)))
+
+
+def _with_residuals(tests: Sequence[ResidualTests], follows: bool) -> str:
+    """What to do with a model whose residuals are not clean."""
+    if follows:
+        return "use it for motion like that of these flights only; for other motion let a richer law try, see below"
+    factor = max((max(each.optimism.values(), default=1.0) for each in tests if narrows_intervals(each)), default=1.0)
+    if factor > 1:
+        return f"use it, but multiply the half widths of its intervals by {factor:.2f}; {TOO_SURE}"
+    return f"use it, its intervals hold; {TOO_SURE}"
+
+
+def _of_residuals(finding: Finding) -> bool:
+    return finding.code.startswith("residuals_")
+
+
+def _advice(lights: Sequence[Light]) -> tuple[str, ...]:
+    """What the doubts ask for, each once with the axes that it is about; of axes that are usable at all."""
+    by: dict[str, list[str]] = {}
+    for light in lights:
+        for lamp in light.lamps if light.colour in ("yellow", "open") else ():
+            if lamp.advice:
+                by.setdefault(lamp.advice, []).append(light.axis)
+    return tuple(f"{and_list(axes)}: {advice}." for advice, axes in by.items())
 
 
 def _unknown(known: Axis, method: str) -> list[str]:
@@ -241,18 +289,17 @@ def _answers(known: Axis) -> list[str]:
     return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
 
 
-def _said(use: Use, scores: Sequence[Score], method: str) -> list[str]:
+def _said(use: Use, uses: Sequence[Use], scores: Sequence[Score], method: str) -> list[str]:
     """How far off the predictions are at the planning horizon and at the longest, against the baselines."""
-    said = [f"{use.horizon:g} s ahead: off by {errors_text(use)}{better(use.times)}"]
-    last = max(scores, key=lambda score: score.horizon)
-    position, hold = last.position.get("model"), last.position.get("hold")
-    if position is not None and last.horizon > use.horizon:
-        times = hold / position if hold is not None and position > 0 else None
-        said.append(f"{last.horizon:g} s ahead: {_length(use.axis, position)}{better(times)}")
+    last = max((each for each in uses if each.velocity is not None), key=lambda each: each.horizon)
+    said = [
+        f"{over(each.horizon)}: off by {_off(each)}{better(each.times)}"
+        for each in ([use, last] if last.horizon > use.horizon else [use])
+    ]
     now = next(score for score in scores if score.horizon == use.horizon)
     paper = now.velocity.get("paper")
     if paper is not None and use.velocity and method != "paper":
-        said.append(f"beside the paper's coefficients: {_ratio(paper / use.velocity)}")
+        said.append(f"beside the paper's coefficients: velocity {_ratio(paper / use.velocity)}")
     return said
 
 
@@ -262,6 +309,16 @@ def errors_text(use: Use) -> str:
     assert use.velocity is not None
     speed = f"{figure(factor * use.velocity)} {unit}"
     return speed if use.position is None else f"{speed} and {_length(use.axis, use.position)}"
+
+
+def over(horizon: float) -> str:
+    """What a velocity error is about: `over the first second`; it is the RMS of all steps, not of the last."""
+    return "over the first second" if horizon == 1 else f"over the first {horizon:g} s"
+
+
+def _off(use: Use) -> str:
+    speed, *length = errors_text(use).split(" and ")
+    return speed + "".join(f", and {each} at the end" for each in length)
 
 
 def _length(axis: str, position: float) -> str:
@@ -316,14 +373,14 @@ def _whole(
         return f"As a whole: no. There is no model of {lacking}, which can be commanded."
     if now.answer == "unproven":
         lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "unproven"])
-        return f"As a whole: not proven. No flight that was not fitted moves {lacking} for long enough."
+        return f"As a whole: not proven. No flight that was not fitted moves {lacking}, or not for long enough."
     if forbidden := _because(lights, "red"):
         return f"As a whole: no, because of {forbidden}."
     doubted, furthest = _because(lights, "yellow"), reach(together)
     answer = f"with care, because of {doubted}" if doubted else "yes"
     upto = f". The predictions are proven up to {furthest:g} s" if furthest else ""
     return (
-        f"As a whole: {answer}{upto}; {horizon:g} s ahead the weakest axis is {now.axis}, off by {errors_text(now)}"
+        f"As a whole: {answer}{upto}; {over(horizon)} the weakest axis is {now.axis}, off by {_off(now)}"
         f"{better(now.times)}."
     )
 

@@ -25,11 +25,12 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "flights that were not fitted.",
         "position error": "Root mean square of the error of the predicted position (yaw: heading) at the end of the "
         "horizon, on flights that were not fitted.",
-        "times better": "Error of holding the velocity over error of the model; of velocity and position the smaller.",
+        "times better": "Error of holding the velocity over error of the model: the smaller of the two factors, of "
+        "velocity and of position.",
         "proven": "The errors of velocity and position are at most half of those of holding the velocity, and a paired "
         "test shows that this is no chance (95 %).",
         "in part": "Better than holding the velocity, but less than twice, or not shown to be no chance.",
-        "not proven": "No flight that was not fitted moves this axis for long enough.",
+        "not proven": "No flight that was not fitted moves this axis for long enough; holding it is not moving it.",
         "no": "Less than 1.1 times better than holding the velocity, or shown to be worse.",
         "difference": "Error of this model less that of the other on the same starts, with its standard error; below "
         " 0 this model is better.",

@@ -74,7 +74,7 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     validation: Validation = UNPROVEN
     flights: tuple[Flight, ...] = ()
     if tested:
-        validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving)
+        validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
         written(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
     progress(PROVING, "drawing")
     result = result_mapping(fitted.model, fitted.flights, validation, flights)
