@@ -33,7 +33,7 @@ MOST_REASONS = 2
 
 PROOF = {
     "limited": "use it where the errors of the table are small enough for you, and fly a longer or livelier proof",
-    "unproven": "fly a flight that moves the axis, keep it out of the fit, and report again; it may be wrong",
+    "unproven": "fly a flight that moves the axis, keep it out of the fit, and report again",
 }
 """Answer of the predictions to what it asks for."""
 
