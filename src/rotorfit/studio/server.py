@@ -1,9 +1,11 @@
 """The server: one process, one user, 127.0.0.1."""
 
 import secrets
+import signal
 import socket
-from collections.abc import Callable
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import uvicorn
@@ -35,12 +37,26 @@ def serve(folder: Path | None, port: int, ready: Callable[[str, Path], None] | N
                 timeout_graceful_shutdown=2,
                 lifespan="off",
             )
+            server = uvicorn.Server(config)
             try:
-                with suppress(KeyboardInterrupt):  # the way to end it
+                with _ended_by_interrupt(server):
                     if ready:
                         ready(f"http://127.0.0.1:{own}/?token={token}", workspace.folder)
-                    uvicorn.Server(config).run(sockets=[listener])
+                    server.run(sockets=[listener])
             finally:
                 studio.runner.close()
     finally:
         workspace.close()
+
+
+@contextmanager
+def _ended_by_interrupt(server: uvicorn.Server) -> Iterator[None]:
+    """Ctrl-C also ends a server that is still starting: an exception that is raised there may get lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, server.handle_exit)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
