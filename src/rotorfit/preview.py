@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rotorfit.belief import belief_from_mapping
-from rotorfit.envelope import ALLOWED, Envelope, predicted_path
+from rotorfit.envelope import Envelope, predicted_path
 from rotorfit.expected import EXPECTED_HEADS, expected_rows
 from rotorfit.frames import AXES, Array
 from rotorfit.plan import Plan
@@ -156,9 +156,7 @@ def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) ->
     space = plan.space
     _box(panel, (space.lower[i], space.lower[j]), (space.upper[i], space.upper[j]), "#b4470b", "fence")
     low, high = envelope.extent
-    label = (
-        f"middle 95 %; {round(envelope.leaving * envelope.draws)} of {envelope.draws} leave, {100 * ALLOWED:.0f} % may"
-    )
+    label = f"middle 95 %; {round(envelope.leaving * envelope.draws)} of {envelope.draws} leave"
     _box(panel, (low[i], low[j]), (high[i], high[j]), "#0b57b7", label, filled=True)
     panel.plot(envelope.nominal[:, i], envelope.nominal[:, j], color="#0b57b7", linewidth=0.7, label="likeliest path")
     panel.plot(space.start[i], space.start[j], "o", color="black", markersize=3, label="start")
