@@ -295,6 +295,10 @@ def test_compared_models_are_shown_side_by_side_with_their_files(folder: Path) -
         "hold",
         "paper",
     ]
+    plain = " ".join(found.split())
+    assert "model 2: fitted by the method paper, it is not the row paper" in plain
+    assert "model 1: fitted by" not in plain
+    assert "it is not the row paper" in done("validate", folder / "paper.json", folder / "second.bag")
 
 
 def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:

@@ -283,7 +283,7 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"more than {100 * advice.WEAK_GAIN:g} % of it",
         f"above {plausibility.LIMIT_MARGIN:g} times, or below 1 / {plausibility.LIMIT_MARGIN:g} times",
         f"beyond {plausibility.GAIN_SYMMETRY:g}, or that of their dampings beyond {plausibility.DAMPING_SYMMETRY:g}",
-        f"more than a factor of {plausibility.ALIKE:g} apart",
+        f"more than a factor of {plausibility.ALIKE:g} outside",
         f"A warning where it is {whiteness.OPTIMISTIC:g} or more",
         f"beyond chance (p below {whiteness.FINDING_LEVEL:g})",
         f"less than {doctor.SHORT_TIME:g} s together",

@@ -42,7 +42,7 @@ def test_both_formats_hold_the_same_gains_with_units_and_margins(tmp_path: Path)
     assert (axis["stiffness"], axis["rate_gain"], axis["delay"]) == (law.stiffness, law.rate, law.delay)
     assert tuple(axis["observer"]) == law.observer
     assert axis["under_covariance"]["peak_sensitivity"] == tuning.axes["x"].robustness.peak
-    assert set(axis) - {"note", "nominal", "under_covariance"} <= set(toml["units"])
+    assert set(axis) - {"command", "note", "nominal", "under_covariance"} <= set(toml["units"])
     assert toml["refused"].keys() == {"y", "z", "yaw"}
     assert toml["model"]["method"] == "ml"
 

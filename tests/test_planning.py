@@ -22,6 +22,8 @@ from rotorfit.next_flight import next_flight, wanted_errors, worst_group
 from rotorfit.plan_file import load_plan
 from rotorfit.planning import IDENT, band_of, full_amplitude, plan_flight, plan_flights
 from rotorfit.space import space_of_box, space_of_room
+from rotorfit.terminal import show
+from rotorfit.terminal.outlook import plan_view
 from rotorfit.tracking import command_at
 
 CARD = load_card("rotorfit-demo")
@@ -73,6 +75,16 @@ def test_a_plan_stays_inside_says_what_it_tells_and_holds_what_it_does_not_fly()
     assert {"x", "y", "yaw"} <= set(plan.feedback.axes)
     assert np.max(np.abs(command_at(plan, np.arange(0.0, 15.0, 0.01)))) <= full_amplitude(CARD, BELIEF, "z") * 1.001
     assert not command_at(plan, np.array([0.0, 14.99])).any()
+
+
+def test_flights_that_leave_are_counted_with_the_side_beyond_which_the_middle_lies(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plan = plan_flight(CARD, ROOM, "multisine", ("z",), 15.0, BELIEF)
+    for low, told in ((-9.0, "2 of 50 leave what is allowed, at low z at least; 5 % may."), (1.0, "allowed; 5 % may.")):
+        extent = {**plan.predicted["extent"], "z": [low, plan.space.upper[2] - 0.1]}
+        show(plan_view(replace(plan, predicted={**plan.predicted, "leaving": 0.04, "extent": extent})))
+        assert told in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_open_loop_that_fits_is_left_open() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from rotorfit import __version__
 from rotorfit.errors import ModelError
+from rotorfit.exports.subject import Command, command_of
 from rotorfit.frames import AXES
 from rotorfit.model import Model
 from rotorfit.tune import AxisTuning, Tuning
@@ -19,13 +20,29 @@ GAINS_MARK = b"rotorfit-gains"
 
 SUFFIXES = (".toml", ".yaml", ".yml")
 
-ASKED = "input u = r'' + damping r' + stiffness (r - p) + rate_gain (r' - v)"
+PREDICTED = "u = (r'' + b r' + K (r - p) + D (r' - v) - d) / input; r, p, v, d at the instant at which u acts"
 LAWS: Mapping[str, str] = {
-    "predictor": f"{ASKED} - d; r, p, v, d at the instant at which u acts",
-    "lqr": f"{ASKED} - d; r, p, v, d at the instant at which u acts",
-    "linearising": f"{ASKED} + integral of (r - p) times integral; r'' and r' at the instant at which u acts",
+    "predictor": PREDICTED,
+    "lqr": PREDICTED,
+    "linearising": "u = (r'' + b r' + K e + D e' + I int e) / input; e = r - p of the last pose, e' its filtered rate; "
+    "r'' and r' at the instant at which u acts",
 }
 """What the numbers mean; docs/control.md has the equations."""
+
+SYMBOLS: Mapping[str, str] = {
+    "u": "command, cut to -full_scale .. full_scale, held until the next",
+    "r": "reference, with its derivatives r' and r''",
+    "p": "position",
+    "v": "velocity",
+    "d": "slow acceleration that is not commanded: wind, trim",
+    "b": "damping",
+    "K": "stiffness",
+    "D": "rate_gain",
+    "I": "integral",
+}
+"""Letters of the laws; b, K, D and I are keys of an axis."""
+
+LOOP = "docs/control.md of rotorfit: a loop in Python that reads this file, and what each law does"
 
 UNITS: Mapping[str, str] = {
     "rate": "commands a second",
@@ -34,6 +51,7 @@ UNITS: Mapping[str, str] = {
     "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
     "damping": "1/s",
     "delay": "s, from the command until it acts",
+    "full_scale": "largest command, in its own unit; left out where the card does not tell it",
     "stiffness": "1/s^2",
     "rate_gain": "1/s",
     "integral": "1/s^3",
@@ -52,11 +70,13 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
         "rotorfit": __version__,
         "design": tuning.kind,
         "law": LAWS[tuning.kind],
+        "symbols": dict(SYMBOLS),
+        "loop": LOOP,
         "frame": "heading: x forward, y left, z up, yaw counter-clockwise",
         "rate": tuning.rate,
         "latency": tuning.latency,
         "units": dict(UNITS),
-        "axes": {axis: _axis(tuning.axes[axis]) for axis in AXES if axis in tuning.axes},
+        "axes": {axis: _axis(tuning.axes[axis], command_of(model.card, axis)) for axis in AXES if axis in tuning.axes},
         "refused": dict(tuning.refused),
         "model": {
             "card": model.card.name,
@@ -67,17 +87,19 @@ def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
     }
 
 
-def _axis(one: AxisTuning) -> dict[str, Any]:
+def _axis(one: AxisTuning, command: Command) -> dict[str, Any]:
     law, around, believed = one.law, one.margins, one.robustness
     return {
+        "command": command.text,
+        "full_scale": command.limit,
         "bandwidth": one.bandwidth,
         "input": law.input,
         "damping": law.damping,
         "delay": law.delay,
         "stiffness": law.stiffness,
         "rate_gain": law.rate,
-        "integral": law.integral,
-        "filter_time": law.filter_time,
+        "integral": None if law.observer else law.integral,  # an observer does the work of these two
+        "filter_time": None if law.observer else law.filter_time,
         "observer": None if law.observer is None else list(law.observer),
         "nominal": {
             "gain_margin_below": around.gain[0],

@@ -190,6 +190,14 @@ def validate_logs(
     return validate(model, flights, horizons, progress), flights
 
 
+PAPER_TWICE = (
+    "fitted by the method paper, it is not the row paper, even where the coefficients are the same: a model starts "
+    "from its own filter and keeps the disturbance and trim found there, the row paper starts from the filter of the "
+    "first model and has neither"
+)
+"""Why the scores of a model and of the baseline differ."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Several models on the same logs.
@@ -198,7 +206,7 @@ class Comparison:
         paths: Of the model files.
         validations: One each model, in that order.
         paired: `model 2` and on against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
-        notes: Models that could not be paired, with the reason.
+        notes: Of models that were fitted by `paper`, and of those that could not be paired, with the reason.
     """
 
     paths: tuple[str, ...]
@@ -225,23 +233,25 @@ def compare_logs(
     logs = [parse_log(path) for path in paths if path not in files]
     if not files:
         raise ModelError(f"no model among {', '.join(paths)}; give files written by `rotorfit fit -o` before the logs")
+    models = [load(path) for path in files]
     validations, flights = [], []
-    for number, path in enumerate(files):
+    for number in range(len(files)):
 
         def report(fraction: float, text: str, done: int = number) -> None:
             if progress:
                 progress((done + fraction) / len(files), f"{files[done]} on {text}")
 
-        validation, seen = validate_logs(load(path), logs, horizons=horizons, progress=report)
+        validation, seen = validate_logs(models[number], logs, horizons=horizons, progress=report)
         validations.append(validation)
         flights.append(seen)
     alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
-    notes = tuple(
+    notes = [f"model {number}: {PAPER_TWICE}" for number, model in enumerate(models, 1) if model.method == "paper"]
+    notes += [
         f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
         for number, same in enumerate(alike, 1)
         if not same
-    )
-    return Comparison(tuple(files), tuple(validations), _paired(validations, alike), notes)
+    ]
+    return Comparison(tuple(files), tuple(validations), _paired(validations, alike), tuple(notes))
 
 
 def same_motion(one: Flight, other: Flight) -> bool:

@@ -1,9 +1,7 @@
 """Plausibility: findings from what the card's limits, symmetry and the literature say of a model."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-
-import numpy as np
+from collections.abc import Iterator
 
 from rotorfit.finding import Finding
 from rotorfit.frames import AXES
@@ -22,7 +20,7 @@ DAMPING_SYMMETRY = 2.5
 """Ratio of the dampings of x and y that a multirotor may have: bodies are longer than wide; published, up to 2.1."""
 
 ALIKE = 1.25
-"""Ratio up to which two sets of coefficients are called alike."""
+"""Factor by which a coefficient must lie outside of what the published sets span."""
 
 LAGGING = (
     "; if they are right, the gain is too small because a pure delay stands for the lag of the attitude loop: "
@@ -129,30 +127,24 @@ def _ratio(model: Model, name: str) -> tuple[float, float, float] | None:
 
 
 def _against_published(model: Model) -> Iterator[Finding]:
-    """How the model stands to the published sets of its vehicle, where these or it disagree."""
+    """What of a model lies outside of what the published sets of its vehicle span."""
     vehicle = vehicle_of(model.card.name)
-    sets = sets_for(vehicle) if vehicle else ()
-    own = {name: value for axis in AXES for name, value in _own(model, axis).items()}
-    gaps = {known: gap for known in sets if (gap := _gap(own, _theirs(known))) is not None}
-    if not gaps:
-        return
-    between = [gap for one in sets for other in sets if (gap := _gap(_theirs(one), _theirs(other))) is not None]
-    nearest, farthest = min(gaps, key=lambda known: gaps[known]), max(gaps, key=lambda known: gaps[known])
-    if max(gaps[farthest], *between) <= ALIKE:
-        return
-    shared = [name for name in own if name in _theirs(nearest)]
-    themselves = f"; among themselves they differ by up to {max(between):.3g}" if len(sets) > 1 else ""
-    yield Finding(
-        "published_sets_disagree",
-        "info",
-        f"nearest of the published sets of the {vehicle} is {nearest.name} ({nearest.source}): compared by "
-        f"{', '.join(shared)} it differs by a factor of {gaps[nearest]:.3g} in the mean"
-        + (f", set {farthest.name} by {gaps[farthest]:.3g}" if farthest != nearest else "")
-        + themselves
-        + _tilts(model, sets),
-        "published coefficients hold for the limits and the measurement of their flights, most without the delay",
-        "use your own; before gains are compared, convert them to the same limits",
-    )
+    sets = [_theirs(known) for known in sets_for(vehicle)] if vehicle else []
+    told = []
+    for name, value in ((name, value) for axis in AXES for name, value in _own(model, axis).items()):
+        known = [each[name] for each in sets if name in each]
+        if known and not min(known) / ALIKE <= value <= max(known) * ALIKE:
+            ends = " to ".join(f"{end:.3g}" for end in sorted({min(known), max(known)}))
+            unit = " 1/s" if name.endswith("damping") else " times what the card makes one expect"
+            told.append(f"{name} {value:.3g}{unit} (published: {ends})")
+    if told:
+        yield Finding(
+            "published_sets_disagree",
+            "info",
+            f"outside of what others have published of the {vehicle}: {', '.join(told)}",
+            "either this vehicle, its settings or its flights are unlike theirs, or the coefficient is off",
+            "look at its interval and at the other findings of its axis; if they are clean, trust your own",
+        )
 
 
 def _own(model: Model, axis: str) -> dict[str, float]:
@@ -173,25 +165,3 @@ def _theirs(known: PublishedSet) -> dict[str, float]:
         if known.command == "si":
             parts[f"{axis} gain"] = abs(gain) / (GRAVITY if axis in ("x", "y") else damping)
     return parts
-
-
-def _gap(one: Mapping[str, float], other: Mapping[str, float]) -> float | None:
-    """Mean factor (root mean square of the logarithms) between what two sets share; None where that is nothing."""
-    logs = [math.log(one[name] / other[name]) for name in one if name in other]
-    return math.exp(float(np.sqrt(np.mean(np.square(logs))))) if logs else None
-
-
-def _tilts(model: Model, sets: Sequence[PublishedSet]) -> str:
-    """Which tilt limits the gains of x and y equal, where a command of 1 is all of a tilt limit; in degrees."""
-
-    def limit(gain: float) -> float:
-        return math.degrees(math.atan(abs(gain) / GRAVITY))
-
-    implied = {axis: compared(model, axis).implied_limit for axis in ("x", "y")}
-    tilted = [axis for axis in ("x", "y") if meaning_of(model.card, axis).limit == "tilt"]
-    own = [f"{axis} {math.degrees(part.value):.3g}" for axis in tilted if (part := implied[axis]) and part.value]
-    theirs = [limit(gain) for known in sets if known.command == "fraction" for gain in known.gamma[:3:2] if gain]
-    if not own or not theirs:
-        return ""
-    ends = f"{min(theirs):.3g} to {max(theirs):.3g}" if len(theirs) > 1 else f"{theirs[0]:.3g}"
-    return f"; their x and y gains equal tilt limits of {ends} deg, here {', '.join(own)} deg"

@@ -151,12 +151,13 @@ def _speeds(panel: Axes, plan: Plan) -> None:
 
 
 def _view(panel: Axes, plan: Plan, envelope: Envelope, pair: tuple[int, int]) -> None:
-    """The room from above, or from the side: the fence, where 95 % of the flights stay, and the likeliest path."""
+    """The room from above, or from the side: the fence, the middle 95 % of the flights, the likeliest path."""
     i, j = pair
     space = plan.space
     _box(panel, (space.lower[i], space.lower[j]), (space.upper[i], space.upper[j]), "#b4470b", "fence")
     low, high = envelope.extent
-    _box(panel, (low[i], low[j]), (high[i], high[j]), "#0b57b7", "95 % of flights stay in", filled=True)
+    label = f"middle 95 %; {round(envelope.leaving * envelope.draws)} of {envelope.draws} leave"
+    _box(panel, (low[i], low[j]), (high[i], high[j]), "#0b57b7", label, filled=True)
     panel.plot(envelope.nominal[:, i], envelope.nominal[:, j], color="#0b57b7", linewidth=0.7, label="likeliest path")
     panel.plot(space.start[i], space.start[j], "o", color="black", markersize=3, label="start")
     panel.set_aspect("equal", adjustable="datalim")

@@ -29,7 +29,7 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
     """Score a model on flights that were not fitted."""
     from rotorfit.log_span import parse_log
     from rotorfit.model_file import load
-    from rotorfit.pipeline import validate_logs
+    from rotorfit.pipeline import PAPER_TWICE, validate_logs
     from rotorfit.validation import to_mapping
 
     model = load(model_path)
@@ -44,7 +44,10 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
         click.echo(
             "The model was converted: it is for flights under its new limits, not those that it was fitted to.\n"
         )
-    return show(validation_view(validation))
+    show(validation_view(validation))
+    if model.method == "paper":
+        click.echo(f"\nThis model: {PAPER_TWICE}.")
+    return None
 
 
 @click.command()

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from rotorfit.card import Card
 from rotorfit.convert import scaled
 from rotorfit.errors import ExportError
 from rotorfit.frames import AXES
@@ -129,7 +130,7 @@ def subject_of(
     if round_delay:
         kept, said = _rounded(kept, dt)
         notes = [*notes, *said]
-    commands = tuple(_command(kept, axis, physical) for axis in AXES)
+    commands = tuple(command_of(kept.card, axis, physical) for axis in AXES)
     return Subject(identifier(name), kept, model, commands, physical, dt, tuple(notes), origin, sha256)
 
 
@@ -214,16 +215,15 @@ def _rounded(model: Model, dt: float) -> tuple[Model, list[str]]:
     return replace(model, axes=axes), notes
 
 
-def _command(model: Model, axis: str, physical: bool) -> Command:
-    meaning: Meaning = meaning_of(model.card, axis)
+def command_of(card: Card, axis: str, physical: bool = False) -> Command:
+    """What the command of an axis is by a card; with `physical`, in SI where the card's are fractions."""
+    meaning: Meaning = meaning_of(card, axis)
     if meaning.asked is None:
-        return Command(
-            f"as sent, by the card {model.card.name}; what it asks for is not known", "unit of command", None
-        )
+        return Command(f"as sent, by the card {card.name}; what it asks for is not known", "unit of command", None)
     if meaning.limit and not physical:
         size = f" ({limit_text(meaning.limit, meaning.setting)})" if meaning.setting else ""
         return Command(f"fraction of the {meaning.limit} limit{size}, from -1 to 1", "fraction", 1.0)
-    limit = model.card.limits.get(meaning.limit or _LIMIT_OF[meaning.asked])
+    limit = card.limits.get(meaning.limit or _LIMIT_OF[meaning.asked])
     unit = _UNITS[meaning.asked]
     ends = f", from {-limit:.4g} to {limit:.4g}" if limit else ", limits not known"
     return Command(f"{meaning.asked} asked for [{unit}]{ends}", unit, limit)

@@ -32,8 +32,8 @@ def plan_view(plan: Plan) -> View:
     yield from bullets([*plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
     yield Text(
         f"+-: half of the 95 % interval that is expected, over {plan.predicted['vehicles']} vehicles that are believed "
-        f"possible. Inside: 95 % of {plan.predicted['draws']} of them, with wind and trim; "
-        f"{100 * plan.predicted['leaving']:.0f} % leave.",
+        f"possible. Middle 95 %: of {plan.predicted['draws']} of them, with wind and trim; 2.5 % reach further down, "
+        f"2.5 % further up. {_leaving(plan)}",
         style="dim",
     )
 
@@ -102,7 +102,7 @@ def _frequencies(signal: Signal) -> str:
 
 def _motion(plan: Plan) -> Table:
     """Table of the path and the speeds with their limits."""
-    shown = table("motion", "expected within", "allowed", gap=3)
+    shown = table("motion", "middle 95 %", "allowed", gap=3)
     extent, space = plan.predicted["extent"], plan.space
     for axis, low, high in zip(AXES[:3], space.lower, space.upper, strict=True):
         shown.add_row(f"{axis} [m]", _range(*extent[axis]), _range(low, high))
@@ -112,6 +112,25 @@ def _motion(plan: Plan) -> Table:
     shown.add_row("speed along z [m/s]", f"{high['vertical']:.2f}", f"{space.climb:.2f}")
     shown.add_row("rate of yaw [deg/s]", f"{math.degrees(high['yaw']):.0f}", "")
     return shown
+
+
+def _leaving(plan: Plan) -> str:
+    """How many leave the space, and past which sides; they may all do so on one, so that its 2.5 % lie outside."""
+    draws, share = plan.predicted["draws"], plan.predicted["leaving"]
+    ends = zip(AXES[:3], plan.space.lower, plan.space.upper, strict=True)
+    sides = [
+        f"{word} {axis}"
+        for axis, lower, upper in ends
+        for word, past in (
+            ("low", plan.predicted["extent"][axis][0] < lower),
+            ("high", plan.predicted["extent"][axis][1] > upper),
+        )
+        if past
+    ]
+    where = f", at {' and '.join(sides)} at least" if sides else ""
+    return (
+        f"{round(share * draws)} of {draws} leave what is allowed{where}; {100 * plan.predicted['allowed']:.0f} % may."
+    )
 
 
 def _range(low: float, high: float, digits: int = 2) -> str:

@@ -3,9 +3,11 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from rich.text import Text
 
 from rotorfit.gains_file import LAWS
+from rotorfit.reference_paths import STEPS
 from rotorfit.terminal.tables import View, bullets, table, three_digits, title
 from rotorfit.trial import PathScore
 from rotorfit.tune import DELAY_SHARE, AxisTuning, Tuning
@@ -21,7 +23,13 @@ def tuning_view(tuning: Tuning) -> View:
     for axis, one in tuning.axes.items():
         gains.add_row(axis, *_gains(one))
     yield gains
-    yield Text("rad/s, m/s^2 or rad/s^2 per command, 1/s, s, 1/s^2, 1/s; observer: 1, 1/s, 1/s^2", style="dim")
+    yield Text(
+        "b: damping, K: stiffness, D: rate gain"
+        + ("; d: by the observer. " if observed else ", I: integral. ")
+        + "rad/s, m/s^2 or rad/s^2 per command, 1/s, s, 1/s^2, 1/s"
+        + ("; observer: 1, 1/s, 1/s^2" if observed else "; integral: 1/s^3, filter: s"),
+        style="dim",
+    )
     yield ""
     margins = table("margins", "gain", "phase", "delay", "peak", "phase 95", "delay 95", "peak 95", "noise")
     for axis, one in tuning.axes.items():
@@ -57,7 +65,20 @@ def trial_view(scores: Sequence[PathScore], address: str) -> View:
             f"{one.failed} of {one.flights}",
         )
     yield shown
-    yield Text("RMS errors, medians over the flights: cm, deg, s; steps are not announced", style="dim")
+    yield Text(f"RMS errors, medians over the flights: cm, deg, s. {_steps(scores)}", style="dim")
+
+
+def _steps(scores: Sequence[PathScore]) -> str:
+    """How large the steps are; empty without."""
+    sizes = [one.path.size for one in scores if one.path.shape == "steps"]
+    if not sizes:
+        return ""
+    x, y, z, yaw = np.abs(np.diff(np.array(STEPS), axis=0, prepend=np.zeros((1, 4))))[:-1].max(axis=0).tolist()
+    size = sizes[0]
+    return (
+        f"Steps, not announced: x {size * x:g} m, y {size * y:g} m, z {size * z:g} m, yaw {math.degrees(yaw):.0f} deg, "
+        "then all of it back."
+    )
 
 
 def _gains(one: AxisTuning) -> list[str]:
