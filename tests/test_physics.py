@@ -9,6 +9,7 @@ from rich.console import Console
 
 from flights import flown, steps
 from models import VEHICLE, demo_card, model_of, without
+from rotorfit.case import Case
 from rotorfit.fit import fit
 from rotorfit.frames import AXES
 from rotorfit.model import Model
@@ -19,7 +20,6 @@ from rotorfit.report.page import page
 from rotorfit.report.physics_table import physics_text
 from rotorfit.settings import Figure, Quantity
 from rotorfit.terminal.coefficients import model_view
-from rotorfit.validation import Validation
 
 
 def ends(figure: Figure | None) -> tuple[float, float]:
@@ -217,9 +217,8 @@ def test_the_terminal_shows_the_table_in_80_columns_only_where_commands_have_a_m
 
 
 def test_the_report_has_the_table_only_where_commands_have_a_meaning() -> None:
-    nothing = Validation((), {"hold": (), "paper": ()})
     with_meaning, without_meaning = (
-        page(model_of({"x": VEHICLE["x"]}, card), (), nothing, ())
+        page([Case("model.json", model_of({"x": VEHICLE["x"]}, card))])
         for card in (demo_card(""), demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'"))
     )
 

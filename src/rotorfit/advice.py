@@ -111,7 +111,7 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
             f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
             name,
         )
-    elif status == "too_short" and command_events(flights, name) >= ONE:
+    elif status == "too_short":
         yield Finding(
             "too_short",
             "warning",
@@ -135,23 +135,19 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
 
 def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
     """Commands that say something only once, or hardly more often."""
-    lost = axis.status["input"] == "too_short"
-    if not flights or not (axis.predictor or lost):
-        return
     events = command_events(flights, name)
     factor = widening(events)
-    if factor < TWICE:
+    if not axis.predictor or not flights or factor < TWICE:
         return
+    once = events < ONE
     yield Finding(
         "few_command_events",
         "warning",
         f"the {name} command changes in one event of {EVENT:g} s, or in none beside it that count"
-        if events < ONE
+        if once
         else f"the {name} command changes in few events: they count as {events:.1f} equal ones of {EVENT:g} s",
-        f"no coefficient of {name} is a number: one event cannot show that what the model leaves out averages out"
-        if lost
-        else f"intervals of {name} hold if the model is right; if what it leaves out is another thing at each event, "
-        f"they are {factor:.1f} times as wide",
+        f"intervals of {name} hold only if the model is right; if what it leaves out is another thing at each event, "
+        + ("nothing can be told of how wide they are" if once else f"they are {factor:.1f} times as wide"),
         f"command {name} again and again: ten steps or more, or the paper's two sines",
         name,
     )

@@ -11,7 +11,6 @@ from rotorfit.clock_error import check_clocks, with_clock_error, with_delay_erro
 from rotorfit.enrich import enriched
 from rotorfit.errors import CardError, FlightError, ModelError
 from rotorfit.estimate import Estimate, alone, coupled, together
-from rotorfit.events import ONE, command_events
 from rotorfit.flight import Flight
 from rotorfit.frames import AXES
 from rotorfit.further import structure_of, told_apart
@@ -112,7 +111,6 @@ def fit(
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
     found = _found(flights, wanted, method, structure, priors, paper, report)
-    found = _without_single_events(flights, found)
     report(1.0, "done")
     model = with_clock_error(_model(flights, method, paper, found), flights)
     late = {axis: delay_error(_serving(flights, e.records[0].axes), e) for axis, e in found.estimates.items()}
@@ -155,21 +153,6 @@ def _found(
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
         {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
     )
-
-
-def _without_single_events(flights: Sequence[Flight], found: _Found) -> _Found:
-    """Takes the numbers from axes whose commands are one event: an interval of them would be that of a right model."""
-    known = [axis for axis, one in found.axes.items() if one.predictor]
-    lost = {a for a in known if command_events([f for f in flights if _moves(f, a)], a) < ONE}
-    if not lost:
-        return found
-    axes = {axis: unknown_axis("too_short") if axis in lost else one for axis, one in found.axes.items()}
-    covariance: Blocks = {}
-    for names, matrix in found.covariance.items():
-        kept = [i for i, name in enumerate(names) if name.split(".")[0] not in lost]
-        if kept:
-            covariance[tuple(names[i] for i in kept)] = matrix[np.ix_(kept, kept)]
-    return replace(found, axes=axes, covariance=covariance)
 
 
 def _model(flights: Sequence[Flight], method: Method, paper: PaperFit, found: _Found) -> Model:
