@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from types import FunctionType
 
 import pytest
@@ -25,6 +26,14 @@ ExecutionEngine._find_module_ptr = struck
 from rotorfit.cli import main
 main()
 """
+
+
+@pytest.fixture(autouse=True)
+def _interruptible() -> Iterator[None]:
+    """A shell starts what it runs in the background with Ctrl-C ignored, and processes inherit that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def test_an_interrupt_while_llvm_asks_for_compiled_code_ends_cleanly() -> None:

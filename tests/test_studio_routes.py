@@ -331,7 +331,8 @@ def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studi
     assert at_one["path"] == "proof.bag"
     pairs = {(one["first"], one["second"]) for one in found["paired"]}
     assert pairs == {("fit 2", "fit 1"), ("fit 1", "hold"), ("fit 1", "paper"), ("fit 2", "hold")}
-    assert found["notes"][0].startswith("fit 2 against paper is left out: both are the same regression")
+    assert found["notes"][0].startswith("fit 2: fitted by the method paper, it is not the row paper")
+    assert found["notes"][-1] == "fit 2 against paper is left out for that reason"
 
 
 def test_the_session_survives_the_studio(fitted: tuple[Studio, TestClient], tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The wire: nouns as the plain JSON that the page draws. Nothing is computed here that the library does not compute."""
 
 import base64
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -244,16 +245,12 @@ def compared_mapping(
         for test in whole["paired"]
     ]
     alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model, models[0])]
-    told = [
-        f"{name} against paper is left out: both are the same regression with the same coefficients, and differ only "
-        "in the filter that starts a prediction and in the disturbance that it carries on."
-        for name in alike
-    ]
+    notes = [re.sub(r"\bmodel \d+\b", lambda found: named[found[0]], note) for note in whole["notes"]]
     return {
         "columns": list(columns),
         "rows": rows,
         "paired": [test for test in paired if test["second"] != "paper" or test["first"] not in alike],
-        "notes": [*whole["notes"], *told],
+        "notes": [*notes, *(f"{name} against paper is left out for that reason" for name in alike)],
     }
 
 
