@@ -603,10 +603,12 @@ def test_an_axis_without_a_model_and_one_without_proof_are_to_be_flown() -> None
 
 def test_the_lines_to_type_are_those_that_the_command_line_knows() -> None:
     model = known_model(("x", "y"))
-    for step in next_steps(case_of(model), verdict_of(model, [score("x", 0.01)], against_hold())):
-        if step.command:
-            _, verb, *rest = shlex.split(step.command)
-            main.commands[verb].make_context(verb, rest)
+    steps = next_steps(case_of(model), verdict_of(model, [score("x", 0.01)], against_hold()))
+
+    lines = [shlex.split(step.command) for step in steps if step.command]
+    assert len(lines) >= 2
+    for _, verb, *rest in lines:
+        main.commands[verb].make_context(verb, rest)
 
 
 def test_a_finding_that_forbids_use_becomes_a_step_and_residuals_ask_for_a_richer_law(training: Flight) -> None:

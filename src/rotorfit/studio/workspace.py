@@ -9,12 +9,12 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import RLock
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from rotorfit.errors import RotorfitError
 
@@ -131,6 +131,9 @@ class Session:
     version: int = field(default=VERSION)
 
 
+Entry = TypeVar("Entry", Upload, FitEntry)
+
+
 class Workspace:
     """A session and its folder.
 
@@ -183,10 +186,7 @@ class Workspace:
         Raises:
             WorkspaceError: There is none of that id.
         """
-        for upload in self._session.uploads:
-            if upload.id == log_id:
-                return upload
-        raise WorkspaceError("there is no such log in this session; another page may have removed it")
+        return _one_of(self._session.uploads, log_id, "log")
 
     def fit(self, fit_id: str) -> FitEntry:
         """A fit of the session.
@@ -194,10 +194,7 @@ class Workspace:
         Raises:
             WorkspaceError: There is none of that id.
         """
-        for fit in self._session.fits:
-            if fit.id == fit_id:
-                return fit
-        raise WorkspaceError("there is no such fit in this session; another page may have removed it")
+        return _one_of(self._session.fits, fit_id, "fit")
 
     def path_of(self, upload: Upload) -> Path:
         """Where a log lies."""
@@ -324,6 +321,13 @@ class Workspace:
         for folder in (self.folder / "logs").iterdir():
             if folder.name not in known:
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _one_of(entries: Sequence[Entry], identity: str, what: str) -> Entry:
+    for entry in entries:
+        if entry.id == identity:
+            return entry
+    raise WorkspaceError(f"there is no such {what} in this session; another page may have removed it")
 
 
 def written(path: Path, text: str) -> None:
