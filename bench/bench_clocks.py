@@ -24,15 +24,15 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from flights import steps  # noqa: E402 - it lies beside the tests
-from rotorfit.card_file import card_from_mapping, load_card  # noqa: E402
-from rotorfit.errors import FlightError  # noqa: E402
-from rotorfit.excitation import two_sines  # noqa: E402
-from rotorfit.flight import flight_from_log  # noqa: E402
-from rotorfit.joined import joined  # noqa: E402
-from rotorfit.log import Log, Table  # noqa: E402
-from rotorfit.one_clock import ANSWER, Clocks  # noqa: E402
-from rotorfit.paper_vehicle import STABLE, SimulatedFlight, Truth, simulate_flight  # noqa: E402
-from rotorfit.sources import read  # noqa: E402
+from rotorfit.core.errors import FlightError  # noqa: E402
+from rotorfit.core.flight_data import ANSWER, Clocks  # noqa: E402
+from rotorfit.core.log import Log, Table  # noqa: E402
+from rotorfit.files.cards import card_from_mapping, load_card  # noqa: E402
+from rotorfit.files.logs import read  # noqa: E402
+from rotorfit.files.logs.several import join_logs  # noqa: E402
+from rotorfit.flights.assemble import flight_from_log  # noqa: E402
+from rotorfit.planning.signals import two_sines  # noqa: E402
+from rotorfit.simulation.paper_vehicle import STABLE, SimulatedFlight, Truth, simulate_flight  # noqa: E402
 from twin_logs import Sensor, Skew, card_of, in_two_files  # noqa: E402
 
 GOOD, FAIR, POOR = Sensor(), Sensor(15.0, 0.05, 0.02, 0.7), Sensor(10.0, 0.1, 0.03, 0.9)
@@ -70,7 +70,7 @@ def onboard_case(count: int, sensor: Sensor, card: Mapping[str, bool]) -> dict[s
     errors, halves, drifts, drift_halves, left = [], [], [], [], 0
     for seed in range(count):
         flight, skew = drawn(seed)
-        found = clocks_of(joined(in_two_files(flight, skew, sensor, seed)), card)
+        found = clocks_of(join_logs(in_two_files(flight, skew, sensor, seed)), card)
         if isinstance(found, str) or found.source != "onboard":
             left += 1
             continue
@@ -100,7 +100,7 @@ def command_case(count: int) -> dict[str, Any]:
     errors, marked, refused = [], 0, 0
     for seed in range(count):
         flight, skew = drawn(seed)
-        found = clocks_of(joined(in_two_files(flight, skew)), {"velocity": False})
+        found = clocks_of(join_logs(in_two_files(flight, skew)), {"velocity": False})
         if isinstance(found, str):
             refused += 1
             continue
@@ -127,9 +127,9 @@ def wrong_case(count: int) -> dict[str, Any]:
         vehicle, room = in_two_files(flight, skew)
         foreign, _ = in_two_files(other, skew)
         mixed = replace(vehicle, tables={**vehicle.tables, "odometry": foreign.tables["odometry"]})
-        found = clocks_of(joined([mixed, room]), {"velocity": True, "attitude": True})
+        found = clocks_of(join_logs([mixed, room]), {"velocity": True, "attitude": True})
         sensors += isinstance(found, str) or bool(found.refused)
-        files += isinstance(clocks_of(joined([foreign, room]), {"velocity": True, "attitude": True}), str)
+        files += isinstance(clocks_of(join_logs([foreign, room]), {"velocity": True, "attitude": True}), str)
     return {"flights": count, "sensor_refused": sensors, "files_refused": files}
 
 
@@ -150,7 +150,7 @@ def real_case() -> list[dict[str, float]]:
         room = replace(log, path=Path("r.mat"), tables={"r": Table("r", table.columns)})
         raw = {**card.raw, "command": _placed(card.raw["command"], "v"), "pose": _placed(card.raw["pose"], "r")}
         raw["velocity"] = {"frame": "heading", "x": "v:vf", "y": "v:vl", "z": "v:ve", "yaw": "v:w", "time": f"v:{time}"}
-        found = flight_from_log(joined([vehicle, room]), card_from_mapping(raw, "cut")).clocks
+        found = flight_from_log(join_logs([vehicle, room]), card_from_mapping(raw, "cut")).clocks
         if found is None or found.source != "onboard":
             out.append({"refused": 1.0})
             continue

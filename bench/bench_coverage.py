@@ -27,9 +27,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from designs import Design, bounds, designs, flown, truth_of, well_excited
-from rotorfit.fit import fit
-from rotorfit.frames import AXES
-from rotorfit.model import COEFFICIENTS
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
 
 FAMILY = 0.01
 """Family-wise level of the test of the twelve coverages of a table."""

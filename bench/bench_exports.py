@@ -15,10 +15,10 @@ import numpy as np
 
 from export_motion import Drive, drive, integrated, reference
 from exported import RUNS, STRAIGHT, WARNINGS, compiled, deviation, missing, run_numpy
-from rotorfit.errors import ExportError
+from rotorfit.core.errors import ExportError
+from rotorfit.core.model import Model
 from rotorfit.exports import export
-from rotorfit.model import Model
-from rotorfit.model_file import load
+from rotorfit.files.models import load
 
 SEED = 3
 STEPS = 1_000_000

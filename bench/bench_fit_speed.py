@@ -38,10 +38,10 @@ def main() -> None:
     import pandas as pd
     from nfoursid.nfoursid import NFourSID
 
-    from rotorfit.card_file import load_card
-    from rotorfit.fit import fit
-    from rotorfit.flight import flight_from_log
-    from rotorfit.sources import read
+    from rotorfit.estimation.fitting import fit
+    from rotorfit.files.cards import load_card
+    from rotorfit.files.logs import read
+    from rotorfit.flights.assemble import flight_from_log
 
     imported = time.perf_counter() - start
     flight = flight_from_log(read(path), load_card("bebop2-wsu"))

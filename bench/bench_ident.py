@@ -15,26 +15,26 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from rotorfit.belief import belief_from_card
-from rotorfit.card_file import card_from_mapping
-from rotorfit.fit import fit
-from rotorfit.flight import Flight
-from rotorfit.fly import fly
-from rotorfit.frames import AXES
-from rotorfit.links import open_link
-from rotorfit.log_span import WHOLE, LogSpan
-from rotorfit.mission import attached_to
-from rotorfit.model import COEFFICIENTS, Model
-from rotorfit.paper_vehicle import Truth
-from rotorfit.pipeline import load_flight
-from rotorfit.plan import Plan
-from rotorfit.planning import plan_flight
-from rotorfit.preflight import preflight
-from rotorfit.recorder import record
-from rotorfit.rehearsal import flown, recorded
-from rotorfit.space import space_of_room
-from rotorfit.tracking import tracker_of
-from rotorfit.vehicle import load_vehicle
+from rotorfit.app.workflows import load_flight
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.log_span import WHOLE, LogSpan
+from rotorfit.flying.flight_loop import fly
+from rotorfit.flying.links import open_link
+from rotorfit.flying.mission import attached_to
+from rotorfit.flying.preflight import preflight
+from rotorfit.flying.recorder import record
+from rotorfit.planning.belief import belief_from_card
+from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.plan_flight import plan_flight
+from rotorfit.planning.precision import fly_plan, recorded_flight
+from rotorfit.planning.request import space_of_room
+from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.simulation.vehicle import load_vehicle
 
 VEHICLE, AIR, ROOM, DURATION = "bebop2", "gusts=0.2", "6x6x4", 120.0
 
@@ -57,7 +57,7 @@ def in_the_room(plan: Plan, seed: int) -> Flight:
 
 def by_the_equation(plan: Plan, seed: int) -> Flight:
     linear = load_vehicle(VEHICLE).linear()
-    return recorded(flown(tracker_of(plan), Truth(gamma=linear.gamma, delay=linear.delay), seed))
+    return recorded_flight(fly_plan(tracker_of(plan), Truth(gamma=linear.gamma, delay=linear.delay), seed))
 
 
 def table(models: Sequence[Model], truth: Sequence[float]) -> dict[str, dict[str, float | None]]:

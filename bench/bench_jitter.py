@@ -19,18 +19,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit import realtime
-from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card_file import card_from_mapping
-from rotorfit.excitation import paper_sines
-from rotorfit.fly import fly
-from rotorfit.links import Action
-from rotorfit.links.wall_clock import seconds_until, wall_clock
-from rotorfit.log import Sample
-from rotorfit.plan import Excitation, Feedback, Plan, Space
-from rotorfit.recorder import record
-from rotorfit.simulator import Conditions, FlightRoom
-from rotorfit.vehicle import load_vehicle
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Space
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying import operator as realtime
+from rotorfit.flying.flight_loop import fly
+from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.recorder import record
+from rotorfit.planning.belief import belief_from_card, belief_mapping
+from rotorfit.planning.signals import paper_sines
+from rotorfit.simulation.flight_room import Conditions, FlightRoom
+from rotorfit.simulation.vehicle import load_vehicle
 
 RATE, BEBOP = 100.0, load_vehicle("bebop2")
 POSE, COMMAND = struct.Struct("<q7d"), struct.Struct("<4d")
@@ -86,7 +85,7 @@ class UdpLink:
 
 def plan_of(duration: float) -> Plan:
     card = card_from_mapping(BEBOP.card(), "bench")
-    signals = tuple(Excitation(axis, "command", 0.0, duration, paper_sines(axis, 0.5)) for axis in ("x", "y"))
+    signals = tuple(AxisExcitation(axis, "command", 0.0, duration, paper_sines(axis, 0.5)) for axis in ("x", "y"))
     space = Space((-3.0, -3.0, 0.3), (3.0, 3.0, 3.0), (0.0, 0.0, 1.5, 0.0), 2.5, 1.5)
     steering = Feedback(("x", "y", "z", "yaw"))
     belief = belief_mapping(belief_from_card(card))

@@ -14,14 +14,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from rotorfit.card_file import card_from_mapping
-from rotorfit.excitation import Sines, value
-from rotorfit.fit import fit
-from rotorfit.flight import flight_from_log
-from rotorfit.model import Axis
-from rotorfit.sensors import Mocap
-from rotorfit.simulator import Conditions, as_log, fly_commands
-from rotorfit.vehicle import Radio, Vehicle, builtin_vehicles
+from rotorfit.core.flight_plan import Sines, value
+from rotorfit.core.model import Axis
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.flight_room import Conditions, fly_commands, log_of_room_flight
+from rotorfit.simulation.sensors import Mocap
+from rotorfit.simulation.vehicle import Radio, Vehicle, builtin_vehicles
 
 SLOW, USUAL = (0.10, 0.16, 0.24, 0.37), (0.5, 1.0, 1.6, 2.3)
 XY, ZYAW, ALL = ("x", "y"), ("z", "yaw"), ("x", "y", "z", "yaw")
@@ -42,7 +42,7 @@ def flown(vehicle: Vehicle, frequency: tuple[float, ...], size: float, moved: tu
     commands = size * servo * waves * np.minimum(1, t / 5)[:, None] * np.array(vehicle.limits()) / vehicle.full_scale()
     stamps = np.round(t * 1e9).astype(np.int64)
     flight = fly_commands(vehicle, ROOM, stamps, commands, DURATION, 1, (0.0, 0.0, 30.0, 0.0))
-    read = flight_from_log(as_log(flight), card_from_mapping(vehicle.card(), vehicle.name))
+    read = flight_from_log(log_of_room_flight(flight), card_from_mapping(vehicle.card(), vehicle.name))
     return dict(fit([read], axes=moved).model.axes)
 
 

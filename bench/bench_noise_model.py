@@ -20,18 +20,19 @@ import numpy as np
 
 from designs import Design, bounds, designs, flown, truth_of
 from peers.flights import Case, real_cases
-from rotorfit.estimate import alone, free_of
-from rotorfit.forecast import StartErrors, predict_flight, start_errors
-from rotorfit.frames import AXES, Array
-from rotorfit.levels import START_LEVELS
-from rotorfit.likelihood import inverted, restriction, score
-from rotorfit.maximum import Optimum, climb, maximise
-from rotorfit.model import COEFFICIENTS
-from rotorfit.modes import dynamics_of, start_point
-from rotorfit.paired import paired_test
-from rotorfit.point import Point
-from rotorfit.profile import quantile
-from rotorfit.record import Record, record
+from rotorfit.assessment.paired import paired_test
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import START_LEVELS
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.results import StartErrors
+from rotorfit.dynamics.protocol import predict_flight, start_errors
+from rotorfit.estimation.likelihood.axis_estimate import estimate_axis, free_of
+from rotorfit.estimation.likelihood.blocks import Record, record
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
+from rotorfit.estimation.likelihood.likelihood import inverted, restriction, score
+from rotorfit.estimation.likelihood.optima import dynamics_of, start_point
+from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.likelihood.profile import quantile
 
 PASSES = 40
 
@@ -118,7 +119,7 @@ def predicted(case: Case) -> list[tuple[str, str, str, str, float, float, float,
         records = [rec for f in serving if (rec := record(f, (axis,)))]
         if not records or not all(rec.held for rec in records):
             continue
-        estimate = alone(serving, axis, True)
+        estimate = estimate_axis(serving, axis, True)
         if not estimate.excited:
             continue
         own = estimate.optimum

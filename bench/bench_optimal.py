@@ -30,14 +30,14 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import minimize
 
-from rotorfit.axis_information import AxisInformation, axis_information
-from rotorfit.belief import Belief, levels_of
-from rotorfit.excitation import designed, paper_sines, value
-from rotorfit.frames import AXES, Array
-from rotorfit.held_motion import Dynamics, extremes, held_states
-from rotorfit.optimal import TARGETS, AxisLimits, Criterion, OptimalSignal, optimal_signal
-from rotorfit.paper_vehicle import Truth
-from rotorfit.planning import fastest
+from rotorfit.core.flight_plan import value
+from rotorfit.core.frames import AXES, Array
+from rotorfit.planning.axis_information import AxisBelief, AxisInformation, axis_information, extremes, held_states
+from rotorfit.planning.belief import Belief, levels_of
+from rotorfit.planning.optimal import TARGETS, AxisLimits, Criterion, OptimalSignal, optimal_signal
+from rotorfit.planning.plan_flight import fastest
+from rotorfit.planning.signals import designed, paper_sines
+from rotorfit.simulation.paper_vehicle import Truth
 
 DURATION, STEP = 60.0, 0.1
 COARSE = 0.2
@@ -50,12 +50,12 @@ RANDOM = 500
 """Random designs that are tried."""
 
 
-def dynamics_of(axis: str) -> Dynamics:
+def dynamics_of(axis: str) -> AxisBelief:
     a = AXES.index(axis)
-    return Dynamics(TRUTH.gamma[2 * a], TRUTH.gamma[2 * a + 1], TRUTH.delay[a])
+    return AxisBelief(TRUTH.gamma[2 * a], TRUTH.gamma[2 * a + 1], TRUTH.delay[a])
 
 
-def levels(dynamics: Dynamics, axis: str, wind: float = 1.0) -> Array:
+def levels(dynamics: AxisBelief, axis: str, wind: float = 1.0) -> Array:
     """log of the levels of the demo's wind and mocap at a damping, the wind times a factor."""
     a = AXES.index(axis)
     gamma = list(TRUTH.gamma)
@@ -155,7 +155,7 @@ def wrong_beliefs(axis: str) -> dict[str, tuple[float, float]]:
     right, out = dynamics_of(axis), {}
     form = axis_information(right, levels(right, axis), DURATION, STEP, POSE_RATE)
 
-    def scores(dynamics: Dynamics, wind: float) -> Array:
+    def scores(dynamics: AxisBelief, wind: float) -> Array:
         found = optimal_signal(dynamics, levels(dynamics, axis, wind), LIMITS[axis], DURATION, pose_rate=POSE_RATE)
         command = sampled(found, STEP)
         shrink = max(1.0, reach(command, axis, STEP, wandering=True))

@@ -34,22 +34,21 @@ from peers.packages import PEERS
 from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of, pieces, start_samples, to_poses
 from peers.table import RAN_AWAY, document, print_case
 from peers.tuning import Forecast, chosen
-from rotorfit.fit import fit
-from rotorfit.flight import Flight
-from rotorfit.forecast import (
-    AxisScore,
+from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.validation import dynamics_from_model
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import Model
+from rotorfit.core.results import AxisScore, Quantity, StartErrors
+from rotorfit.dynamics.protocol import (
     Predictions,
-    StartErrors,
-    coast_prediction,
+    free_run_prediction,
     hold_velocity,
     predict_flight,
     score_predictions,
     start_errors,
 )
-from rotorfit.frames import AXES, Array
-from rotorfit.model import Model
-from rotorfit.paired import Quantity, paired_test
-from rotorfit.validation import dynamics_from_model
+from rotorfit.estimation.fitting import fit
 
 SCORES: dict[str, tuple[Quantity, float]] = {"velocity_1s": ("velocity", 1.0), "position_5s": ("position", 5.0)}
 """What is compared, and how far ahead [s]."""
@@ -127,7 +126,7 @@ def baselines(model: Model, flight: Flight, parts: Sequence[Predictions]) -> dic
     return {
         "ml": [part.predicted for part in parts],
         "hold": [hold_velocity(part) for part in parts],
-        "paper": [coast_prediction(flight, part, gamma[0::2], gamma[1::2]) for part in parts],
+        "paper": [free_run_prediction(flight, part, gamma[0::2], gamma[1::2]) for part in parts],
     }
 
 

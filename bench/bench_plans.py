@@ -31,20 +31,19 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from rotorfit.belief import Belief
-from rotorfit.card_file import builtin_cards
-from rotorfit.envelope import predicted_path
-from rotorfit.excitation import Sines, designed, ident_reference, paper_sines, scaled
-from rotorfit.fit import fit
-from rotorfit.frames import AXES, Array
-from rotorfit.model import COEFFICIENTS
-from rotorfit.optimal import AxisLimits, Criterion, optimal_excitations
-from rotorfit.paper_vehicle import Truth, noise_free
-from rotorfit.plan import Excitation, Feedback, Plan, Space
-from rotorfit.planning import fastest
-from rotorfit.precision import predicted_errors
-from rotorfit.rehearsal import flown, path, recorded
-from rotorfit.tracking import tracker_of
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Space
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import builtin_cards
+from rotorfit.planning.belief import Belief
+from rotorfit.planning.envelope import predicted_path
+from rotorfit.planning.optimal import AxisLimits, Criterion, optimal_excitations
+from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.plan_flight import fastest
+from rotorfit.planning.precision import fly_plan, path, predicted_errors, recorded_flight
+from rotorfit.planning.signals import designed, ident_reference, paper_sines, scaled
+from rotorfit.simulation.paper_vehicle import Truth, noise_free
 
 DURATION = 60.0
 TRUTH = Truth()
@@ -69,7 +68,7 @@ FAR = 0.25
 """A ratio further from 1 than this needs an explanation."""
 
 
-def plan_of(design: str, excitations: Sequence[Excitation], feedback: Feedback | None = None) -> Plan:
+def plan_of(design: str, excitations: Sequence[AxisExcitation], feedback: Feedback | None = None) -> Plan:
     return Plan(
         name=design, design=design, card=builtin_cards()["rotorfit-demo"].raw, rate=TRUTH.command_rate,
         duration=DURATION, ramp=0.0 if design.startswith("optimal") else RAMP, excitations=tuple(excitations),
@@ -83,7 +82,7 @@ def feedback_of(design: str) -> Feedback | None:
 
 def drift(feedback: Feedback | None) -> Array:
     """How far from its start the wind carries a hover of 60 s, on x, y, z, yaw: 39 of 40 to either side."""
-    rest = Excitation("x", "command", 0.0, DURATION, Sines((0.0,), (1.0,), (0.0,)))
+    rest = AxisExcitation("x", "command", 0.0, DURATION, Sines((0.0,), (1.0,), (0.0,)))
     extent = predicted_path(plan_of("hover", [rest], feedback), BELIEF).extent
     return np.asarray(np.abs(extent - np.array(SPACE.start)).max(axis=0))
 
@@ -91,7 +90,7 @@ def drift(feedback: Feedback | None) -> Array:
 def largest(plan: Plan, axis: str, room: float) -> float:
     """The factor on the signal of an axis with which it uses up room, speed or command."""
     a = AXES.index(axis)
-    flight = flown(tracker_of(plan), noise_free(TRUTH), 0)
+    flight = fly_plan(tracker_of(plan), noise_free(TRUTH), 0)
     width = float(np.ptp(flight.true_pose[:, a])) / 2
     use = (
         width / room,
@@ -101,7 +100,7 @@ def largest(plan: Plan, axis: str, room: float) -> float:
     return 1 / float(max(use))
 
 
-def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) -> list[Excitation]:
+def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) -> list[AxisExcitation]:
     """The signals of a group of axes, as large as they may be."""
     feedback = feedback_of(design)
     if design.startswith("optimal"):
@@ -113,11 +112,13 @@ def excitations_of(design: str, group: Sequence[str], room: dict[str, float]) ->
     for place, axis in enumerate(group):
         band = (SLOWEST, fastest(BELIEF, axis))
         if design == "ident":
-            one = Excitation(axis, "position", 0.0, DURATION, ident_reference(axis))
+            one = AxisExcitation(axis, "position", 0.0, DURATION, ident_reference(axis))
         elif design == "two_sines_paper":
-            one = Excitation(axis, "command", 0.0, DURATION, paper_sines(axis))
+            one = AxisExcitation(axis, "command", 0.0, DURATION, paper_sines(axis))
         else:
-            one = Excitation(axis, "command", 0.0, DURATION, designed(design, 0.1, DURATION, band, place, len(group)))
+            one = AxisExcitation(
+                axis, "command", 0.0, DURATION, designed(design, 0.1, DURATION, band, place, len(group))
+            )
         if design != "two_sines_paper":
             factor = largest(plan_of(design, [one], feedback), axis, room[axis])
             one = replace(one, signal=scaled(one.signal, factor))
@@ -131,7 +132,7 @@ def plans_of(design: str, room: dict[str, float]) -> list[Plan]:
 
 
 def centred(plan: Plan) -> Plan:
-    nominal = path(plan, flown(tracker_of(plan), noise_free(TRUTH), 0))[:, :3]
+    nominal = path(plan, fly_plan(tracker_of(plan), noise_free(TRUTH), 0))[:, :3]
     x, y, z = (np.array(SPACE.lower) + SPACE.upper - nominal.min(axis=0) - nominal.max(axis=0)) / 2 + SPACE.start[:3]
     return replace(plan, space=replace(SPACE, start=(float(x), float(y), float(z), 0.0)))
 
@@ -142,12 +143,12 @@ def fitted(job: tuple[Sequence[Plan], int]) -> tuple[dict[str, list[float | str 
     Beside them, whether the flight of x, y, z stayed in the room.
     """
     plans, number = job
-    flights = [flown(tracker_of(plan), TRUTH, number + 10_000 * k) for k, plan in enumerate(plans)]
+    flights = [fly_plan(tracker_of(plan), TRUTH, number + 10_000 * k) for k, plan in enumerate(plans)]
     where = path(plans[0], flights[0])[:, :3]
     inside = bool(np.all((where >= SPACE.lower) & (where <= SPACE.upper)))
     out: dict[str, list[float | str | None]] = {}
     for flight, group in zip(flights, GROUPS, strict=True):
-        model = fit([recorded(flight)], axes=group).model
+        model = fit([recorded_flight(flight)], axes=group).model
         for axis in group:
             one = model.axes[axis]
             for name in COEFFICIENTS:

@@ -333,7 +333,7 @@ def losses(path: Path, folder: Path) -> str:
     """How many messages a hole of 512 bytes costs each reader of ULog, at eight places."""
     from pyulog import ULog
 
-    from rotorfit.sources import read
+    from rotorfit.files.logs import read
 
     content, hole, rng = path.read_bytes(), folder / "hole.ulg", random.Random(0)
     counts: list[tuple[int, int]] = []

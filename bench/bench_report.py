@@ -29,19 +29,21 @@ from bokeh.plotting import figure
 from bokeh.resources import INLINE
 from playwright.sync_api import Browser, CDPSession, sync_playwright
 from plotly import graph_objects
+from rotorfit.paper_vehicle import as_log
 
-from rotorfit.card_file import load_card
-from rotorfit.case import Case
-from rotorfit.evidence import horizon_charts, profile_charts, residual_charts, scores_of
-from rotorfit.excitation import two_sines
-from rotorfit.fit import fit, with_delay_profiles
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.forecast import CURVE
-from rotorfit.paper_vehicle import Truth, as_log, simulate_flight
-from rotorfit.report import write_cases
-from rotorfit.report.panels import flight_panels
-from rotorfit.validation import validate
-from rotorfit.views import Chart
+from rotorfit.assessment.case import Case
+from rotorfit.assessment.validation import validate
+from rotorfit.core.flight_data import Flight
+from rotorfit.dynamics.protocol import CURVE
+from rotorfit.estimation.fitting import fit, with_delay_profiles
+from rotorfit.files.cards import load_card
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.planning.signals import two_sines
+from rotorfit.reporting import write_cases
+from rotorfit.reporting.evidence import horizon_charts, profile_charts, residual_charts, scores_of
+from rotorfit.reporting.panels import flight_panels
+from rotorfit.reporting.views import Chart
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 LOOK = {"measured": "#7a8593", "model": "#0b57b7", "paper": "#b4470b", "hold": "#6f42c1", "residual": "#0b57b7"}
 SCROLL = """(async () => {

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rotorfit.model import Axis
+    from rotorfit.core.model import Axis
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 

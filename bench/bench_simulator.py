@@ -15,10 +15,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from rotorfit import rigid_body
-from rotorfit.air import Gusts, Wind
-from rotorfit.simulator import Conditions, FlightRoom, fly_commands
-from rotorfit.vehicle import builtin_vehicles
+from rotorfit.simulation import rigid_body
+from rotorfit.simulation.air import Gusts, Wind
+from rotorfit.simulation.flight_room import Conditions, FlightRoom, fly_commands
+from rotorfit.simulation.vehicle import builtin_vehicles
 
 DURATION, RUNS, SECOND = 60.0, 7, 1_000_000_000
 CALM = Conditions()

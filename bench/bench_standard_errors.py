@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card_file import load_card
-from rotorfit.fit import fit
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import Array
-from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_log import as_log
-from rotorfit.paper_vehicle import Controller, Truth, simulate_flight
-from rotorfit.uncertainty import with_uncertainty
+from rotorfit.assessment.uncertainty import with_uncertainty
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import load_card
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.paper_vehicle import Controller, Truth, as_log, simulate_flight
 
 CASES = ("as modelled", "wobble 2.5 Hz", "two winds", "in a loop")
 ERRORS = ("expected", "observed", "sandwich", "bootstrap", "scatter")

@@ -9,11 +9,11 @@ import sys
 import time
 from pathlib import Path
 
-from rotorfit.fit import fit
-from rotorfit.log_span import LogSpan
-from rotorfit.model import Combination, Model
-from rotorfit.pipeline import load_flight
-from rotorfit.validation import validate
+from rotorfit.app.workflows import load_flight
+from rotorfit.assessment.validation import validate
+from rotorfit.core.model import Combination, Model
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.log_span import LogSpan
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared/data/bebop2-wsu"
 FLIGHTS = (("X", "x"), ("Z", "z"))

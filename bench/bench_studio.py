@@ -28,7 +28,7 @@ import httpx2 as httpx
 import numpy as np
 import polars as pl
 
-from rotorfit.paper_vehicle import Controller, Truth, simulate_flight
+from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight
 
 DURATION, RATE, SEED, WIDTH, WINDOWS = 5000.0, 200.0, 1, 800, 200
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]

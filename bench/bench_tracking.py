@@ -37,33 +37,32 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from rotorfit.air import Gusts, Wind
-from rotorfit.belief import belief_from_card
-from rotorfit.card_file import card_from_mapping
-from rotorfit.control_law import KINDS, AxisLaw
-from rotorfit.demo import FLIGHTS
-from rotorfit.errors import ModelError
-from rotorfit.fit import fit
-from rotorfit.flight import flight_from_log
-from rotorfit.fly import fly
-from rotorfit.frames import AXES
-from rotorfit.links import open_link
-from rotorfit.mission import attached_to
-from rotorfit.model import Model
-from rotorfit.model_file import load, save
-from rotorfit.plan import Plan
-from rotorfit.plan_file import load_plan, save_plan
-from rotorfit.planning import plan_flight
-from rotorfit.preflight import preflight
-from rotorfit.recorder import record
-from rotorfit.reference_paths import SHAPES, ReferencePath
-from rotorfit.simulator import Conditions
-from rotorfit.sources import read
-from rotorfit.space import space_of_room
-from rotorfit.steering import Controller
-from rotorfit.trial import TrackingError, Trial, controller_of, tracking_error, try_path
-from rotorfit.tune import LATENCY, RATE, tune
-from rotorfit.vehicle import load_vehicle
+from rotorfit.app.demo import FLIGHTS
+from rotorfit.control.control_law import KINDS, AxisLaw
+from rotorfit.control.controller import SHAPES, AxisControllers, ReferencePath
+from rotorfit.control.trial import TrackingError, Trial, controller_of, tracking_error, try_path
+from rotorfit.control.tuning import LATENCY, RATE, tune
+from rotorfit.core.errors import ModelError
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import Model
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.logs import read
+from rotorfit.files.models import load, save
+from rotorfit.files.plans import load_plan, save_plan
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flying.flight_loop import fly
+from rotorfit.flying.links import open_link
+from rotorfit.flying.mission import attached_to
+from rotorfit.flying.preflight import preflight
+from rotorfit.flying.recorder import record
+from rotorfit.planning.belief import belief_from_card
+from rotorfit.planning.plan_flight import plan_flight
+from rotorfit.planning.request import space_of_room
+from rotorfit.simulation.air import Gusts, Wind
+from rotorfit.simulation.flight_room import Conditions
+from rotorfit.simulation.vehicle import load_vehicle
 
 ROOM = "6x6x4"
 KEPT = Path(__file__).parent / ".tracking"
@@ -236,7 +235,7 @@ def tuned(model: Model, kind: str) -> dict[str, AxisLaw]:
         return {}
 
 
-def flown(vehicle: str, controller: Controller, seed: int, path: ReferencePath) -> tuple[TrackingError, Trial]:
+def flown(vehicle: str, controller: AxisControllers, seed: int, path: ReferencePath) -> tuple[TrackingError, Trial]:
     trial = try_path(
         controller, load_vehicle(vehicle), conditions_of(vehicle, seed), path, space_of_room(ROOM), 5000 + seed
     )

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.fit import fit
-from rotorfit.flight import flight_from_log
-from rotorfit.frames import AXES
-from rotorfit.latency import latency_of
-from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_vehicle import Truth, simulate_flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.latency import latency_of
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 

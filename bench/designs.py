@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from rotorfit.card_file import load_card
-from rotorfit.estimate import free_of
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import AXES, Array
-from rotorfit.likelihood import inverted, score
-from rotorfit.model import COEFFICIENTS
-from rotorfit.paper_log import as_log
-from rotorfit.paper_vehicle import STABLE, Controller, Truth, simulate_flight
-from rotorfit.point import Point
-from rotorfit.record import record
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.likelihood.axis_estimate import free_of
+from rotorfit.estimation.likelihood.blocks import record
+from rotorfit.estimation.likelihood.likelihood import inverted, score
+from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.files.cards import load_card
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
 
 DURATION = 60.0
 WEAK_DURATION = 20.0

@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rotorfit.frames import AXES, Array
-from rotorfit.model import Model, Predictor, simulate
-from rotorfit.structure import ORDER, law_of, structure_named
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import ORDER, law_of, structure_named
+from rotorfit.core.model import Model, Predictor
+from rotorfit.dynamics.trajectory import simulate
 
 DENSE = 2.5e-4
 """Step of the reference [s]: `simulate` holds the heading over its steps, so turning it is exact to their square."""

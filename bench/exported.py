@@ -15,10 +15,10 @@ import numpy as np
 from scipy.linalg import expm
 
 from export_motion import Drive, integrated, reference, settled_lags, walked
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import Model, Predictor
 from rotorfit.exports import Export, export
-from rotorfit.frames import AXES, Array
-from rotorfit.model import Model, Predictor
-from rotorfit.structure import structure_named
 
 WARNINGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 """Of gcc; none may come."""

@@ -73,8 +73,8 @@ def peak() -> float:
 
 def work(name: str, seconds: float, seed: int, folder: Path, keep: Path) -> int:
     """Reads mutated files of a format; says how they went; returns how many went wrong."""
-    from rotorfit.errors import LogError
-    from rotorfit.sources import read
+    from rotorfit.core.errors import LogError
+    from rotorfit.files.logs import read
 
     def overdue(*_: object) -> None:
         raise TimeoutError(f"more than {SECONDS} s of processor time")
@@ -110,7 +110,7 @@ def work(name: str, seconds: float, seed: int, folder: Path, keep: Path) -> int:
 
 
 def main() -> None:
-    from rotorfit.sources import FORMATS
+    from rotorfit.files.logs import FORMATS
 
     parser = argparse.ArgumentParser(description="Reads mutated logs of every format.")
     parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"default: all ({', '.join(FORMATS)})")

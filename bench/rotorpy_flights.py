@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card_file import card_from_mapping
-from rotorfit.excitation import Sines, value
-from rotorfit.fit import fit
-from rotorfit.flight import flight_from_log
-from rotorfit.model import Axis
-from rotorfit.sensors import Mocap
-from rotorfit.simulator import Conditions, RoomFlight, as_log, fly_commands
-from rotorfit.vehicle import Radio, Vehicle, vehicle_from_mapping
+from rotorfit.core.flight_plan import Sines, value
+from rotorfit.core.model import Axis
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.flight_room import Conditions, RoomFlight, fly_commands, log_of_room_flight
+from rotorfit.simulation.sensors import Mocap
+from rotorfit.simulation.vehicle import Radio, Vehicle, vehicle_from_mapping
 
 AXES = ("x", "y", "z")
 SECOND = 1_000_000_000
@@ -132,7 +132,7 @@ def fly_both(name: str, duration: float) -> Pair:
     ours = fly_commands(vehicle, conditions, stamps, commands, duration, 1, START)
     theirs = fly_rotorpy(name, commands, ours.true_instant)
     card = card_from_mapping(vehicle.card(), name)
-    logs = (as_log(noisy(ours, path, seed)) for seed, path in ((1, ours.true_position), (2, theirs)))
+    logs = (log_of_room_flight(noisy(ours, path, seed)) for seed, path in ((1, ours.true_position), (2, theirs)))
     first, second = (fit([flight_from_log(log, card)], axes=AXES).model.axes for log in logs)
     return Pair(ours, theirs, (first, second))
 

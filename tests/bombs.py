@@ -9,7 +9,7 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 
-from rotorfit.sources.mcap import MAGIC
+from rotorfit.files.logs.mcap_records import MAGIC
 
 PIECE = 1 << 20
 
@@ -55,7 +55,7 @@ def _text(value: bytes) -> bytes:
 
 def mcap(path: Path, method: str, chunk: int, count: int) -> Path:
     """Chunks of equal numbers (MCAP), each unpacking to about `chunk` bytes."""
-    from rotorfit.sources.compression import _zstd
+    from rotorfit.files.logs.compression import _zstd
 
     pack: Callable[[bytes], bytes] = {"zstd": _zstd().compress, "lz4": lz4.frame.compress}[method]
     message = _record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + b"\0\1\0\0" + bytes(8))

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from flights import CARD, steps
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import AXES
-from rotorfit.log import Log
-from rotorfit.paper_log import as_log
-from rotorfit.paper_vehicle import STABLE, Controller, Truth, simulate_flight
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Log
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.paper_vehicle import STABLE, Controller, Truth, as_log, simulate_flight
 
 VEHICLES = tuple(STABLE.values())
 ACCELERATION = np.array([0.8, 0.8, 0.8, 1.2])

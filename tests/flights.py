@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.card_file import builtin_cards
-from rotorfit.excitation import two_sines
-from rotorfit.flight import Flight, Segment, flight_from_log
-from rotorfit.frames import AXES, Array
-from rotorfit.paper_log import as_log
-from rotorfit.paper_vehicle import Controller, SimulatedFlight, Truth, noise_free, simulate_flight
+from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frames import AXES, Array
+from rotorfit.files.cards import builtin_cards
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, as_log, noise_free, simulate_flight
 
 Excitation = Callable[[Array], Array]
 

@@ -9,20 +9,19 @@ from pathlib import Path
 
 import tomli_w
 
-from rotorfit.abort import operator_abort
-from rotorfit.belief import belief_from_card, belief_mapping
-from rotorfit.card_file import card_from_mapping
-from rotorfit.errors import LinkError
-from rotorfit.excitation import paper_sines
-from rotorfit.flown import Flown
-from rotorfit.fly import fly
-from rotorfit.links import Action, Link
-from rotorfit.links.sim import SimLink
-from rotorfit.log import Sample
-from rotorfit.plan import Excitation, Feedback, Plan, Space
-from rotorfit.recorder import Recorder, card_as_recorded, record
-from rotorfit.simulator import Conditions, FlightRoom
-from rotorfit.vehicle import load_vehicle
+from rotorfit.core.errors import LinkError
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Flown, Plan, Space
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying.flight_loop import fly
+from rotorfit.flying.links.link import Action, Link
+from rotorfit.flying.links.sim import SimLink
+from rotorfit.flying.operator import operator_abort
+from rotorfit.flying.recorder import Recorder, card_as_recorded, record
+from rotorfit.planning.belief import belief_from_card, belief_mapping
+from rotorfit.planning.signals import paper_sines
+from rotorfit.simulation.flight_room import Conditions, FlightRoom
+from rotorfit.simulation.vehicle import load_vehicle
 
 BEBOP = load_vehicle("bebop2")
 CARD = card_from_mapping(BEBOP.card(), BEBOP.name)
@@ -33,7 +32,7 @@ HOVER = [0.0, 0.0, 0.0, 0.0]
 
 def plan_of(duration: float = 12.0, feedback: bool = True, amplitude: float = 0.5, rate: float = 50.0) -> Plan:
     """The paper's two sines on x and y, by feedback in their place, for a Bebop 2 in the room."""
-    signals = tuple(Excitation(a, "command", 0.0, duration, paper_sines(a, amplitude)) for a in ("x", "y"))
+    signals = tuple(AxisExcitation(a, "command", 0.0, duration, paper_sines(a, amplitude)) for a in ("x", "y"))
     belief = {key: value for key, value in belief_mapping(belief_from_card(CARD)).items() if key != "covariance"}
     steering = Feedback(("x", "y", "z", "yaw")) if feedback else None
     return Plan("test", "two_sines", BEBOP.card(), rate, duration, 1.0, signals, steering, SPACE, belief)

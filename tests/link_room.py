@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from rotorfit.log import Sample
+from rotorfit.core.log import Sample
 
 
 class StubRoom:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from click.testing import CliRunner
 
-from rotorfit.cli import main
-from rotorfit.frames import AXES, Array
-from rotorfit.paper_vehicle import SimulatedFlight
+from rotorfit.app.cli import main
+from rotorfit.core.frames import AXES, Array
+from rotorfit.simulation.paper_vehicle import SimulatedFlight
 
 CARD = """
 [command]

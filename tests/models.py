@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from flights import CARD
-from rotorfit.card import Card
-from rotorfit.card_file import card_from_mapping
-from rotorfit.frames import AXES
-from rotorfit.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, unknown_axis
-from rotorfit.paper_vehicle import GAMMA_B
+from rotorfit.core.card import Card
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Mode, Model, Predictor, unknown_axis
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.simulation.paper_vehicle import GAMMA_B
 
 Point = tuple[float, float, float]
 

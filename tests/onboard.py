@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import Card
-from rotorfit.card_file import builtin_cards, card_from_mapping
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.frames import heading_from_world
-from rotorfit.log import Log, Table
-from rotorfit.paper_log import LOG_EPOCH, as_log
-from rotorfit.paper_vehicle import SimulatedFlight
+from rotorfit.core.card import Card
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import heading_from_world
+from rotorfit.core.log import Log, Table
+from rotorfit.files.cards import builtin_cards, card_from_mapping
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.paper_vehicle import LOG_EPOCH, SimulatedFlight, as_log
 
 COLUMNS = {
     "x": "/odom:twist.linear.x",

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from flights import by_hand
-from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
 
 G, B, DELAY, LAG = 3.0, 1.2, 0.12, 0.15
 SLOW_LAG = 0.3  # of the second order: its poles are complex

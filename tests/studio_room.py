@@ -11,11 +11,10 @@ from typing import Any
 from starlette.testclient import TestClient
 
 from flights import steps
-from rotorfit.paper_log import write_bag
-from rotorfit.paper_vehicle import Truth, simulate_flight
-from rotorfit.studio.gate import cookie_name
-from rotorfit.studio.routes import Studio
-from rotorfit.studio.workspace import Workspace
+from rotorfit.app.web.gate import cookie_name
+from rotorfit.app.web.routes import Studio
+from rotorfit.app.web.workspace import Workspace
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
 
 PORT, TOKEN = 8123, "a-secret-of-this-run"
 HOST = f"127.0.0.1:{PORT}"

@@ -18,32 +18,24 @@ from click.testing import CliRunner
 from mypy import api as mypy
 
 import rotorfit
-from rotorfit import (
-    advice,
-    card_file,
-    clock_checks,
-    command_checks,
-    doctor,
-    estimate,
-    forecast,
-    frame_checks,
-    modes,
-    motion_checks,
-    plausibility,
-    point,
-    pose_checks,
-    record,
-    regression,
-    whiteness,
-)
-from rotorfit.card_file import builtin_cards, card_from_mapping, load_card
-from rotorfit.cli import main
-from rotorfit.excitation import two_sines
-from rotorfit.fit import LEAST_TIME, fit
-from rotorfit.frames import AXES, UNIT_SCALE
-from rotorfit.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
-from rotorfit.sources import FORMATS
-from rotorfit.statement import DIVERGED, WIDEST_DAMPING, WIDEST_DELAY, WIDEST_INPUT
+from rotorfit.app.cli import main
+from rotorfit.assessment import advice, plausibility, whiteness
+from rotorfit.core.frames import AXES, UNIT_SCALE
+from rotorfit.diagnosis import clock_checks, command_checks, doctor, frame_checks, motion_checks, pose_checks
+from rotorfit.dynamics import protocol as forecast
+from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.identifiability import LEAST_TIME, WIDEST_DELAY, WIDEST_INPUT
+from rotorfit.estimation.likelihood import axis_estimate as estimate
+from rotorfit.estimation.likelihood import blocks as record
+from rotorfit.estimation.likelihood import optima as modes
+from rotorfit.estimation.likelihood import parameters as point
+from rotorfit.estimation.likelihood.coefficients import DIVERGED, WIDEST_DAMPING
+from rotorfit.estimation.regression import paper as regression
+from rotorfit.files import cards as card_file
+from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
+from rotorfit.files.logs import FORMATS
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
 from test_river import RIVER
 
 ROOT = Path(__file__).resolve().parents[1]

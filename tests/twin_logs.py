@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.card import Card
-from rotorfit.card_file import card_from_mapping
-from rotorfit.frames import Array, heading_from_world
-from rotorfit.joined import joined
-from rotorfit.log import Log, Table
-from rotorfit.paper_vehicle import SimulatedFlight
+from rotorfit.core.card import Card
+from rotorfit.core.frames import Array, heading_from_world
+from rotorfit.core.log import Log, Table
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.logs.several import join_logs
+from rotorfit.simulation.paper_vehicle import SimulatedFlight
 
 RAW: Mapping[str, Any] = {
     "command": {"time": "t", "x": "u_x", "y": "u_y", "z": "u_z", "yaw": "u_yaw"},
@@ -95,7 +95,7 @@ def in_two_files(flight: SimulatedFlight, skew: Skew, sensor: Sensor | None = No
 
 def as_one(flight: SimulatedFlight, skew: Skew, sensor: Sensor | None = None, seed: int = 0) -> Log:
     """Both files as one log."""
-    return joined(in_two_files(flight, skew, sensor, seed))
+    return join_logs(in_two_files(flight, skew, sensor, seed))
 
 
 def log_of(path: str, tables: Mapping[str, Mapping[str, Array]]) -> Log:

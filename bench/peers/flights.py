@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.card import Card
-from rotorfit.card_file import load_card
-from rotorfit.excitation import two_sines
-from rotorfit.flight import Flight, flight_from_log
-from rotorfit.forecast import Dynamics
-from rotorfit.frames import AXES, Array
-from rotorfit.log import Log
-from rotorfit.paper_log import as_log
-from rotorfit.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, simulate_flight
-from rotorfit.sources import read
+from rotorfit.core.card import Card
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.log import Log
+from rotorfit.dynamics.protocol import AxisDynamics
+from rotorfit.files.cards import load_card
+from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import GAMMA_A, GAMMA_E, Controller, Truth, as_log, simulate_flight
 
 REAL_FLIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -43,7 +43,7 @@ class Case:
     axes: tuple[str, ...]
     make: Maker
     kind: str = "recorded"
-    truth: Mapping[str, Dynamics] = field(default_factory=dict)
+    truth: Mapping[str, AxisDynamics] = field(default_factory=dict)
 
 
 @functools.cache
@@ -130,14 +130,14 @@ def simulated(
     return Case(f"simulated, {name}, seeds {seed}, {seed + 1}", axes, make, "simulated", dynamics_of(truth))
 
 
-def dynamics_of(truth: Truth) -> dict[str, Dynamics]:
+def dynamics_of(truth: Truth) -> dict[str, AxisDynamics]:
     """The vehicle and its wind in the parameters of the filter: wind of rate 1 / T passes the damping b."""
     out = {}
     for k, axis in enumerate(AXES):
         b, rate = truth.gamma[2 * k + 1], 1 / truth.wind_time[k]
         power, noise = 2 * truth.wind_sigma[k] ** 2 * rate, truth.mocap_noise[k] ** 2
         levels = (power, noise, b + rate, 4 * b * rate / (b + rate) ** 2)
-        out[axis] = Dynamics(truth.gamma[2 * k], b, truth.delay[k], levels, NO_TRIM)
+        out[axis] = AxisDynamics(truth.gamma[2 * k], b, truth.delay[k], levels, NO_TRIM)
     return out
 
 

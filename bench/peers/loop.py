@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from peers.series import Series
-from rotorfit.frames import Array
+from rotorfit.core.frames import Array
 
 MEMORY = 8
 """Past outputs and inputs that are taken off first."""

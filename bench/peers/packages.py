@@ -14,7 +14,7 @@ import numpy as np
 
 from peers.series import RATES, Series
 from peers.tuning import Forecast, Peer, Setting
-from rotorfit.frames import Array, Indices
+from rotorfit.core.frames import Array, Indices
 
 INPUT_SPAN = 0.5
 """Longest lag of an input that is tried [s]; delays of multirotors over Wi-Fi are 0.1 to 0.3 s."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.flight import Flight, Segment
-from rotorfit.forecast import Predictions
-from rotorfit.frames import Array, Indices, heading_from_world
+from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frames import Array, Indices, heading_from_world
+from rotorfit.dynamics.protocol import Predictions
 
 RATES = (30, 20, 10)
 """Rates of the grid that a peer may choose from [Hz]; none far above the fresh poses' own."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from peers.series import Series
-from rotorfit.forecast import SETTLING, START_EVERY
-from rotorfit.frames import Array, Indices
+from rotorfit.core.frames import Array, Indices
+from rotorfit.dynamics.protocol import SETTLING, START_EVERY
 
 Setting = Mapping[str, Any]
 Forecast = Callable[[Series, Indices, int], Array]

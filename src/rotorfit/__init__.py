@@ -6,25 +6,23 @@ The names of `__all__` are the public interface. Each is loaded when it is first
 estimator needs, takes longer to import than `rotorfit --help` may.
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from rotorfit.version import __version__
 
 if TYPE_CHECKING:
-    from rotorfit.card_file import load_card
-    from rotorfit.errors import RotorfitError
+    from rotorfit.app.web import studio
+    from rotorfit.assessment.validation import validate
+    from rotorfit.control.tuning import tune
+    from rotorfit.core.errors import RotorfitError
+    from rotorfit.dynamics.trajectory import simulate
+    from rotorfit.estimation.fitting import fit
     from rotorfit.exports import export
-    from rotorfit.fit import fit
-    from rotorfit.flight import flight_from_log
-    from rotorfit.model import simulate
-    from rotorfit.model_file import load, save
-    from rotorfit.sources import read
-    from rotorfit.studio import studio
-    from rotorfit.tune import tune
-    from rotorfit.validation import validate
+    from rotorfit.files.cards import load_card
+    from rotorfit.files.logs import read
+    from rotorfit.files.models import load, save
+    from rotorfit.flights.assemble import flight_from_log
 
 __all__ = [
     "RotorfitError",
@@ -43,31 +41,20 @@ __all__ = [
 ]
 
 _HOMES = {
-    "RotorfitError": "rotorfit.errors",
+    "RotorfitError": "rotorfit.core.errors",
     "export": "rotorfit.exports",
-    "fit": "rotorfit.fit",
-    "flight_from_log": "rotorfit.flight",
-    "load": "rotorfit.model_file",
-    "load_card": "rotorfit.card_file",
-    "read": "rotorfit.sources",
-    "save": "rotorfit.model_file",
-    "simulate": "rotorfit.model",
-    "studio": "rotorfit.studio",
-    "tune": "rotorfit.tune",
-    "validate": "rotorfit.validation",
+    "fit": "rotorfit.estimation.fitting",
+    "flight_from_log": "rotorfit.flights.assemble",
+    "load": "rotorfit.files.models",
+    "load_card": "rotorfit.files.cards",
+    "read": "rotorfit.files.logs",
+    "save": "rotorfit.files.models",
+    "simulate": "rotorfit.dynamics.trajectory",
+    "studio": "rotorfit.app.web",
+    "tune": "rotorfit.control.tuning",
+    "validate": "rotorfit.assessment.validation",
 }
 """Public name to the module that defines it."""
-
-
-class _Package(ModuleType):
-    """Keeps the function `fit` in reach: importing the module of that name would put the module in its place."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOMES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,5 @@
 """`python -m rotorfit` is the command line."""
 
-from rotorfit.cli import main
+from rotorfit.app.cli import main
 
 main()

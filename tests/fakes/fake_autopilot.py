@@ -8,7 +8,7 @@ os.environ["MAVLINK20"] = "1"
 from live_room import LiveRoom, arguments, run_until_told
 from pymavlink import mavutil
 
-from rotorfit.sensors import Mocap
+from rotorfit.simulation.sensors import Mocap
 
 MOCAP = Mocap(rate=50.0, noise=0.002, turn_noise=0.002, latency=0.01, jitter=0.001)
 """The autopilot's own estimate: 50 Hz, and the delay of a filter."""

@@ -10,7 +10,7 @@ from live_room import LiveRoom, arguments, run_until_told
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Empty
 
-from rotorfit.sensors import Mocap
+from rotorfit.simulation.sensors import Mocap
 
 MOCAP = Mocap()
 KINDS = {"PoseStamped": PoseStamped, "TransformStamped": TransformStamped, "Odometry": Odometry}

@@ -7,7 +7,7 @@ from typing import Any
 
 from live_room import LiveRoom, arguments, run_until_told, yaw_of
 
-from rotorfit.sensors import Mocap
+from rotorfit.simulation.sensors import Mocap
 
 SIGHT = Mocap(rate=500.0, noise=0.002, turn_noise=0.005, latency=0.0, jitter=0.0)
 MOCAP = Mocap(rate=10.0, noise=0.0035, turn_noise=0.007, latency=0.0, jitter=0.0)

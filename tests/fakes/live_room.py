@@ -13,10 +13,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from rotorfit.log import Sample
-from rotorfit.sensors import Mocap
-from rotorfit.simulator import Conditions, FlightRoom
-from rotorfit.vehicle import load_vehicle
+from rotorfit.core.log import Sample
+from rotorfit.simulation.flight_room import Conditions, FlightRoom
+from rotorfit.simulation.sensors import Mocap
+from rotorfit.simulation.vehicle import load_vehicle
 
 
 class LiveRoom:

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rotorfit import __version__
-from rotorfit.errors import ExportError
+from rotorfit.core.errors import ExportError
 from rotorfit.exports.formats import FORMATS, Format
+from rotorfit.version import __version__
 
 if TYPE_CHECKING:
-    from rotorfit.flight import Flight
-    from rotorfit.model import Model
-    from rotorfit.validation import Validation
+    from rotorfit.core.flight_data import Flight
+    from rotorfit.core.model import Model
+    from rotorfit.core.results import Validation
 
 __all__ = ["FORMATS", "MARK", "Export", "Format", "export"]
 
@@ -84,7 +84,7 @@ def export(
     from rotorfit.exports.header import header
     from rotorfit.exports.subject import subject_of
     from rotorfit.exports.validity import scores, trained_on
-    from rotorfit.exports.writing import check, told, written
+    from rotorfit.exports.writing import check, render, summary_of
 
     form = _format_named(to)
     known, origin, digest = _identified(model)
@@ -96,8 +96,10 @@ def export(
     if path and to == "matlab" and Path(path).stem != subject.name:
         raise ExportError(f"{path}: MATLAB wants the file to have the name of its function; call it {subject.name}.m")
     mark = f"Written by rotorfit export {__version__}, format {to}."
-    lines = header(subject, told(subject, to), trained_on(training), scores(known, validation, subject.axes), mark)
-    text = written(subject, to, form, lines)
+    lines = header(
+        subject, summary_of(subject, to), trained_on(training), scores(known, validation, subject.axes), mark
+    )
+    text = render(subject, to, form, lines)
     if path:
         Path(path).write_text(text, encoding="utf-8")
     return Export(to, subject.name, subject.axes, subject.notes, subject.model, text)
@@ -111,7 +113,7 @@ def _format_named(to: str) -> Format:
 
 def _identified(model: "Model | str | Path") -> "tuple[Model, str, str]":
     """The model, where it is from, and the hash of its file; of a model in memory, that which `save` would write."""
-    from rotorfit.model_file import load, to_mapping
+    from rotorfit.files.models import load, to_mapping
 
     if isinstance(model, str | Path):
         loaded = load(model)

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import structure_named
 from rotorfit.exports.subject import Subject
-from rotorfit.frames import AXES
-from rotorfit.structure import structure_named
 
 SPEEDS = {"x": "forward", "y": "left", "z": "v_z", "yaw": "v_yaw"}
 """Axis to the variable that holds its velocity in the heading frame."""

@@ -3,10 +3,10 @@
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import Axis, Interval
 from rotorfit.exports.subject import Subject
-from rotorfit.frames import AXES
-from rotorfit.model import Axis, Interval
-from rotorfit.structure import structure_named
 
 WIDTH = 112
 

@@ -4,37 +4,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rotorfit.card import Card
-from rotorfit.convert import scaled
-from rotorfit.errors import ExportError
-from rotorfit.frames import AXES
-from rotorfit.model import Axis, Model, Predictor
-from rotorfit.settings import Meaning, limit_text, meaning_of
-from rotorfit.structure import Structure, structure_named
+from rotorfit.core.errors import ExportError
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import Structure, structure_named
+from rotorfit.core.limits import COMMAND_UNITS, CommandMeaning, command_of, meaning_of
+from rotorfit.core.model import Axis, Model, Predictor
+from rotorfit.dynamics.other_limits import scaled
 
 SUBSTEP = 0.1
 """Runge-Kutta steps are no longer than this share of the shortest time constant: relative error 1e-6 or less."""
 
 SLOWEST_RATE = 2.0
 """Turning at this rate is followed as well [rad/s]."""
-
-_UNITS = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
-_LIMIT_OF = {"tilt": "tilt", "velocity": "speed", "vertical_speed": "vertical_speed", "yaw_rate": "yaw_rate"}
-
-
-@dataclass(frozen=True)
-class Command:
-    """What the command of an axis is, as the export takes it.
-
-    Attributes:
-        text: In words, with its limit where the card has one.
-        unit: `fraction`, an SI unit, or `unit of command`.
-        limit: Largest size; None where the card does not tell.
-    """
-
-    text: str
-    unit: str
-    limit: float | None
 
 
 @dataclass(frozen=True)
@@ -57,7 +38,7 @@ class Subject:
     name: str
     model: Model
     original: Model
-    commands: tuple[Command, ...]
+    commands: tuple[CommandMeaning, ...]
     physical: bool
     dt: float
     notes: tuple[str, ...]
@@ -195,7 +176,7 @@ def _physical(model: Model) -> tuple[Model, list[str]]:
             axes[name] = replace(axis, predictor=scaled(axis.predictor, 1 / meaning.setting))
             notes.append(
                 f"The command of {name} is physical: what the vehicle takes is this divided by {meaning.setting:.10g} "
-                f"{_UNITS[meaning.asked]}, its limit in the training flights."
+                f"{COMMAND_UNITS[meaning.asked]}, its limit in the training flights."
             )
     return replace(model, axes=axes), notes
 
@@ -213,17 +194,3 @@ def _rounded(model: Model, dt: float) -> tuple[Model, list[str]]:
             f"to {delay:g} s, {abs(off):.1f} ms {'longer' if off > 0 else 'shorter'}."
         )
     return replace(model, axes=axes), notes
-
-
-def command_of(card: Card, axis: str, physical: bool = False) -> Command:
-    """What the command of an axis is by a card; with `physical`, in SI where the card's are fractions."""
-    meaning: Meaning = meaning_of(card, axis)
-    if meaning.asked is None:
-        return Command(f"as sent, by the card {card.name}; what it asks for is not known", "unit of command", None)
-    if meaning.limit and not physical:
-        size = f" ({limit_text(meaning.limit, meaning.setting)})" if meaning.setting else ""
-        return Command(f"fraction of the {meaning.limit} limit{size}, from -1 to 1", "fraction", 1.0)
-    limit = card.limits.get(meaning.limit or _LIMIT_OF[meaning.asked])
-    unit = _UNITS[meaning.asked]
-    ends = f", from {-limit:.4g} to {limit:.4g}" if limit else ", limits not known"
-    return Command(f"{meaning.asked} asked for [{unit}]{ends}", unit, limit)

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.flight import Flight
-from rotorfit.frames import AXES, Array, heading_from_world
-from rotorfit.measured import seen_in
-from rotorfit.model import Model
-from rotorfit.validation import Validation, to_mapping
+from rotorfit.assessment.validation import to_mapping
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, heading_from_world
+from rotorfit.core.model import Model
+from rotorfit.core.results import Validation
+from rotorfit.dynamics.kinematics import seen_in
 
 RARE = 99.0
 """Per cent of the samples that lie below what is called the largest."""

@@ -7,13 +7,15 @@ from importlib import resources
 from itertools import pairwise
 from typing import Any
 
-from rotorfit.errors import ExportError
+from rotorfit.core.errors import ExportError
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import FIRST_ORDER_DELAY
+from rotorfit.core.limits import CommandMeaning
+from rotorfit.core.model import Model
+from rotorfit.dynamics.trajectory import state_space
 from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
 from rotorfit.exports.formats import Format
-from rotorfit.exports.subject import Command, Subject, listed
-from rotorfit.frames import AXES
-from rotorfit.model import Model, state_space
-from rotorfit.structure import FIRST_ORDER_DELAY
+from rotorfit.exports.subject import Subject, listed
 
 _PLAIN = (FIRST_ORDER_DELAY.name, "first_order")
 
@@ -43,7 +45,7 @@ TOLD = {
 """What a file of each format holds."""
 
 
-def told(subject: Subject, to: str) -> str:
+def summary_of(subject: Subject, to: str) -> str:
     """What a file of the format holds, in a sentence or two."""
     stepped = {"casadi", "numpy", "jax", "matlab", "c", "rotorpy"}
     steps = (
@@ -79,7 +81,7 @@ def check(subject: Subject, to: str, form: Format) -> None:
         )
 
 
-def written(subject: Subject, to: str, form: Format, header: Sequence[str]) -> str:
+def render(subject: Subject, to: str, form: Format, header: Sequence[str]) -> str:
     """The whole file.
 
     Args:
@@ -164,7 +166,7 @@ def _space(subject: Subject) -> dict[str, Any]:
     return {"axes": space.axes, "A": space.A.tolist(), "B": space.B.tolist(), "C": space.C.tolist()}
 
 
-def _commands(subject: Subject) -> list[tuple[str, Command]]:
+def _commands(subject: Subject) -> list[tuple[str, CommandMeaning]]:
     return list(zip(AXES, subject.commands, strict=True))
 
 

@@ -1,0 +1,136 @@
+"""Verbs before and during a flight."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotorfit.app.cli.options import JSON, card_option, file_at, print_json, progress_bar, silence, some_axes_of
+
+if TYPE_CHECKING:
+    from rotorfit.app.terminal.tables import View
+
+
+@click.command()
+@click.option("--card", metavar="C", help="Built-in card, TOML file, or sim:VEHICLE; with the limits.")
+@click.option(
+    "--after", type=file_at(dir_okay=False), metavar="model.json", help="Propose the flight to add to a model."
+)
+@click.option(
+    "--design",
+    type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a"]),
+    help="How the signals come about; default: multisine, or with --after the one that tells most.",
+)
+@click.option("--room", metavar="6x4x3", help="Size of the room [m], origin amid its floor; default: 6x4x3.")
+@click.option("--box", metavar="x0,y0,z0,x1,y1,z1", help="The fence itself, in the frame of the poses [m].")
+@click.option(
+    "--axes", metavar="x,y,z,yaw", callback=some_axes_of, help="To excite; default: all, or --after the worst known."
+)
+@click.option("--separate", is_flag=True, help="Separate flights, as the paper: x with y, z, yaw.")
+@click.option("--open-loop", is_flag=True, help="No feedback on any axis.")
+@click.option("--duration", type=float, default=60.0, metavar="S", help="Of each flight, at most; default: 60.")
+@click.option("--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: what fits.")
+@click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Of sequences and draws; default: 0.")
+@click.option("-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; never over an edited one.")
+@click.option("--picture", type=file_at(), metavar="plan.png", help="Draw commands, path, speeds, standard errors.")
+@JSON
+def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
+    """Design a flight and predict what it will tell, and where it leads."""
+    from rotorfit.app.workflows import check_destination
+    from rotorfit.files.plans import check_plan_destination, save_plan
+    from rotorfit.planning.preview import PICTURE_MARK, write_picture
+    from rotorfit.planning.request import Request, destinations, planned, plans_mapping
+
+    request = Request(**asked)
+    files, pictures = (destinations(path, request) if path else [] for path in (output, picture))
+    for path in files:
+        check_plan_destination(path)
+    for path in pictures:
+        check_destination(path, PICTURE_MARK)
+    with progress_bar() as progress:
+        plans, proposal = planned(request, progress)
+    for one, path in zip(plans, files, strict=False):
+        save_plan(one, path)
+    for one, path in zip(plans, pictures, strict=False):
+        write_picture(one, path)
+    if as_json:
+        return print_json(plans_mapping(plans, files, pictures, proposal))
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.outlook import next_view, plan_view
+
+    if proposal:
+        show(next_view(proposal))
+    for number, one in enumerate(plans):
+        show([*([""] if number else []), *plan_view(one)])
+    for path in (*files, *pictures):
+        click.echo(f"\nWritten to {path}.")
+    if not files:
+        click.echo("\nNothing was written; -o plan.toml keeps the plan.")
+    return None
+
+
+@click.command()
+@click.argument("plan_path", metavar="PLAN")
+@click.option(
+    "--link",
+    "link",
+    metavar="NAME[:ADDRESS]",
+    required=True,
+    help="sim, sim:VEHICLE,wind=1,gusts=0.3 [m/s], replay:FILE, ros1, ros2, mavlink, tello.",
+)
+@click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
+@click.option("-o", "output", type=file_at(), metavar="flight.mcap", required=True, help="The recording to write.")
+@card_option("the plan's own")
+@click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
+@click.option("--take-off", is_flag=True, help="Begin on the floor.")
+@click.option("--seed", type=int, default=0, help="Of a simulated vehicle.")
+@click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
+@JSON
+def fly(
+    plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
+    yes: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
+    from rotorfit.core.errors import LinkError
+    from rotorfit.flying.mission import flown_mapping, flown_mission, mission
+    from rotorfit.flying.preflight import refuse
+
+    with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
+        if not as_json:
+            _shown_first(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
+        refuse(wanted.ready)
+        if wanted.link.live and not yes:
+            click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
+        result = flown_mission(wanted, land, status_line)
+    if result.reason != "completed":
+        raise LinkError(ended_early(result))
+    try:
+        if as_json:
+            return print_json(flown_mapping(result, wanted.ready, wanted.link.live))
+        show(flown_view(result, wanted.link.live))
+        return click.echo(f"\nNext: {next_command([str(output)])}")
+    except BrokenPipeError:
+        silence()
+        return click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
+
+
+def _shown_first(view: "View") -> None:
+    """Shows what somebody must have seen before a vehicle moves.
+
+    Raises:
+        LinkError: Nobody reads the output.
+    """
+    from rotorfit.app.terminal import show
+    from rotorfit.core.errors import LinkError
+
+    try:
+        show(view)
+    except BrokenPipeError:
+        silence()
+        raise LinkError(
+            "not flown: nobody reads the output (a closed pipe), so nobody has seen the preflight; "
+            "let it be read to its end, or write it to a file"
+        ) from None

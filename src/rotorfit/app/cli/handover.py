@@ -1,0 +1,118 @@
+"""Verbs that hand a model over: to a controller, an estimator or a simulator."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rotorfit.app.cli.options import JSON, MODEL, axes_of, file_at, print_json, progress_bar
+
+
+@click.command()
+@click.argument("model_path", metavar="[MODEL]", required=False)
+@click.argument("logs", metavar="[LOG...]", nargs=-1)
+@click.option("--to", "to", metavar="NAME", help="The format; without it, the formats are listed.")
+@click.option(
+    "-o", "output", type=file_at(), metavar="FILE", help="The file to write; its name is that of the vehicle."
+)
+@click.option("--dt", type=float, default=0.02, metavar="S", help="Sample period of the C header; default: 0.02.")
+@click.option("--predictor", is_flag=True, help="Also axes that the data cannot tell, by the point that predicts best.")
+@click.option("--physical", is_flag=True, help="Commands in rad, m/s and rad/s instead of fractions of limits.")
+@click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file says by how much.")
+@JSON
+def export(
+    model_path: str | None, logs: Sequence[str], to: str | None, output: Path | None, as_json: bool, **asked: Any
+) -> None:
+    """Write a model for a controller, an estimator or a simulator.
+
+    With LOGs the file also states the errors of predictions on them. Without --to, lists the formats.
+    """
+    from dataclasses import asdict
+
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.handover import export_formats_view, export_mapping, export_view
+    from rotorfit.exports import MARK
+    from rotorfit.exports import export as write
+    from rotorfit.exports.formats import FORMATS
+
+    if to is None:
+        if as_json:
+            return print_json({"formats": {name: asdict(form) for name, form in FORMATS.items()}})
+        return show(export_formats_view(FORMATS))
+    if model_path is None or output is None:
+        raise click.UsageError("give a model and -o FILE: rotorfit export model.json --to NAME -o FILE")
+    from rotorfit.app.workflows import check_destination, training_flights, validate_logs
+    from rotorfit.files.log_span import parse_log
+    from rotorfit.files.models import load
+
+    check_destination(output, MARK)
+    model = load(model_path)
+    with progress_bar() as progress:
+        validation = validate_logs(model, [parse_log(log) for log in logs], progress=progress)[0] if logs else None
+    made = write(model_path, to, output, training=training_flights(model)[0], validation=validation, **asked)
+    if as_json:
+        return print_json(export_mapping(made, str(output)))
+    return show(export_view(made, str(output)))
+
+
+@click.command()
+@MODEL
+@click.option(
+    "--design",
+    type=click.Choice(["predictor", "lqr", "linearising"]),
+    default="predictor",
+    help="The law: state predictor (default), LQR with the delay, or feedback linearisation.",
+)
+@click.option("--rate", type=float, default=50.0, metavar="HZ", help="Commands a second; default: 50.")
+@click.option(
+    "--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s."
+)
+@click.option("--axes", metavar="x,y,z,yaw", callback=axes_of, help="The axes to tune; default: all.")
+@click.option("--peak", type=float, default=1.7, metavar="MS", help="Highest peak of the sensitivity; default: 1.7.")
+@click.option("--seed", type=int, default=0, metavar="N", help="Of the vehicles drawn from the covariance; default: 0.")
+@click.option("--try", "address", metavar="VEHICLE", help="Fly them in the flight room: bebop2,wind=1.5,gusts=0.3.")
+@click.option(
+    "-o", "output", type=file_at(dir_okay=False), metavar="gains.toml", help="Write the gains (.toml, .yaml)."
+)
+@JSON
+def tune(
+    model_path: str,
+    design: Any,
+    rate: float,
+    latency: float,
+    axes: Any,
+    peak: float,
+    seed: int,
+    address: str | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Gains of a position controller, as fast as what is known allows."""
+    from rotorfit.app.workflows import check_destination
+    from rotorfit.control.tuning import tune as tuned
+    from rotorfit.exports.gains import GAINS_MARK, save_gains, tuning_mapping
+    from rotorfit.files.models import load
+
+    if output:
+        check_destination(output, GAINS_MARK)
+    model = load(model_path)
+    tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)
+    if output:
+        save_gains(tuning, model, output)
+    scores = None
+    if address:
+        from rotorfit.control.trial import scores_mapping, try_tuning
+
+        scores = try_tuning(tuning, model, address)
+    if as_json:
+        return print_json(tuning_mapping(tuning, model) | ({"trial": scores_mapping(scores)} if scores else {}))
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.handover import trial_view, tuning_view
+
+    show(tuning_view(tuning))
+    if scores and address:
+        click.echo()
+        show(trial_view(scores, address))
+    click.echo(f"\nGains written to {output}." if output else "\nNothing was written; -o gains.toml keeps the gains.")
+    return None

@@ -1,0 +1,114 @@
+"""Arguments and options that several verbs share, and what turns their text into values.
+
+What verbs print beside their tables: JSON, and a bar while the work lasts.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from rotorfit.core.errors import RotorfitError
+from rotorfit.core.progress import Progress
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def span_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    """`T0:T1` as a Span; the whole log where none is given."""
+    from rotorfit.files.log_span import WHOLE, parse_span
+
+    try:
+        return WHOLE if text is None else parse_span(text)
+    except RotorfitError as error:
+        raise click.BadParameter(str(error), ctx) from None
+
+
+def axes_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    """Names of axes, separated by commas; all of them where none is given."""
+    from rotorfit.core.frames import AXES
+
+    axes = AXES if text is None else tuple(part.strip() for part in text.split(","))
+    unknown = [axis for axis in axes if axis not in AXES]
+    if unknown:
+        raise click.BadParameter(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}", ctx)
+    return axes
+
+
+def some_axes_of(ctx: click.Context, parameter: click.Parameter, text: str | None) -> Any:
+    """The same; None where none is given."""
+    return None if text is None else axes_of(ctx, parameter, text)
+
+
+def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> Any:
+    """Name of a structure, or `auto`; the default where none is given."""
+    from rotorfit.core.laws import FIRST_ORDER_DELAY, STRUCTURES
+
+    if name is not None and name != "auto" and name not in STRUCTURES:
+        raise click.BadParameter(f"no such structure: {name!r}; structures are auto, {', '.join(STRUCTURES)}", ctx)
+    return name or FIRST_ORDER_DELAY.name
+
+
+def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
+    """Seconds, separated by commas; those of the protocol where none is given."""
+    from rotorfit.dynamics.protocol import HORIZONS
+
+    try:
+        horizons = HORIZONS if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError:
+        horizons = ()
+    if not horizons or not all(0 < horizon < float("inf") for horizon in horizons):
+        raise click.BadParameter(f"{text!r} is no list of positive seconds, such as 0.5,1,2,5", ctx)
+    return horizons
+
+
+def file_at(**more: Any) -> click.Path:
+    """A path on the disk; `more` as of `click.Path`."""
+    return click.Path(path_type=Path, **more)
+
+
+LOGS = click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+
+MODEL = click.argument("model_path", metavar="MODEL")
+
+
+def card_option(default: str) -> Callable[[Function], Function]:
+    """`--card`, with what is taken where none is given."""
+    return click.option("--card", metavar="C", help=f"Name of a built-in card, or a TOML file; default: {default}.")
+
+
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+
+SPAN = click.option(
+    "--span", metavar="T0:T1", callback=span_of, help="Part of every log [s], from the start of its common window."
+)
+
+
+def print_json(result: Any) -> None:
+    """Prints a result as JSON; NaN in it is a bug and raises."""
+    click.echo(json.dumps(result, indent=1, allow_nan=False))
+
+
+def silence() -> None:
+    """Stdout goes nowhere from now on: after a pipe was closed, every further line, the last flush too, would fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress | None]:
+    """A bar on stderr where that is a terminal; nothing in a pipe."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=text)

@@ -1,0 +1,104 @@
+"""What the terminal shows of a flight: the preflight list, a line while it lasts, how it ended."""
+
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+
+from rotorfit.app.terminal.tables import View, bullets, indented, title
+
+if TYPE_CHECKING:
+    from rotorfit.core.flight_plan import Flown, Jitter, Plan, Status
+    from rotorfit.flying.preflight import Ready
+
+PERIOD = 0.2  # s between two lines
+
+
+def preflight_view(plan: "Plan", link: str, ready: "Ready", fail_safe: str) -> View:
+    """The preflight list, and what a lost link leaves to the vehicle."""
+    yield title(f"{plan.name}: {plan.duration:g} s at {plan.rate:g} commands a second, by {link}")
+    for check in ready.checks:
+        line = Text("  ok   " if check.ok else "  NOT  ", style="green" if check.ok else "bold red")
+        line.append(f"{check.name}: {check.text}", style="default")
+        yield line
+    yield from bullets(ready.notes)
+    yield indented(f"If the link is lost: {fail_safe}")
+
+
+def flown_view(flown: "Flown", live: bool) -> View:
+    """How a flight ended; how late its commands were where the link is live: simulated time is never late."""
+    yield title(f"Flown: {flown.text}.")
+    yield indented(
+        f"{flown.duration:.1f} s of the plan, {flown.commands} commands, {flown.poses} poses; "
+        f"{'landing' if flown.landed else 'hovering'}"
+    )
+    if live:
+        yield indented(jitter_line(flown.jitter, flown.late))
+    if flown.outliers:
+        yield indented(f"{flown.outliers} poses could not be true and were left out")
+    yield from bullets(flown.notes)
+
+
+def ended_early(flown: "Flown") -> str:
+    """One line about a flight that something ended."""
+    when = f"after {flown.duration:.1f} s of the plan" if flown.duration else "before the plan began"
+    return f"ended early, {when}: {flown.text}; the log so far: {flown.path}"
+
+
+def jitter_line(jitter: "Jitter", count: int) -> str:
+    """By how much commands came later than they were due, and how many by more than three periods."""
+    p50, p99, most = (1e3 * value for value in (jitter.p50, jitter.p99, jitter.max))
+    late = f", {count} more than three periods" if count else ""
+    return f"commands late by {p50:.2f} ms (median), {p99:.2f} ms (99 %), {most:.2f} ms (most){late}"
+
+
+def next_command(paths: Sequence[str]) -> str:
+    """What to do with the recording."""
+    return f"rotorfit fit {' '.join(paths)} -o model.json"
+
+
+@contextmanager
+def status_line() -> Iterator[Callable[["Status"], None] | None]:
+    """Shows the last status in one line on stderr, where that is a terminal, from a thread of its own.
+
+    A terminal that does not keep up must not hold up the flight.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    last: list[Any] = [None]
+    over = threading.Event()
+
+    def run() -> None:
+        with suppress(OSError):  # a terminal that was closed
+            while not over.wait(PERIOD):
+                if last[0] is not None:
+                    sys.stderr.write(f"\r\033[K{status_text(last[0])}")
+                    sys.stderr.flush()
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
+
+    def told(status: "Status") -> None:
+        last[0] = status
+
+    thread = threading.Thread(target=run, name="rotorfit-status", daemon=True)
+    thread.start()
+    try:
+        yield told
+    finally:
+        over.set()
+        thread.join(1.0)
+
+
+def status_text(status: "Status") -> str:
+    """The line while a flight lasts."""
+    of = f" of {status.duration:g}" if status.phase == "plan" else ""
+    place = "no pose"
+    if status.pose is not None:
+        x, y, z, _ = status.pose
+        place = f"x {x:+.2f} y {y:+.2f} z {z:.2f} m, {status.room:.2f} m to the fence"
+    battery = "" if status.battery is None else f", battery {status.battery:.0%}"
+    return f"{status.phase} {status.time:.1f}{of} s: {place}{battery}  (Ctrl-C or space: hover and end)"

@@ -1,0 +1,211 @@
+"""What the terminal shows of a model: coefficients, accuracy, physics, structures, findings."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from rotorfit.app.terminal.tables import (
+    View,
+    bullets,
+    finding_view,
+    indented,
+    interval_text,
+    number_text,
+    table,
+    three_digits,
+    title,
+)
+from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.finding import DAMAGED
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import COEFFICIENTS, Axis, Mode, Model
+from rotorfit.dynamics.physics import PhysicsRow, implied_limits, physics_rows
+from rotorfit.reporting.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
+
+_UNITS = {
+    "input": ("m/s^2", "rad/s^2"),
+    "damping": ("1/s", "1/s"),
+    "delay": ("s", "s"),
+    "steady_gain": ("m/s", "rad/s"),
+    "total_lag": ("s", "s"),
+    "delay_plus_lag": ("s", "s"),
+    "offset_plus_delay": ("s", "s"),
+    "natural_frequency": ("rad/s", "rad/s"),
+    "quadratic_drag": ("1/m", "1/rad"),
+    "damping_at_rest": ("1/s", "1/s"),
+    "input_up": ("m/s^2", "rad/s^2"),
+    "input_down": ("m/s^2", "rad/s^2"),
+}
+"""Of an axis of translation and of yaw; `input` and `steady_gain` per unit of the command."""
+
+_AS_LIKELY, _FAR_LESS_LIKELY = 1.0, 5.0
+"""Differences of the log-likelihood: below the first nobody could tell, beyond the second nobody would doubt."""
+
+_MOST_OTHERS = 3
+
+
+def model_view(model: Model, axes: Sequence[str]) -> View:
+    """Verdict, coefficients, how sure the search is, repairs of the flights, findings."""
+    wanted = [axis for axis in AXES if axis in axes]
+    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+    for finding in concerned:
+        if finding.code == DAMAGED:
+            yield from finding_view(finding)
+            yield ""
+    yield Text(summary_of_model(model, wanted))
+    yield ""
+    yield _coefficient_table(model, wanted)
+    known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
+    combined = any(axis.combinations for axis in known.values())
+    lag = "lag + " if any("lag" in axis.extra for axis in known.values()) else ""
+    legend = f"; steady gain = input / damping; total lag = delay + {lag}1 / damping" if combined else ""
+    yield indented(f"input is per command of 1{legend}", 0, "dim")
+    yield from bullets(_search_lines(known))
+    if model.uncertainty:
+        for heads, cells_of in ((PERCENT_HEADS, percent_rows), (ERROR_HEADS, error_rows)):
+            yield ""
+            out = table(*heads, left=(0, 1), gap=1)
+            for cells in cells_of(model.uncertainty):
+                out.add_row(*cells)
+            yield out
+        yield from bullets(accuracy_lines(model.uncertainty))
+    rows = [row for row in physics_rows(model) if row.axis in wanted]
+    if rows:
+        yield ""
+        yield _physics_table(rows)
+        yield from bullets([line for line in implied_limits(model) if line.partition(":")[0] in wanted])
+    for axis, one in known.items():
+        yield from _structure_view(axis, one)
+    for flight in model.flights:
+        yield ""
+        start, end = flight.span
+        yield title(f"{flight.path}, {start:.2f} to {end:.2f} s, commands {', '.join(flight.axes) or 'nothing'}")
+        yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # said first
+    for finding in concerned:
+        if finding.code != DAMAGED:
+            yield ""
+            yield from finding_view(finding)
+
+
+def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
+    out = table("axis", "coefficient", "estimate", "95 % interval", "unit", "paper", "status", left=(0, 1, 4, 6), gap=1)
+    for axis in axes:
+        known, k = model.axes[axis], AXES.index(axis)
+        paper = dict(zip(COEFFICIENTS, model.paper[2 * k : 2 * k + 2], strict=False))
+        there = [name for name in COEFFICIENTS if known.predictor or name == "input" or paper.get(name) is not None]
+        for name in there:
+            value, beside = getattr(known, name), paper.get(name)
+            out.add_row(
+                axis if name == "input" else "",
+                name,
+                "-" if value is None else number_text(value, known.ci95[name]),
+                interval_text(known.ci95[name]),
+                _UNITS[name][axis == "yaw"],
+                "" if beside is None else f"{beside:.3g}",
+                known.status[name],
+            )
+        for name, further in known.extra.items():
+            ends, unit = known.ci95.get(name, (None, None)), _unit(axis, known.structure, name)
+            value = "-" if further is None else number_text(further, ends)
+            out.add_row("", _words(name), value, interval_text(ends), unit, "", known.status.get(name, "given"))
+        for name, part in known.combinations.items():
+            value = "-" if part.ci95 == (None, None) else number_text(part.value, part.ci95)
+            unit = _UNITS.get(name, ("", ""))[axis == "yaw"]
+            out.add_row("", _words(name), value, interval_text(part.ci95), unit, "", "")
+    return out
+
+
+def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
+    """Coefficients in physics, at full command, beside what the card makes one expect."""
+    out = table("axis", "in physics", "estimate", "95 % interval", "unit", "expect", "ratio", left=(0, 1, 4), gap=1)
+    shown = ""
+    for row in rows:
+        value, ends = row.measured.value, row.measured.ci95
+        ratio = row.ratio if row.ratio and None not in row.ratio.ci95 else None
+        out.add_row(
+            "" if row.axis == shown else row.axis,
+            row.name.replace("_", " "),
+            "-" if value is None else number_text(value, ends),
+            interval_text(ends),
+            row.unit,
+            "" if row.expected is None else f"{row.expected:.3g}",
+            "" if ratio is None or ratio.value is None
+            else f"{ratio.value:.2f} ({ratio.ci95[0]:.2f} to {ratio.ci95[1]:.2f})",
+        )  # fmt: skip
+        shown = row.axis
+    return out
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _unit(axis: str, structure: str, name: str) -> str:
+    """Unit of a further parameter of a structure."""
+    unit = next(extra.unit for extra in structure_named(structure).extras if extra.name == name)
+    speed = "rad/s" if axis == "yaw" else "m/s"
+    return {"speed": speed, "gain": f"{speed}^2"}.get(unit, unit)
+
+
+def _structure_view(axis: str, known: Axis) -> View:
+    """The law of an axis where it is not the default, the default's coefficients, and what it was chosen from."""
+    if known.plain:
+        yield ""
+        numbers = [
+            f"{name} {'-' if value is None else number_text(value, known.plain.ci95[name])}"
+            f" ({interval_text(known.plain.ci95[name])})"
+            for name in COEFFICIENTS
+            for value in (getattr(known.plain, name),)
+        ]
+        yield title(f"{axis}: structure {known.structure}, {structure_named(known.structure).law}")
+        yield indented(f"With the default structure instead: {', '.join(numbers)}")
+    if not known.candidates:
+        return
+    yield ""
+    yield title(f"{axis}: structures tried")
+    scale, unit = (180 / math.pi, "deg") if axis == "yaw" else (100.0, "cm")
+    out = table("structure", "log L", "BIC", f"1 s [{unit}/s]", f"5 s [{unit}]", left=(0,))
+    for one in known.candidates:
+        errors = ["-" if e is None else three_digits(scale * e) for e in (one.velocity, one.position)]
+        mark = " *" if one.chosen else ""
+        out.add_row(f"{one.structure}{mark}", f"{one.log_likelihood:+.1f}", f"{one.bic:+.1f}", *errors)
+    yield out
+    yield from bullets([f"{one.structure}: {one.verdict}" for one in known.candidates if one.rival or not one.chosen])
+    yield indented("log L and BIC less the default's; errors of predictions of what was held out; * chosen", 0, "dim")
+
+
+def _search_lines(known: Mapping[str, Axis]) -> Iterator[str]:
+    """Whether other delays explain the flights as well: a line for each axis where some do, one for the others.
+
+    How likely each is, how many starts ended there and what it predicts is in the report and with --json.
+    """
+    alone: list[str] = []
+    for axis, one in known.items():
+        chosen = next((mode for mode in one.modes if mode.chosen), None)
+        if chosen is None:
+            continue
+        others = sorted((mode for mode in one.modes if not mode.chosen), key=lambda mode: -mode.log_likelihood)
+        near = [said for mode in others if (said := _beside(chosen, mode))]
+        if near:
+            more = f" and {len(near) - _MOST_OTHERS} more" if len(near) > _MOST_OTHERS else ""
+            yield f"{axis}: other delays fit almost as well: {', '.join(near[:_MOST_OTHERS])}{more}"
+        else:
+            alone.append(axis)
+    if alone:
+        yield f"{', '.join(alone)}: no other delay was found that fits nearly as well"
+
+
+def _beside(chosen: Mode, mode: Mode) -> str:
+    """What an optimum that was not chosen has for it, in words; nothing where it is far less likely."""
+    above = mode.log_likelihood - chosen.log_likelihood
+    if above < -_FAR_LESS_LIKELY:
+        return ""
+    same = f"{mode.delay:.3f}" == f"{chosen.delay:.3f}"
+    where = f"{mode.delay:.3f} s{f' with a damping of {mode.damping:.3g} 1/s' if same else ''}"
+    if above <= _AS_LIKELY:
+        return f"{where} ({'as' if above >= -_AS_LIKELY else 'less'} likely)"
+    worse = mode.prediction / chosen.prediction if mode.prediction and chosen.prediction else 1.0
+    return f"{where} (more likely, but predicts {f'{worse:.1f} times worse' if worse >= 1.05 else 'no better'})"

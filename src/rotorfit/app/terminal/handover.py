@@ -1,0 +1,154 @@
+"""What the terminal shows of exports: the formats, and what was written.
+
+What the terminal shows of gains: a table of the numbers, a table of the margins.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.text import Text
+
+from rotorfit.app.terminal.tables import View, bullets, table, three_digits, title
+from rotorfit.control.controller import STEPS
+from rotorfit.control.trial import PathScore
+from rotorfit.control.tuning import DELAY_SHARE, AxisTuning, Tuning
+from rotorfit.exports import Export
+from rotorfit.exports.formats import Format
+from rotorfit.exports.gains import LAWS
+
+
+def export_formats_view(formats: Mapping[str, Format]) -> View:
+    """Every format with what it holds and needs."""
+    out = table("--to", "file", "what it is", left=(0, 1, 2))
+    for name, form in formats.items():
+        out.add_row(name, form.suffix, Text(f"{form.text}; {form.needs}" if form.needs else form.text))
+    yield out
+    yield Text("rotorfit export model.json --to NAME -o FILE; docs/exports.md tells how exact each is.", style="dim")
+
+
+def export_view(made: Export, where: str) -> View:
+    """What was written, and what was left out."""
+    yield Text(f"{made.format} for {', '.join(made.axes)}, named {made.name}, written to {where}.")
+    yield from bullets(made.notes)
+
+
+def export_mapping(made: Export, where: str) -> dict[str, Any]:
+    """The same as plain JSON types, with the numbers."""
+    points = {axis: made.model.axes[axis].predictor for axis in made.axes}
+    return {
+        "format": made.format,
+        "path": where,
+        "name": made.name,
+        "axes": {
+            axis: {
+                "structure": made.model.axes[axis].structure,
+                "input": point.input,
+                "damping": point.damping,
+                "delay": point.delay,
+                **point.extra,
+            }
+            for axis, point in points.items()
+            if point
+        },
+        "notes": list(made.notes),
+    }
+
+
+def tuning_view(tuning: Tuning) -> View:
+    """Gains, margins of the model itself and under its covariance, what had to be assumed, and what is refused."""
+    yield title(f"{tuning.kind}, {tuning.rate:g} commands a second, poses {1000 * tuning.latency:g} ms old")
+    yield Text(LAWS[tuning.kind], style="dim")
+    observed = any(one.law.observer for one in tuning.axes.values())
+    last = ("observer",) if observed else ("integral", "filter")
+    gains = table("axis", "bandwidth", "input", "damping", "delay", "stiffness", "rate gain", *last)
+    for axis, one in tuning.axes.items():
+        gains.add_row(axis, *_gains(one))
+    yield gains
+    yield Text(
+        "b: damping, K: stiffness, D: rate gain"
+        + ("; d: by the observer. " if observed else ", I: integral. ")
+        + "rad/s, m/s^2 or rad/s^2 per command, 1/s, s, 1/s^2, 1/s"
+        + ("; observer: 1, 1/s, 1/s^2" if observed else "; integral: 1/s^3, filter: s"),
+        style="dim",
+    )
+    yield ""
+    margins = table("margins", "gain", "phase", "delay", "peak", "phase 95", "delay 95", "peak 95", "noise")
+    for axis, one in tuning.axes.items():
+        margins.add_row(axis, *_margins(one))
+    yield margins
+    draws = next(iter(tuning.axes.values())).robustness
+    yield Text(
+        f"Of the model itself, then what 95 % of {draws.draws} vehicles drawn from its covariance keep (seed "
+        f"{draws.seed}; none is unstable): deg, s. peak: of the sensitivity; the delay margin must be "
+        f"{DELAY_SHARE:g} of latency and delay. noise: what the poses' noise does to the command, % of full scale.",
+        style="dim",
+    )
+    yield from bullets([f"{axis}: {one.note}" for axis, one in tuning.axes.items() if one.note])
+    yield from bullets([f"{axis}: no gains, {why}" for axis, why in tuning.refused.items()])
+
+
+def trial_view(scores: Sequence[PathScore], address: str) -> View:
+    """Tracking errors in the virtual flight room."""
+    flights = scores[0].flights
+    yield title(f"In the flight room: {address}, {flights} flights of each path")
+    shown = table("path", "m/s", "position", "heading", "overshoot", "settled", "saturated", "left the fence")
+    for one in scores:
+        error, steps = one.error, one.path.shape == "steps"
+        lost = one.failed > one.flights / 2
+        shown.add_row(
+            one.path.shape,
+            "-" if steps else f"{one.path.speed:.2f}",
+            "-" if lost else three_digits(100 * error.position),
+            "-" if lost else three_digits(math.degrees(error.heading)),
+            "-" if lost or error.overshoot is None else f"{100 * error.overshoot:.0f} %",
+            "-" if lost or error.settling is None else f"{error.settling:.2f}",
+            f"{100 * one.saturated:.1f} %",
+            f"{one.failed} of {one.flights}",
+        )
+    yield shown
+    yield Text(f"RMS errors, medians over the flights: cm, deg, s. {_steps(scores)}", style="dim")
+
+
+def _steps(scores: Sequence[PathScore]) -> str:
+    """How large the steps are; empty without."""
+    sizes = [one.path.size for one in scores if one.path.shape == "steps"]
+    if not sizes:
+        return ""
+    x, y, z, yaw = np.abs(np.diff(np.array(STEPS), axis=0, prepend=np.zeros((1, 4))))[:-1].max(axis=0).tolist()
+    size = sizes[0]
+    return (
+        f"Steps, not announced: x {size * x:g} m, y {size * y:g} m, z {size * z:g} m, yaw {math.degrees(yaw):.0f} deg, "
+        "then all of it back."
+    )
+
+
+def _gains(one: AxisTuning) -> list[str]:
+    law = one.law
+    last = (
+        [" ".join(three_digits(value) for value in law.observer)]
+        if law.observer
+        else [three_digits(law.integral), f"{law.filter_time:g}"]
+    )
+    numbers = [one.bandwidth, law.input, law.damping, law.delay, law.stiffness, law.rate]
+    return [*(f"{value:.3g}" for value in numbers), *last]
+
+
+def _margins(one: AxisTuning) -> list[str]:
+    around, believed = one.margins, one.robustness
+    low, high = around.gain
+    return [
+        f"{low:.2f} to {high:.2f}" if math.isfinite(high) else f"{low:.2f} up",
+        f"{math.degrees(around.phase):.0f}",
+        _seconds(around.delay),
+        f"{around.peak:.2f}",
+        f"{math.degrees(believed.phase):.0f}",
+        _seconds(believed.delay),
+        f"{believed.peak:.2f}",
+        "-" if one.noise is None else f"{100 * one.noise:.1f}",
+    ]
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "none"

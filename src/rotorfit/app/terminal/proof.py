@@ -1,0 +1,149 @@
+"""What the terminal shows as proof: paired tests, residual tests, flights left out. Tables that fit 80 columns."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.padding import Padding
+from rich.text import Text
+
+from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, indented, table, three_digits, title
+from rotorfit.core.frames import AXES
+
+if TYPE_CHECKING:
+    from rotorfit.assessment.leave_one_out import LeaveOneOut
+    from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, ResidualTests, Validation
+
+SHORT_HORIZON = "1"
+"""Horizon at which velocities are compared in the table, where there is one [s]."""
+
+VERDICTS = {
+    "better": "better",
+    "worse": "worse",
+    "no_difference_shown": "none shown",
+    "too_short": "too short",
+}
+"""Of a paired test, in words that fit a column."""
+
+
+def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]) -> View:
+    """Is the difference real? Flight by flight on the axes that it moves, and all together where there are several.
+
+    Args:
+        tests: Of the same flights.
+        flights: Their scores.
+    """
+    if not tests or not any(tests[0].axes.values()):
+        return
+    keys = list(next(iter(tests[0].axes.values())))
+    columns: list[tuple[Quantity, str]] = [
+        ("velocity", SHORT_HORIZON if SHORT_HORIZON in keys else keys[0]),
+        ("position", keys[-1]),
+    ]
+    for number in range(len(flights) + (len(flights) > 1)):
+        pooled = number == len(flights)
+        out = table(
+            "axis", "", *(h for what, key in columns for h in (f"{what[0]} {key} s", "")), left=(0, 1, 3, 5), gap=1
+        )
+        for axis in AXES if pooled else flights[number].moved:
+            rows = [(t, [_found(t, axis, column, None if pooled else number) for column in columns]) for t in tests]
+            some = [(test, found) for test, found in rows if any(each is not None for each in found)]
+            for place, (test, found) in enumerate(some):
+                name = f"vs {test.second}" if len({t.first for t in tests}) == 1 else f"{test.first} vs {test.second}"
+                cells = [cell for each in found for cell in _difference(each, axis)]
+                out.add_row("" if place else axis, name.replace("model ", ""), *cells)
+        if out.row_count:
+            name = (
+                "all flights that command the axis and were not fitted" if pooled else Path(flights[number].path).name
+            )
+            yield title(f"Is the difference real? {name}")
+            yield out
+    yield from _disagreements(tests, columns)
+    yield Text(
+        "Difference of the RMSE on the same starts [cm/s, cm; yaw deg/s, deg], below 0: the first is better, with its "
+        "95 % interval by Student's t: a short flight has few degrees of freedom; the word is the verdict.",
+        style="dim",
+    )
+
+
+def _found(test: "PairedTest", axis: str, column: tuple["Quantity", str], flight: int | None) -> "Difference | None":
+    what, key = column
+    paired = test.axes[axis][key][what]
+    return paired.pooled if flight is None else paired.flights[flight]
+
+
+def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
+    """Figures and verdict."""
+    if found is None:
+        return "-", ""
+    scale = 180 / math.pi if axis == "yaw" else 100.0
+    ends, value = found.rmse_ci95, scale * found.rmse
+    sign = "-" if value < 0 else "+"
+    if ends is None or scale * (ends[1] - ends[0]) / 2 < NOTHING:
+        return f"{sign}{three_digits(abs(value))}", VERDICTS[found.verdict]
+    low, high = scale * ends[0], scale * ends[1]
+    decimals = max(0, 1 - math.floor(math.log10((high - low) / 2)))  # two digits of the half width
+    return f"{value:+.{decimals}f} ({low:+.{decimals}f} to {high:+.{decimals}f})", VERDICTS[found.verdict]
+
+
+def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
+    """Where the pooled difference hides that the first is better on one flight and worse on another."""
+    for test in tests:
+        for axis in AXES:
+            for what, key in columns:
+                paired = test.axes[axis][key][what]
+                verdicts = {found.verdict for found in paired.flights if found}
+                if paired.agreement is not None and paired.agreement < 0.05 and {"better", "worse"} <= verdicts:
+                    yield from bullets(
+                        [
+                            f"{axis}, {test.first} vs {test.second}: better on some flights and worse on others in the "
+                            f"{what} at {key} s (p = {paired.agreement:.2g} of no more than chance): read them apart"
+                        ]
+                    )
+
+
+def residuals_view(validation: "Validation") -> View:
+    """One line an axis with the verdict of its innovations, flight by flight, then the findings."""
+    for flight, axes in zip(validation.flights, validation.residuals, strict=True):
+        if axes:
+            yield ""
+            yield title(f"What the residuals say, {Path(flight.path).name}")
+            yield from bullets([f"{axis}: {residual_line(tests)}" for axis, tests in axes.items()])
+    for finding in validation.findings:
+        yield ""
+        yield from finding_view(finding)
+
+
+def residual_line(tests: "ResidualTests") -> str:
+    """The tests of one axis in a line."""
+    low, high = tests.variance_ci95
+    parts = [f"{'white' if tests.white else 'not white'} (p = {tests.white_p:.2g}, {tests.lags} lags)"]
+    if tests.command_p is not None:
+        does = "follow past commands" if tests.follows_command else "free of past commands"
+        parts.append(f"{does} (p = {tests.command_p:.2g})")
+    parts.append(f"variance {tests.variance_ratio:.2g} of the fit's ({low:.2g} to {high:.2g})")
+    return ", ".join(parts)
+
+
+def leave_one_out_view(result: "LeaveOneOut", stated: Mapping[str, Mapping[str, float | None]]) -> View:
+    """Tests against the baselines and the spread of the coefficients; the scores are shown as any others.
+
+    Args:
+        result: Of leaving out.
+        stated: Axis name to coefficient to the standard error of the fit to all flights.
+    """
+    yield from paired_view(result.paired, result.flights)
+    yield ""
+    yield title("Coefficients of the fits that leave out one flight")
+    out = table("axis", "coefficient", "lowest", "highest", "jackknife s.e.", "stated s.e.", left=(0, 1))
+    last = ""
+    for spread in result.spread:
+        own = stated.get(spread.axis, {}).get(spread.name)
+        errors = ["-" if error is None else f"{error:.2g}" for error in (spread.jackknife_stderr, own)]
+        cells = [f"{spread.low:.3g}", f"{spread.high:.3g}", *errors]
+        out.add_row("" if spread.axis == last else spread.axis, spread.name.replace("_", " "), *cells)
+        last = spread.axis
+    yield Padding(out, (0, 0, 0, 0), expand=False)
+    yield from bullets(result.notes)
+    yield indented("A jackknife error far above the stated one: the flights differ by more than the noise.", 0, "dim")

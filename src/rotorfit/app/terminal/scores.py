@@ -1,0 +1,157 @@
+"""What the terminal shows of the ladder: every method below the other, axis by axis.
+
+What the terminal shows of predictions: errors over horizons, flight by flight.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from rotorfit.app.terminal.proof import leave_one_out_view, paired_view, residuals_view
+from rotorfit.app.terminal.tables import View, bullets, indented, table, three_digits, title
+from rotorfit.assessment.method_comparison import Ladder, MethodRow
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Interval, Model
+
+if TYPE_CHECKING:
+    from rotorfit.app.workflows import Comparison
+    from rotorfit.assessment.leave_one_out import LeaveOneOut
+    from rotorfit.core.results import FlightScores, Validation
+
+
+def ladder_view(ladder: Ladder) -> View:
+    """All rungs of each axis, one below the other, with what they say of themselves."""
+    yield title(f"Every method on {', '.join(ladder.paths)}")
+    for axis, rows in ladder.axes.items():
+        shown = table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
+        scale = 180 / math.pi if axis == "yaw" else 100.0
+        for row in rows:
+            values = [_plus_minus(getattr(row.axis, name), row.axis.stderr[name]) for name in COEFFICIENTS]
+            error = "-" if row.prediction is None else three_digits(scale * row.prediction)
+            shown.add_row(row.method, *values, error, _verdict(row, rows[-1].method))
+        if (held := ladder.held[axis]) is not None:
+            shown.add_row("hold", "", "", "", three_digits(scale * held), "", style="dim")
+        yield ""
+        yield shown
+        yield from bullets([f"{row.method}: {row.remark}" for row in rows if row.remark])
+    yield Text(
+        "+-: standard error; 1 s: RMSE of 1 s velocity predictions on these very flights [cm/s, yaw deg/s], hold keeps "
+        "the velocity; against ml: coefficients that differ from the likelihood's at 1 %.",
+        style="dim",
+    )
+
+
+def _plus_minus(value: float | None, error: float | None) -> str:
+    """A value and its standard error, with two digits of the error."""
+    if value is None or error is None:
+        return "-"
+    decimals = max(0, min(6, 1 - math.floor(math.log10(error)))) if error > 0 else 3
+    return f"{value:.{decimals}f} +- {error:.{decimals}f}"
+
+
+def _verdict(row: MethodRow, best: str) -> str:
+    """What an agreement test says of a rung."""
+    if all(getattr(row.axis, name) is None for name in COEFFICIENTS):
+        return row.axis.status["input"]
+    if not row.agreement:
+        return "" if row.method == best else f"no number of {best}"
+    differing = [name for name, test in row.agreement.items() if not test.agrees]
+    return f"differs: {', '.join(differing)}" if differing else "agrees"
+
+
+_AT_ONCE = 4  # horizons beside each other in 80 columns
+
+
+def validation_view(validation: "Validation") -> View:
+    """Errors of the model and of the baselines, flight by flight; whether they differ; what the residuals say."""
+    yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
+    yield ""
+    yield from paired_view(validation.paired, validation.flights)
+    yield from residuals_view(validation)
+
+
+def left_out_view(result: "LeaveOneOut", model: Model) -> View:
+    """Every flight scored by a model of the others, and how far those models differ."""
+    yield ""
+    yield title("Leave one out: each flight predicted by the model of the others")
+    yield ""
+    yield from _scores_view({"model": result.flights, **result.baselines}, ("model",))
+    yield ""
+    stated = {
+        name: {**axis.stderr, **{key: _quarter(part.ci95) for key, part in axis.combinations.items()}}
+        for name, axis in model.axes.items()
+    }
+    yield from leave_one_out_view(result, stated)
+
+
+def _quarter(interval: Interval) -> float | None:
+    """About the standard error behind a 95 % interval."""
+    low, high = interval
+    return None if low is None or high is None else (high - low) / 4
+
+
+def comparison_view(comparison: "Comparison") -> View:
+    """Errors of several models and of the baselines, flight by flight."""
+    names = [f"model {number}" for number in range(1, len(comparison.paths) + 1)]
+    yield from bullets([f"{name}: {path}" for name, path in zip(names, comparison.paths, strict=True)])
+    yield ""
+    models = {name: each.flights for name, each in zip(names, comparison.validations, strict=True)}
+    yield from _scores_view({**models, **comparison.validations[0].baselines}, tuple(models))
+    yield ""
+    yield from paired_view(comparison.paired, comparison.validations[0].flights)
+    yield from bullets(comparison.notes)
+
+
+def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequence[str]) -> View:
+    flights = next(iter(scores.values()))
+    for number, flight in enumerate(flights):
+        start, end = flight.span
+        rows = {name: each[number] for name, each in scores.items()}
+        shown = [axis for axis in flight.moved if any(_has_scores(rows[name], axis) for name in models)]
+        yield title(f"{flight.path}, {start:.2f} to {end:.2f} s; heading {flight.heading}")
+        horizons = list(flight.axes["x"].horizons)
+        for first in range(0, len(horizons), _AT_ONCE):
+            some = horizons[first : first + _AT_ONCE]
+            if shown:
+                yield _score_table(rows, shown, some)
+        seen = [name for name in models if rows[name].fitted]
+        if seen:
+            yield indented(f"No proof: {', '.join(seen)} was fitted to this stretch. Give a flight that was not.")
+        missing = [axis for axis in flight.moved if axis not in shown]
+        if missing:
+            yield indented(f"No scores of {', '.join(missing)}: no model of the axis, or fewer than 5 predictions.")
+        still = [axis for axis in AXES if axis not in flight.moved]
+        if still:
+            names = ", ".join(still)
+            yield indented(f"Not shown: {names}, not commanded or merely held in this stretch (--json has them).")
+        yield ""
+    yield Text(
+        "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "
+        "at its end [cm, yaw deg]; fit: of 1 s velocity predictions; n: predictions. hold keeps the velocity of the "
+        "start, paper uses the paper's coefficients. heading predicted: x and y are predicted along the heading that "
+        "the model of yaw gives; measured: along the recorded one, for there is no model of yaw.",
+        style="dim",
+    )
+
+
+def _has_scores(scores: "FlightScores", axis: str) -> bool:
+    return any(horizon.velocity_rmse is not None for horizon in scores.axes[axis].horizons.values())
+
+
+def _score_table(rows: Mapping[str, "FlightScores"], axes: Sequence[str], horizons: Sequence[str]) -> RenderableType:
+    heads = [f"{what} {horizon} s" for what in "vp" for horizon in horizons]
+    out = table("axis", "", *heads, "fit", left=(0, 1))
+    for axis in axes:
+        scale = 180 / math.pi if axis == "yaw" else 100.0
+        for number, (name, flight) in enumerate(rows.items()):
+            errors = [flight.axes[axis].horizons[horizon] for horizon in horizons]
+            values = [*(error.velocity_rmse for error in errors), *(error.position_rmse for error in errors)]
+            fit = flight.axes[axis].fit_percent
+            cells = ["-" if value is None else three_digits(scale * value) for value in values]
+            out.add_row("" if number else axis, name, *cells, "-" if fit is None else f"{fit:.0f} %")
+        counts = [next(iter(rows.values())).axes[axis].horizons[horizon].n for horizon in horizons]
+        out.add_row("", "n", *(str(n) for n in counts), *[""] * (len(counts) + 1), style="dim")
+    return out

@@ -1,0 +1,84 @@
+"""Pieces that all text of the terminal is made of: tables without frames, titles, indented text, bullets, findings."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+from rich.box import SIMPLE_HEAD
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.model import Interval
+
+View = Iterator[RenderableType]
+
+COLOURS = {"error": "bold red", "warning": "yellow", "info": "cyan"}
+"""Of the severities."""
+
+
+def table(*heads: str, left: Sequence[int] = (0,), gap: int = 2) -> Table:
+    """A table without frame; columns are right-aligned except those that are named."""
+    out = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap - 1, 0, 0), header_style="bold")
+    for place, head in enumerate(heads):
+        text = place in left
+        out.add_column(head, justify="left" if text else "right", no_wrap=not text, overflow="fold")
+    return out
+
+
+def title(text: str) -> Text:
+    """A bold line."""
+    return Text(text, style="bold")
+
+
+def indented(text: str, by: int = 2, style: str = "") -> RenderableType:
+    """Text that keeps its distance from the left edge when it is broken."""
+    return Padding(Text(text, style=style), (0, 0, 0, by), expand=False)
+
+
+def bullets(lines: Iterable[str]) -> View:
+    """Bullets whose text hangs behind them."""
+    for line in lines:
+        grid = Table.grid(padding=(0, 1, 0, 0))
+        grid.add_row(Text("  -"), Text(line))
+        yield grid
+
+
+def finding_view(finding: Finding) -> View:
+    """A finding with its effect and remedy."""
+    head = Text(finding.severity, style=COLOURS[finding.severity])
+    head.append(f" {finding.code}: {finding.evidence}", style="default")
+    yield head
+    yield indented(f"Effect: {finding.effect}.")
+    yield indented(f"Try: {finding.remedy}.")
+
+
+NOTHING = 1e-7
+"""Below this a number is that of rounding, in whatever unit is shown."""
+
+
+def three_digits(value: float) -> str:
+    """Three significant digits without an exponent: 0.0412, 1.55, 152; what is too small to matter is 0."""
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f}" if value > NOTHING else "0"
+
+
+def number_text(value: float, interval: Interval) -> str:
+    """A number with the digits that its interval earns: two of the half width."""
+    return f"{value:.{_decimals(value, interval)}f}"
+
+
+def interval_text(interval: Interval) -> str:
+    """A 95 % interval; `open` where the data set no end."""
+    low, high = interval
+    if low is None and high is None:
+        return "-"
+    known = [end for end in interval if end is not None]
+    decimals = _decimals(max(known, key=abs), interval)
+    return " to ".join("open" if end is None else f"{end:.{decimals}f}" for end in interval)
+
+
+def _decimals(value: float, interval: Interval) -> int:
+    low, high = interval
+    half = abs(value) / 10 if low is None or high is None else (high - low) / 2
+    return max(0, min(6, 1 - math.floor(math.log10(half)))) if half > 0 else 3

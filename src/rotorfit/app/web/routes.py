@@ -1,0 +1,332 @@
+"""The routes: what the page may ask for. Ids only, never paths; every known error is one line of JSON."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route
+
+from rotorfit.app.web.asking import edits_from, fit_request, ranges_from, window_from
+from rotorfit.app.web.gate import SANDBOX, Gate, cookie_name, refused
+from rotorfit.app.web.runner import BusyError, Runner
+from rotorfit.app.web.shelf import Shelf
+from rotorfit.app.web.windowed import Series, packed, window_of
+from rotorfit.app.web.wire import UNTOLD, constants_mapping, flight_mapping, log_mapping, session_mapping
+from rotorfit.app.web.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
+from rotorfit.core.errors import ExportError, LogError, RotorfitError
+from rotorfit.core.frames import AXES
+from rotorfit.diagnosis.card_draft import draft_card
+from rotorfit.diagnosis.command_response import answers_of
+from rotorfit.diagnosis.doctor import findings_of_flight
+from rotorfit.exports import export
+from rotorfit.exports.formats import FORMATS
+
+LARGEST_REQUEST = 1 << 20
+"""Bytes of a request that is not a log."""
+
+RESULTS = {
+    "model.json": "application/json",
+    "validation.json": "application/json",
+    "result.json": "application/json",
+    "report.html": "text/html; charset=utf-8",
+}
+"""Files of a fit that may be asked for."""
+
+PAGE = {"css": "text/css", "js": "text/javascript"}
+"""Suffixes of the page's own files."""
+
+
+class Studio:
+    """A workspace and what serves it."""
+
+    def __init__(self, workspace: Workspace, token: str, port: int) -> None:
+        self.workspace = workspace
+        self.shelf = Shelf(workspace)
+        self.runner = Runner(workspace)
+        self._looking = Lock()
+        self._token, self._cookie = token, cookie_name(port)
+        self.app = Gate(
+            Starlette(routes=self._routes(), exception_handlers={RotorfitError: _told, OSError: _told}), token, port
+        )
+
+    def _routes(self) -> list[Route]:
+        return [
+            Route("/", self.page),
+            Route("/page/{name}", _static),
+            Route("/api/constants", _reading(lambda _: constants_mapping())),
+            Route("/api/session", _reading(self.session)),
+            Route("/api/logs", self.upload, methods=["POST"]),
+            Route("/api/logs/{log}", _reading(self.log)),
+            Route("/api/logs/{log}", _changing(self.remove_log), methods=["DELETE"]),
+            Route("/api/logs/{log}/flight", _reading(self.flight)),
+            Route("/api/logs/{log}/findings", _reading(self.findings)),
+            Route("/api/logs/{log}/motion", _drawing(self.motion)),
+            Route("/api/logs/{log}/column", _drawing(self.column)),
+            Route("/api/logs/{log}/ranges", _changing(self.ranges), methods=["PUT"]),
+            Route("/api/card", _changing(self.card), methods=["PUT"]),
+            Route("/api/card.toml", self.card_file),
+            Route("/api/fits", _changing(self.fit), methods=["POST"]),
+            Route("/api/fits/{fit}", _changing(self.remove_fit), methods=["DELETE"]),
+            Route("/api/fits/{fit}/cancel", _changing(self.cancel), methods=["POST"]),
+            Route("/api/fits/{fit}/exports/{format}", self.exported),
+            Route("/api/fits/{fit}/{file}", self.result),
+        ]
+
+    def page(self, request: Request) -> Response:
+        """The page itself; the link that was printed hands over the token, which then travels as a cookie."""
+        response = Response(_page_file("index.html"), media_type="text/html")
+        if "token" in request.query_params:
+            response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
+        return response
+
+    def session(self, request: Request) -> Any:
+        """The session, or nothing new since the revision that the page knows."""
+        session, running = self.workspace.session, self.runner.running
+        if request.query_params.get("seen") == str(session.revision):
+            return {"revision": session.revision, "running": None if running is None else asdict(running)}
+        return session_mapping(session, running)
+
+    async def upload(self, request: Request) -> Response:
+        """Receives a log as the body of the request, and keeps it if it can be read."""
+        name = request.query_params.get("name", "")[-200:] or "log"
+        declared = request.headers.get("content-length", "")
+        limit = min(LARGEST_LOG, self.workspace.room())
+        if declared.isdigit() and int(declared) > limit:
+            return _too_large(name, limit)
+        with self.workspace.incoming(name) as (log_id, path):
+            size = 0
+            try:
+                with path.open("xb") as file:
+                    async for chunk in request.stream():
+                        size += len(chunk)
+                        if size > limit:
+                            return _too_large(name, limit)
+                        await run_in_threadpool(file.write, chunk)
+            except ClientDisconnect:
+                return refused(400, f"{name}: the upload was broken off")
+            kept = await run_in_threadpool(self._kept, Upload(log_id, name, path.name, size, ""))
+        return _json({"id": kept.id}, 201)
+
+    def _kept(self, upload: Upload) -> Upload:
+        """Reads a log that was received, and keeps it."""
+        log = self.shelf.log(upload)
+        if not log.tables:
+            raise LogError(f"{upload.name}: holds no table of numbers")
+        return self.workspace.add_log(Upload(upload.id, upload.name, upload.file, upload.size, log.format))
+
+    def log(self, request: Request) -> Any:
+        """Tables and columns."""
+        upload = self._upload(request)
+        return self.shelf.computed(("log", upload.id), lambda: log_mapping(self.shelf.log(upload)))
+
+    def remove_log(self, request: Request, _: Any) -> Any:
+        """Removes a log from the session."""
+        upload = self._upload(request)
+        self.workspace.remove_log(upload.id)
+        self.shelf.forget(upload)
+
+    def flight(self, request: Request) -> Any:
+        """What the card makes of a log."""
+        upload, card = self._upload(request), self._card()
+        return self.shelf.computed(("flight", upload.id, card), lambda: flight_mapping(self.shelf.flight(upload, card)))
+
+    def findings(self, request: Request) -> Any:
+        """What the data doctor says, and which way the motion says that each command leads."""
+        upload, card = self._upload(request), self._card()
+
+        def make() -> Any:
+            flight = self.shelf.flight(upload, card)
+            found = findings_of_flight(self.shelf.log(upload), flight.card, flight)
+            told = answers_of(flight).of
+            return {
+                "findings": [asdict(one) for one in found],
+                "answers": {axis: asdict(told[axis]) for axis in flight.axes if axis in told},
+            }
+
+        with self._looking:  # one after the other: edits come faster than findings of a long flight
+            if card != self._card():
+                raise StaleError("the card has changed meanwhile")
+            return self.shelf.computed(("findings", upload.id, card), make)
+
+    def motion(self, request: Request) -> Series:
+        """Command and velocity of an axis."""
+        axis = request.query_params.get("axis", "")
+        if axis not in AXES:
+            raise WorkspaceError(f"no such axis: one of {', '.join(AXES)}")
+        return self.shelf.motion(self._upload(request), self._card(), axis)
+
+    def column(self, request: Request) -> Series:
+        """A column as recorded."""
+        return self.shelf.column(self._upload(request), request.query_params.get("source", ""))
+
+    def ranges(self, request: Request, body: Any) -> Any:
+        """Says which stretches of a log are for training and for validation."""
+        upload = self._upload(request)
+        ranges, seen = ranges_from(body)
+        self.workspace.set_ranges(upload.id, ranges, seen)
+
+    def card(self, _: Request, body: Any) -> Any:
+        """Changes the card: by a text, by single values, by a built-in card, or by a draft for a log."""
+        change, seen = edits_from(body, self._drafted)
+        self.workspace.set_card(change, seen)
+
+    def _drafted(self, log_id: str) -> str:
+        """The card that a log carries, else one drafted from its names and its motion."""
+        log = self.shelf.log(self.workspace.upload(log_id))
+        return log.attached.get("card") or draft_card(log)
+
+    def card_file(self, _: Request) -> Response:
+        """The card, to keep."""
+        return Response(
+            self.workspace.session.card,
+            media_type="application/toml",
+            headers={"content-disposition": 'attachment; filename="card.toml"'},
+        )
+
+    def fit(self, _: Request, body: Any) -> Any:
+        """Starts a fit or a comparison."""
+        session = self.workspace.session
+        request, logs = fit_request(body, session, lambda upload: f"logs/{upload.id}/{upload.file}")
+        return {"id": self.runner.start(request, session.card, logs).id}
+
+    def cancel(self, request: Request, _: Any) -> Any:
+        """Ends the running fit."""
+        self.runner.cancel(self._fit(request).id)
+
+    def remove_fit(self, request: Request, _: Any) -> Any:
+        """Removes a fit from the session."""
+        self.workspace.remove_fit(self._fit(request).id)
+
+    def result(self, request: Request) -> Response:
+        """A file of a fit, to show or to keep."""
+        name, fit = request.path_params["file"], self._fit(request)
+        path = self.workspace.fit_folder(fit) / name
+        if name not in RESULTS or fit.status != "done" or not path.is_file():
+            return refused(404, "there is no such result")
+        headers = {}
+        if "download" in request.query_params:
+            headers["content-disposition"] = f'attachment; filename="{Path(name).stem}-{fit.id}{Path(name).suffix}"'
+        if name.endswith(".html"):
+            headers["content-security-policy"] = SANDBOX
+            headers["x-frame-options"] = "SAMEORIGIN"
+        return FileResponse(path, media_type=RESULTS[name], headers=headers)
+
+    def exported(self, request: Request) -> Response:
+        """The model of a fit in the form that a controller or a simulator takes, to keep."""
+        fit, wanted = self._fit(request), request.path_params["format"]
+        path = self.workspace.fit_folder(fit) / "model.json"
+        if fit.status != "done" or not path.is_file():
+            return refused(404, "there is no such result")
+        name = f"model_{fit.id}"
+        try:
+            made = export(path, wanted, name=name, predictor="predictor" in request.query_params)
+        except ExportError as error:
+            raise ExportError(_said_by_the_page(str(error))) from None
+        kept = {"content-disposition": f'attachment; filename="{name}{FORMATS[wanted].suffix}"'}
+        return Response(made.text, media_type="text/plain; charset=utf-8", headers=kept)
+
+    def _upload(self, request: Request) -> Upload:
+        return self.workspace.upload(request.path_params["log"])
+
+    def _fit(self, request: Request) -> FitEntry:
+        return self.workspace.fit(request.path_params["fit"])
+
+    def _card(self) -> str:
+        if not self.workspace.session.card:
+            raise WorkspaceError("there is no card yet")
+        return self.workspace.session.card
+
+
+def _said_by_the_page(refusal: str) -> str:
+    """A refusal of an export with the page's name for what is an option on the command line."""
+    return refusal.replace("--predictor", f"'{UNTOLD}'").replace("export --to ", "export to ")
+
+
+def _static(request: Request) -> Response:
+    """A file of the page, by a name that is one of them."""
+    name = request.path_params["name"]
+    known = {entry.name for entry in _folder("rotorfit.app.web", "page").iterdir()} - {"index.html"}
+    if name in ("uPlot.iife.min.js", "uPlot.min.css"):
+        data = _folder("rotorfit.reporting", "uplot").joinpath(name).read_bytes()
+    elif name in known:
+        data = _page_file(name)
+    else:
+        return refused(404, "there is no such file")
+    return Response(data, media_type=PAGE[name.rpartition(".")[2]])
+
+
+def _folder(package: str, name: str) -> Any:
+    return resources.files(package).joinpath(name)
+
+
+def _page_file(name: str) -> bytes:
+    data: bytes = _folder("rotorfit.app.web", "page").joinpath(name).read_bytes()
+    return data
+
+
+def _json(content: Any, status: int = 200) -> Response:
+    return Response(json.dumps(content, allow_nan=False), status, media_type="application/json")
+
+
+def _reading(answer: Callable[[Request], Any]) -> Callable[[Request], Response]:
+    """A route that answers with JSON."""
+    return lambda request: _json(answer(request))
+
+
+def _drawing(answer: Callable[[Request], Series]) -> Callable[[Request], Response]:
+    """A route that answers with the window of a series, in bytes."""
+
+    def endpoint(request: Request) -> Response:
+        series = answer(request)
+        start, end, width = window_from(request.query_params, series.time)
+        window = window_of(series, start, end, width)
+        first, last = (float(series.time[0]), float(series.time[-1])) if series.time.size else (0.0, 0.0)
+        headers = {
+            "x-points": str(window.time.size),
+            "x-samples": str(window.count),
+            "x-exact": str(int(window.exact)),
+            "x-whole": f"{first!r} {last!r}",
+        }
+        return Response(packed(window), media_type="application/octet-stream", headers=headers)
+
+    return endpoint
+
+
+def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]:
+    """A route that changes the session, by JSON of a small size."""
+
+    async def endpoint(request: Request) -> Response:
+        body = b""
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > LARGEST_REQUEST:
+                return refused(413, "the request is too large")
+        try:
+            asked = json.loads(body) if body else {}
+        except (ValueError, RecursionError):
+            asked = None
+        if not isinstance(asked, dict):
+            return refused(400, "the request is no JSON object")
+        return _json(await run_in_threadpool(change, request, asked) or {})
+
+    return endpoint
+
+
+def _too_large(name: str, limit: int) -> Response:
+    return refused(413, f"{name}: larger than {limit >> 20} MiB, which is all that fits; cut the log, or remove others")
+
+
+def _told(_: Request, error: Exception) -> Response:
+    """A known error as one line."""
+    if isinstance(error, OSError):
+        return refused(507, f"{error.strerror or 'the disk refused'}; check the room on the disk of the workspace")
+    status = 409 if isinstance(error, StaleError | BusyError) else 422
+    return refused(status, " ".join(str(error).split()))

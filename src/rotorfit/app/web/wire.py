@@ -1,0 +1,265 @@
+"""The wire: nouns as the plain JSON that the page draws. Nothing is computed here that the library does not compute."""
+
+import base64
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from rotorfit.app.web.card_lines import QUANTITIES, card_from_text, parsed
+from rotorfit.app.web.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
+from rotorfit.app.workflows import Comparison
+from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.limits import meaning_of
+from rotorfit.core.log import Log
+from rotorfit.core.model import Model, with_findings
+from rotorfit.core.results import Validation
+from rotorfit.diagnosis.survey import excitation
+from rotorfit.dynamics.protocol import HORIZONS
+from rotorfit.exports.formats import FORMATS
+from rotorfit.flights.columns import clock_of, sample_count, series_of, source_of
+from rotorfit.flights.stamps import rate, stamps_of
+from rotorfit.reporting.evidence import horizon_charts, profile_charts, scores_of
+from rotorfit.reporting.tables import coefficient_table, pooled_rows, residual_rows, score_rows
+from rotorfit.reporting.verdict import verdict_of
+from rotorfit.reporting.views import Chart, FlightView, flight_view
+from rotorfit.version import __version__
+
+MOST_POINTS = 6000
+"""Points of a line of a result: what stands in a file; the report holds more."""
+
+UNTOLD = "also axes that the data cannot tell"
+"""The page's words for `--predictor` of an export."""
+
+
+def session_mapping(session: Session, running: Running | None) -> dict[str, Any]:
+    """What every page shows of a session."""
+    return {
+        **asdict(session),
+        "running": None if running is None else asdict(running),
+        "problem": problem_of(session.card),
+        "raw": raw_of(session.card),
+    }
+
+
+def constants_mapping() -> dict[str, Any]:
+    """What does not change while the studio runs."""
+    from rotorfit.core.card import LIMIT_UNITS
+    from rotorfit.core.laws import STRUCTURES
+    from rotorfit.files.cards import builtin_cards
+
+    return {
+        "version": __version__,
+        "axes": AXES,
+        "quantities": [
+            {"section": section, "key": key, "words": words, "units": units}
+            for section, key, words, units in QUANTITIES
+        ],
+        "limits": LIMIT_UNITS,
+        "cards": {name: card.name for name, card in builtin_cards().items()},
+        "structures": ["auto", *STRUCTURES],
+        "exports": {name: form.text for name, form in FORMATS.items()},
+        "untold": UNTOLD,
+        "methods": ["ml", "robust", "paper", "svf", "weak", "iv", "oe"],
+        "largest_log": LARGEST_LOG,
+        "most_logs": MOST_LOGS,
+    }
+
+
+def problem_of(card: str) -> str | None:
+    """What is wrong with a card's text whatever the log, one line; None where nothing is."""
+    if not card:
+        return None
+    try:
+        card_from_text(card)
+    except CardError as error:
+        return str(error)
+    return None
+
+
+def raw_of(card: str) -> dict[str, Any] | None:
+    """The keys of a card's text; None where it cannot be parsed."""
+    try:
+        return parsed(card)
+    except CardError:
+        return None
+
+
+def log_mapping(log: Log) -> dict[str, Any]:
+    """Tables, columns, clocks, what was lost."""
+    tables = []
+    for table in log.tables.values():
+        count = sample_count(table)
+        clock = clock_of(log, table, count)
+        regular = None if clock is None else asdict(rate(stamps_of(log, clock)))
+        columns = [{"name": name, "source": source_of(log, table, name)} for name in series_of(table)]
+        tables.append(
+            {
+                "name": table.name,
+                "count": count,
+                "clock": None if clock is None else str(clock.source).removeprefix(f"{table.name}:"),
+                "rate": regular,
+                "columns": columns,
+            }
+        )
+    return {
+        "format": log.format,
+        "sha256": log.sha256,
+        "tables": tables,
+        "skipped": log.skipped,
+        "notes": log.notes,
+        "recording": {key: text for key, text in log.attached.items() if key not in ("plan", "card")},
+        "carries_card": "card" in log.attached,
+    }
+
+
+def flight_mapping(flight: Flight) -> dict[str, Any]:
+    """What a card makes of a log."""
+    return {
+        "span": flight.span,
+        "duration": flight.duration,
+        "axes": flight.axes,
+        "commands_in": {axis: command_unit(flight.card, axis) for axis in flight.axes},
+        "poses": int(flight.pose_time.size),
+        "commands": int(flight.command_time.size),
+        "segments": [(part.start, part.end) for part in flight.segments],
+        "notes": [note.text for note in flight.notes],
+        "excitation": [asdict(one) for one in excitation(flight)],
+    }
+
+
+def command_unit(card: Card, axis: str) -> str:
+    """What a command of an axis is counted in, for people."""
+    meaning = meaning_of(card, axis)
+    if meaning.limit:
+        return f"share of the {meaning.limit.replace('_', ' ')} limit"
+    units = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+    return units[meaning.asked] if meaning.asked else "as sent"
+
+
+def result_mapping(
+    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight]
+) -> dict[str, Any]:
+    """What the page shows of a fit."""
+    model = with_findings(model, (*model.findings, *validation.findings))
+    scores = scores_of(validation, flights)
+    verdict = verdict_of(model, scores, validation.paired, validation.residuals)
+    with_paper = model.method != "paper"
+    return {
+        "headline": verdict.headline,
+        "whole": verdict.whole,
+        "horizon": verdict.horizon,
+        "summary": summary_of_model(model),
+        "lights": [asdict(light) for light in verdict.lights],
+        "coefficients": [
+            {"axis": axis, "rows": [asdict(row) for row in rows]} for axis, rows in coefficient_table(model)
+        ],
+        "findings": [asdict(finding) for finding in model.findings],
+        "pooled": pooled_rows(scores),
+        "scores": score_rows(validation) if len(validation.flights) > 1 else [],
+        "residuals": residual_rows([flight.path for flight in flights], validation.residuals),
+        "horizons": [chart_mapping(chart) for chart in horizon_charts(scores, validation.paired)],
+        "profiles": [chart_mapping(chart) for chart in profile_charts(model)],
+        "flights": [
+            _view_mapping(flight_view(model, flight, role, MOST_POINTS, with_paper and role == "validation"))
+            for role, some in (("validation", flights), ("training", training))
+            for flight in some
+        ],
+        "notes": [
+            {"path": source.path, "span": source.span, "texts": [note.text for note in source.notes]}
+            for source in model.flights
+        ],
+    }
+
+
+def _view_mapping(view: FlightView) -> dict[str, Any]:
+    """The velocity charts of a flight; those of the acceleration stand in the report."""
+    return {
+        "path": view.path,
+        "role": view.role,
+        "duration": view.duration,
+        "missing": view.missing,
+        "drawn": view.drawn,
+        "charts": [chart_mapping(chart) for chart in view.charts if chart.kind == "velocity"],
+    }
+
+
+def chart_mapping(chart: Chart) -> dict[str, Any]:
+    """A chart with its numbers as base64 of little-endian float32."""
+    return {
+        "kind": chart.kind,
+        "axis": chart.axis,
+        "title": chart.title,
+        "x_label": chart.x_label,
+        "y_label": chart.y_label,
+        "x": _numbers(chart.x),
+        "lines": [{"name": line.name, "role": line.role, "y": _numbers(line.y)} for line in chart.lines],
+        "reading": chart.reading,
+        "summary": chart.summary,
+        "levels": chart.levels,
+        "span": None if chart.span is None else [end if np.isfinite(end) else None for end in chart.span],
+        "y_range": chart.y_range,
+        "y_log": chart.y_log,
+    }
+
+
+def _numbers(values: Array) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
+
+
+def compared_mapping(
+    comparison: Comparison, fits: Sequence[str], models: Sequence[Model], whole: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Errors of several models and of the baselines, flight by flight, and whether the differences are real."""
+    columns = {
+        **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
+        **{name: comparison.validations[0].baselines[name] for name in ("paper", "hold")},
+    }
+    rows = []
+    for number, flight in enumerate(comparison.validations[0].flights):
+        for axis in AXES:
+            for horizon in (f"{h:g}" for h in HORIZONS):
+                cells = [scores[number].axes[axis].horizons.get(horizon) for scores in columns.values()]
+                if any(cell is not None and cell.velocity_rmse is not None for cell in cells[: len(fits)]):
+                    rows.append(
+                        {
+                            "path": flight.path,
+                            "span": flight.span,
+                            "axis": axis,
+                            "horizon": float(horizon),
+                            "velocity": [None if cell is None else cell.velocity_rmse for cell in cells],
+                            "position": [None if cell is None else cell.position_rmse for cell in cells],
+                            "fitted": _fitted(number, (each.flights for each in comparison.validations)),
+                            "n": max((cell.n for cell in cells if cell is not None), default=0),
+                        }
+                    )
+    named = {f"model {number}": f"fit {fit}" for number, fit in enumerate(fits, 1)}
+    paired = [
+        {**test, "first": named[test["first"]], "second": named.get(test["second"], test["second"])}
+        for test in whole["paired"]
+    ]
+    alike = [f"fit {fit}" for fit, model in zip(fits, models, strict=True) if _is_the_baseline(model, models[0])]
+    notes = [re.sub(r"\bmodel \d+\b", lambda found: named[found[0]], note) for note in whole["notes"]]
+    return {
+        "columns": list(columns),
+        "rows": rows,
+        "paired": [test for test in paired if test["second"] != "paper" or test["first"] not in alike],
+        "notes": [*notes, *(f"{name} against paper is left out for that reason" for name in alike)],
+    }
+
+
+def _is_the_baseline(model: Model, first: Model) -> bool:
+    """Whether a model has the coefficients of the baseline `paper`, which is made of the first model's flights."""
+    pairs = zip(model.paper, first.paper, strict=True)
+    return model.method == "paper" and all(a == b for a, b in pairs if a is not None and b is not None)
+
+
+def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:
+    """Which models were fitted to part of this stretch, so that their scores prove nothing."""
+    return [flights[number].fitted for flights in models]

@@ -1,0 +1,128 @@
+"""The worker: a fit or comparison in a process of its own, which may be cancelled or die without taking the page along.
+
+    python -m rotorfit.studio.worker WORKSPACE FIT
+
+It reads `request.json` and `card.toml` of the fit's folder, says how far it is on its standard output (a line of JSON
+each), and writes `model.json`, `validation.json`, `result.json` and `report.html`. It ends when its standard input
+does: it does not outlive the studio.
+"""
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+from rotorfit.app.web.wire import compared_mapping, result_mapping
+from rotorfit.app.web.workspace import write_whole
+from rotorfit.app.workflows import compare_logs, comparison_mapping, fit_logs, validate_logs
+from rotorfit.assessment.validation import to_mapping
+from rotorfit.core.errors import RotorfitError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import Validation
+from rotorfit.dynamics.protocol import CURVE
+from rotorfit.files.cards import load_card
+from rotorfit.files.log_span import LogSpan
+from rotorfit.files.models import load, save
+from rotorfit.reporting import write_report
+
+FITTING, PROVING = 0.75, 0.93
+"""Where the fit and the validation end on the bar of progress."""
+
+UNPROVEN = Validation((), {"hold": (), "paper": ()}, {"model": (), "hold": (), "paper": ()})
+"""Scores on no flight at all."""
+
+_PLACE = re.compile(r"logs/\d+/")
+
+
+def run(workspace: Path, fit_id: str, progress: Progress) -> str:
+    """Does what the request of a fit's folder asks for.
+
+    Returns:
+        One line: what came of it.
+    """
+    os.chdir(workspace)  # so that models and reports name logs by short paths
+    folder = Path("fits") / fit_id
+    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
+    if request["kind"] == "compare":
+        return _compare(folder, request, progress)
+    return _fit(folder, request, progress)
+
+
+def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
+    card = load_card(str(folder / "card.toml"))
+    training, tested = (
+        [LogSpan(path, (start, end)) for path, start, end in request[role]] for role in ("train", "validate")
+    )
+    fitted = fit_logs(
+        training,
+        card,
+        request["method"],
+        request["axes"],
+        lambda fraction, text: progress(FITTING * fraction, text),
+        request["structure"],
+        request["uncertainty"],
+    )
+    save(fitted.model, folder / "model.json")
+
+    def proving(fraction: float, text: str) -> None:
+        progress(FITTING + (PROVING - FITTING) * fraction, f"validating: {text}")
+
+    validation: Validation = UNPROVEN
+    flights: tuple[Flight, ...] = ()
+    if tested:
+        validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
+        write_whole(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
+    progress(PROVING, "drawing")
+    result = result_mapping(fitted.model, fitted.flights, validation, flights)
+    _write_result(folder, result)
+    progress(PROVING + 0.02, "writing the report")
+    write_report(fitted.model, fitted.flights, validation, flights, folder / "report.html")
+    return f"{result['horizon']:g} s ahead: {result['headline']}"
+
+
+def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
+    paths = [f"fits/{fit}/model.json" for fit in request["models"]]
+    models = [load(path) for path in paths]
+    spans = [f"{path}@{'' if a is None else a}:{'' if b is None else b}" for path, a, b in request["validate"]]
+    comparison = compare_logs([*paths, *spans], progress=progress)
+    result = compared_mapping(comparison, request["models"], models, comparison_mapping(comparison))
+    _write_result(folder, result)
+    return f"{len(paths)} models on {len(spans)} stretches"
+
+
+def _write_result(folder: Path, result: dict[str, Any]) -> None:
+    """Writes what the page shows, which calls logs by their names."""
+    write_whole(folder / "result.json", _PLACE.sub("", json.dumps(result, allow_nan=False)))
+
+
+def main(workspace: str, fit_id: str) -> int:
+    """Runs and reports; a known error is one line, a bug keeps its trace on the standard error."""
+    os.nice(5)  # the page comes first
+    Thread(target=_end_with_the_studio, daemon=True).start()
+    try:
+        text = run(Path(workspace), fit_id, lambda fraction, text: _say(fraction=fraction, text=_PLACE.sub("", text)))
+    except RotorfitError as error:
+        _say(error=" ".join(str(error).split()))
+        return 1
+    except OSError as error:
+        _say(error=f"{error.filename or workspace}: {error.strerror}; check the room on the disk")
+        return 1
+    _say(done=text)
+    return 0
+
+
+def _say(**what: Any) -> None:
+    print(json.dumps(what), flush=True)
+
+
+def _end_with_the_studio() -> None:
+    os.read(0, 1)  # not sys.stdin: its lock would be in the way at the end
+    os._exit(3)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

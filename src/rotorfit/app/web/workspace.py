@@ -1,0 +1,364 @@
+"""The workspace: a folder that holds a session whole: logs, card, ranges, fits. Pages come and go, the folder stays.
+
+Every change raises a revision, by which pages see that something is new. Card and ranges have revisions of their own:
+who changes them says which one was seen, and is refused where another page was faster.
+"""
+
+import fcntl
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from threading import RLock
+from typing import Any, Literal, TypeVar
+
+from rotorfit.core.errors import RotorfitError
+
+MOST_LOGS = 50
+"""Logs of a session."""
+
+MOST_FITS = 100
+"""Fits of a session."""
+
+LARGEST_LOG = 2 << 30
+"""Bytes of one log."""
+
+LARGEST_WORKSPACE = 16 << 30
+"""Bytes of all logs together."""
+
+CONTENT = ("session.json", "session.new", "lock", "logs", "fits")
+"""What a workspace consists of."""
+
+VERSION = 1
+
+Role = Literal["train", "validate"]
+
+Status = Literal["running", "done", "failed", "stopped"]
+
+
+class WorkspaceError(RotorfitError):
+    """The workspace cannot be used, or has no room: in use, damaged, full, without the log that was asked for."""
+
+
+class StaleError(RotorfitError):
+    """Another page has changed the same thing meanwhile."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A stretch of a log and what it is for; an open end is that of the flight [s]."""
+
+    role: Role
+    start: float | None = None
+    end: float | None = None
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A log of the session.
+
+    Attributes:
+        id: Names it in the API and is the name of its folder.
+        name: As the user's file was called: text, never a path.
+        file: Its name in its folder: harmless characters only.
+        size: Bytes.
+        format: As `sources.FORMATS` names it.
+        ranges: What is used of it.
+        revision: Of the ranges.
+    """
+
+    id: str
+    name: str
+    file: str
+    size: int
+    format: str
+    ranges: tuple[Range, ...] = ()
+    revision: int = 0
+
+
+@dataclass(frozen=True)
+class FitEntry:
+    """A fit of the session.
+
+    Attributes:
+        id: Names it in the API and is the name of its folder.
+        settings: What was asked for.
+        logs: Names and ranges of the logs, for people.
+        status: `running`, `done`, `failed`, or `stopped` by the user or with the studio.
+        text: One line: what came of it.
+    """
+
+    id: str
+    settings: Mapping[str, Any]
+    logs: tuple[str, ...]
+    status: Status = "running"
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Running:
+    """How far the running fit is."""
+
+    id: str
+    fraction: float
+    text: str
+    pid: int
+
+
+@dataclass(frozen=True)
+class Session:
+    """All that a page shows, but for what can be computed from it.
+
+    Attributes:
+        revision: Raised by every change.
+        uploads: In the order in which they came.
+        card: Text of the card as edited; empty before there is one.
+        card_revision: Of that text.
+        fits: In the order in which they were begun.
+        next_log: Id of the next log.
+        next_fit: Id of the next fit.
+    """
+
+    revision: int = 0
+    uploads: tuple[Upload, ...] = ()
+    card: str = ""
+    card_revision: int = 0
+    fits: tuple[FitEntry, ...] = ()
+    next_log: int = 1
+    next_fit: int = 1
+    version: int = field(default=VERSION)
+
+
+Entry = TypeVar("Entry", Upload, FitEntry)
+
+
+class Workspace:
+    """A session and its folder.
+
+    Args:
+        folder: Made where it is missing, for its owner only.
+
+    Raises:
+        WorkspaceError: Another studio uses it, or what it holds is damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self._lock = RLock()
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            strangers = [entry.name for entry in self.folder.iterdir() if entry.name not in CONTENT]
+        except OSError as error:
+            raise WorkspaceError(
+                f"{folder}: no workspace can be here ({error.strerror}); name another folder"
+            ) from None
+        if strangers and not (self.folder / "session.json").exists():
+            raise WorkspaceError(f"{folder}: holds other things ({strangers[0]}); name an empty folder or a workspace")
+        self._held = (self.folder / "lock").open("w")
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise WorkspaceError(f"{folder}: another studio uses this workspace; close it, or name another") from None
+        self._session = _loaded(self.folder / "session.json")
+        for place in ("logs", "fits"):
+            (self.folder / place).mkdir(exist_ok=True)
+        left = tuple(
+            replace(fit, status="stopped", text="stopped: the studio was closed") if fit.status == "running" else fit
+            for fit in self._session.fits
+        )
+        self._changed(fits=left)
+        self._sweep()
+
+    def close(self) -> None:
+        """Lets another studio use the folder."""
+        self._held.close()
+
+    @property
+    def session(self) -> Session:
+        """As it stands."""
+        return self._session
+
+    def upload(self, log_id: str) -> Upload:
+        """A log of the session.
+
+        Raises:
+            WorkspaceError: There is none of that id.
+        """
+        return _one_of(self._session.uploads, log_id, "log")
+
+    def fit(self, fit_id: str) -> FitEntry:
+        """A fit of the session.
+
+        Raises:
+            WorkspaceError: There is none of that id.
+        """
+        return _one_of(self._session.fits, fit_id, "fit")
+
+    def path_of(self, upload: Upload) -> Path:
+        """Where a log lies."""
+        return self.folder / "logs" / upload.id / upload.file
+
+    def fit_folder(self, fit: FitEntry) -> Path:
+        """Where a fit lies."""
+        return self.folder / "fits" / fit.id
+
+    @contextmanager
+    def incoming(self, name: str) -> Iterator[tuple[str, Path]]:
+        """An id and a place for a log that is being received; what is not kept by `add_log` is removed.
+
+        Raises:
+            WorkspaceError: The session has as many logs as it may.
+        """
+        with self._lock:
+            if len(self._session.uploads) >= MOST_LOGS:
+                raise WorkspaceError(f"{name}: a session holds at most {MOST_LOGS} logs; remove one first")
+            log_id = str(self._session.next_log)
+            self._changed(next_log=self._session.next_log + 1)
+        folder = self.folder / "logs" / log_id
+        folder.mkdir()
+        try:
+            yield log_id, folder / safe_name(name)
+        finally:
+            if all(upload.id != log_id for upload in self._session.uploads):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def add_log(self, upload: Upload) -> Upload:
+        """Keeps a log that was received: the first is for training, those after it are for validation.
+
+        Raises:
+            WorkspaceError: The session is full.
+        """
+        with self._lock:
+            if len(self._session.uploads) >= MOST_LOGS or upload.size > self.room():
+                raise WorkspaceError(
+                    f"{upload.name}: other uploads have filled the session meanwhile; remove one first"
+                )
+            taken = any(part.role == "train" for one in self._session.uploads for part in one.ranges)
+            upload = replace(upload, ranges=(Range("validate" if taken else "train"),))
+            self._changed(uploads=(*self._session.uploads, upload))
+            return upload
+
+    def remove_log(self, log_id: str) -> None:
+        """Removes a log and its file."""
+        with self._lock:
+            upload = self.upload(log_id)
+            self._changed(uploads=tuple(one for one in self._session.uploads if one.id != log_id))
+        shutil.rmtree(self.path_of(upload).parent, ignore_errors=True)
+
+    def set_ranges(self, log_id: str, ranges: tuple[Range, ...], seen: int) -> None:
+        """Says what of a log is used.
+
+        Raises:
+            StaleError: They were changed since revision `seen`.
+        """
+        with self._lock:
+            upload = self.upload(log_id)
+            if upload.revision != seen:
+                raise StaleError(f"the ranges of {upload.name} were changed in another window: those are shown now")
+            new = replace(upload, ranges=ranges, revision=seen + 1)
+            self._changed(uploads=tuple(new if one.id == log_id else one for one in self._session.uploads))
+
+    def set_card(self, change: Callable[[str], str], seen: int) -> None:
+        """Changes the text of the card.
+
+        Raises:
+            StaleError: It was changed since revision `seen`.
+        """
+        with self._lock:
+            if self._session.card_revision != seen:
+                raise StaleError("the card was changed in another window: that text is shown now")
+            text = change(self._session.card)
+            if text != self._session.card:
+                self._changed(card=text, card_revision=seen + 1)
+
+    def begin_fit(self, settings: Mapping[str, Any], logs: tuple[str, ...]) -> FitEntry:
+        """A new fit and its folder.
+
+        Raises:
+            WorkspaceError: The session has as many fits as it may.
+        """
+        with self._lock:
+            if len(self._session.fits) >= MOST_FITS:
+                raise WorkspaceError(f"a session holds at most {MOST_FITS} fits; remove one first")
+            number = self._session.next_fit
+            fit = FitEntry(str(number), settings, logs)
+            self.fit_folder(fit).mkdir()
+            self._changed(fits=(*self._session.fits, fit), next_fit=number + 1)
+            return fit
+
+    def end_fit(self, fit_id: str, status: Status, text: str) -> None:
+        """Says what came of a fit."""
+        with self._lock:
+            self._changed(
+                fits=tuple(
+                    replace(fit, status=status, text=text) if fit.id == fit_id else fit for fit in self._session.fits
+                )
+            )
+
+    def remove_fit(self, fit_id: str) -> None:
+        """Removes a fit that is not running."""
+        with self._lock:
+            fit = self.fit(fit_id)
+            if fit.status == "running":
+                raise WorkspaceError("the fit is running; cancel it first")
+            self._changed(fits=tuple(one for one in self._session.fits if one.id != fit_id))
+        shutil.rmtree(self.fit_folder(fit), ignore_errors=True)
+
+    def room(self) -> int:
+        """Bytes that may still be uploaded."""
+        return LARGEST_WORKSPACE - sum(upload.size for upload in self._session.uploads)
+
+    def _changed(self, **parts: Any) -> None:
+        session = replace(self._session, revision=self._session.revision + 1, **parts)
+        write_whole(self.folder / "session.json", json.dumps(asdict(session), indent=1, allow_nan=False))
+        self._session = session
+
+    def _sweep(self) -> None:
+        """Removes what an interrupted upload has left."""
+        known = {upload.id for upload in self._session.uploads}
+        for folder in (self.folder / "logs").iterdir():
+            if folder.name not in known:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _one_of(entries: Sequence[Entry], identity: str, what: str) -> Entry:
+    for entry in entries:
+        if entry.id == identity:
+            return entry
+    raise WorkspaceError(f"there is no such {what} in this session; another page may have removed it")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Writes a file so that it is either the old or the new one, whatever happens."""
+    new = path.with_suffix(".new")
+    new.write_text(text, encoding="utf-8")
+    new.replace(path)
+
+
+def safe_name(name: str) -> str:
+    """A file name of harmless characters: no separator, no leading dot, no plus (which joins files), at most 80."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._-")[-80:].lstrip("._-") or "log"
+
+
+def default_folder() -> Path:
+    """The user's own workspace."""
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "rotorfit" / "studio"
+
+
+def _loaded(path: Path) -> Session:
+    if not path.exists():
+        return Session()
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+        if raw["version"] != VERSION:
+            raise ValueError(f"version {raw['version']}")
+        uploads = tuple(Upload(**{**one, "ranges": tuple(Range(**r) for r in one["ranges"])}) for one in raw["uploads"])
+        fits = tuple(FitEntry(**{**one, "logs": tuple(one["logs"])}) for one in raw["fits"])
+        return Session(**{**raw, "uploads": uploads, "fits": fits})
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise WorkspaceError(f"{path}: damaged ({error}); name another folder, or remove this one") from None

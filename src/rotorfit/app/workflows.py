@@ -1,0 +1,369 @@
+"""Model files and logs -> Cases: each model with what speaks for it and against it.
+
+Log -> Flight -> Fit -> Validation: the compositions that the command line and the report share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+from rotorfit.assessment.advice import findings_of_fit
+from rotorfit.assessment.case import UNPROVEN, Case, same_motion
+from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
+from rotorfit.assessment.method_comparison import Ladder, ladder
+from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.plausibility import findings_of_settings
+from rotorfit.assessment.prior_influence import with_influence
+from rotorfit.assessment.uncertainty import with_uncertainty
+from rotorfit.assessment.validation import to_mapping, validate
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
+from rotorfit.core.finding import Finding, by_gravity
+from rotorfit.core.flight_data import Flight, Note
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import disagreement
+from rotorfit.core.log import Log
+from rotorfit.core.model import STRUCTURE, Model, with_findings
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import Fit, Method, PairedTest, Validation
+from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
+from rotorfit.diagnosis.doctor import findings_of_flight
+from rotorfit.dynamics.protocol import CURVE, HORIZONS
+from rotorfit.estimation.fitting import fit, with_delay_profiles
+from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.files.cards import card_from_mapping, load_card
+from rotorfit.files.log_span import LogSpan, parse_log
+from rotorfit.files.logs import read
+from rotorfit.files.models import is_model_file, load
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import fits, tables_of
+from rotorfit.flights.several_files import flights_of
+
+
+def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
+    """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
+    chosen = load_card(card) if isinstance(card, str) else card
+    return _flown(log, _read(log, chosen), chosen)[2]
+
+
+def load_flights(
+    logs: Sequence[LogSpan], card: str | Card | None = None, otherwise: Card | None = None
+) -> tuple[Flight, ...]:
+    """Reads logs and applies a card to each; logs that only together hold what it names are one flight.
+
+    Args:
+        logs: With their spans.
+        card: Name, file or card, for all of them.
+        otherwise: Where there is no such card: for the logs that carry none themselves.
+    """
+    chosen = load_card(card) if isinstance(card, str) else card
+    return tuple(flight for _, _, flight in _all_flown(logs, chosen, otherwise))
+
+
+def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
+    """A log, the card that was applied, and what came of them."""
+    if card is not None:
+        flight = flight_from_log(raw, card, log.span)
+        return raw, flight.card, flight
+    proposed = proposal(raw)
+    flight = flight_from_log(raw, proposed.card, log.span)
+    if proposed.rivals:
+        note = Note("card_proposed", f"read with the card {proposed.name}, {proposed.why}", len(proposed.rivals))
+        flight = replace(flight, notes=(note, *flight.notes))
+    return raw, flight.card, flight
+
+
+def _read(log: LogSpan, card: Card | None) -> Log:
+    """A log, with the tables that a card reads; with all where there is none."""
+    return read(log.path, tables_of(card) if card else None)
+
+
+def _carried(raw: Log, otherwise: Card) -> Card:
+    """The card that a log carries, else the other one.
+
+    Raises:
+        CardError: The log's card gives the commands another meaning, or other limits.
+    """
+    if "card" not in raw.attached:
+        return otherwise
+    card = card_of(raw)
+    if trouble := disagreement(card, otherwise, ("the log's card", "the model's")):
+        raise CardError(f"{raw.path}: {trouble}; convert the model (rotorfit convert), or name a card with --card")
+    return card
+
+
+def _all_flown(
+    logs: Sequence[LogSpan], card: Card | None, otherwise: Card | None = None
+) -> list[tuple[Log, Card, Flight]]:
+    """Every flight in some logs, in the order of its first log."""
+    flown: dict[int, tuple[Log, Card, Flight]] = {}
+    parts: dict[int, Log] = {}
+    for number, log in enumerate(logs):
+        raw, applied = _read(log, card or otherwise), card
+        if card is None and otherwise:
+            applied = _carried(raw, otherwise)
+            raw = raw if applied is otherwise else _read(log, applied)
+        if applied is None and len(logs) > 1:
+            flown[number] = _flown_alone(log, raw, logs)
+        elif applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
+            flown[number] = _flown(log, raw, applied)  # at once, so that no two logs need be held
+        else:
+            parts[number] = read(log.path)
+    places, shared = list(parts), card or otherwise
+    for place, raw in flights_of(list(parts.values()), shared):
+        flown[places[place]] = _flown(logs[places[place]], raw, shared)
+    return [flown[number] for number in sorted(flown)]
+
+
+def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, Card, Flight]:
+    """The same without a card for one of several logs; where two are halves of one flight, the error says so."""
+    try:
+        return _flown(log, raw, None)
+    except CardError as error:
+        if apart := joined_by_plus([raw if one is log else read(one.path) for one in logs]):
+            raise CardError(apart) from error
+        raise
+
+
+def fit_logs(
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    method: Method = "ml",
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+    structure: str = STRUCTURE,
+    uncertainty: bool = False,
+    prior: bool = False,
+) -> Fit:
+    """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
+    chosen = load_card(card) if isinstance(card, str) else card
+    flights: list[Flight] = []
+    noticed: list[tuple[Finding, ...]] = []
+    for raw, applied, flight in _all_flown(logs, chosen):
+        flights.append(flight)
+        noticed.append(findings_of_flight(raw, applied, flight))
+    result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
+    if prior:
+        result = with_influence(result)
+    if uncertainty:
+        result = with_uncertainty(result, progress)
+    before = [
+        told
+        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
+        for told in every
+        if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
+    ]  # nothing of an axis that a flight merely holds
+    findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
+    return replace(result, model=with_findings(result.model, findings))
+
+
+def leave_one_out_logs(
+    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = STRUCTURE
+) -> tuple[Fit, LeaveOneOut]:
+    """Leaves out each flight of a fit in turn; the model keeps the result."""
+    result = leave_one_out(fit.flights, cast("Method", fit.model.method), axes, progress=progress, structure=structure)
+    return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
+
+
+def ladder_logs(
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+) -> Ladder:
+    """Reads logs and fits every rung of the ladder to them together."""
+    return ladder(load_flights(logs, card), axes, progress)
+
+
+def validate_logs(
+    model: Model,
+    logs: Sequence[LogSpan],
+    card: str | Card | None = None,
+    horizons: Sequence[float] = HORIZONS,
+    progress: Progress | None = None,
+    beside: Sequence[Flight] = (),
+) -> tuple[Validation, tuple[Flight, ...]]:
+    """Reads logs with the card given, or that which they carry, or the model's own, and scores the model on them.
+
+    An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
+    """
+    own = card_from_mapping(model.card.raw, "the model's card")
+    flights = tuple(without_held_axes(load_flights(logs, card, own), beside))
+    return validate(model, flights, horizons, progress), flights
+
+
+PAPER_TWICE = (
+    "fitted by the method paper, it is not the row paper, even where the coefficients are the same: a model starts "
+    "from its own filter and keeps the disturbance and trim found there, the row paper starts from the filter of the "
+    "first model and has neither"
+)
+"""Why the scores of a model and of the baseline differ."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several models on the same logs.
+
+    Attributes:
+        paths: Of the model files.
+        validations: One each model, in that order.
+        paired: `model 2` and on against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
+        notes: Of models that were fitted by `paper`, and of those that could not be paired, with the reason.
+    """
+
+    paths: tuple[str, ...]
+    validations: tuple[Validation, ...]
+    paired: tuple[PairedTest, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def compare_logs(
+    paths: Sequence[str], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
+) -> Comparison:
+    """Scores several models on the same logs, each by its own card.
+
+    Args:
+        paths: Model files and logs in any order, told apart by content; a log may be `LOG@T0:T1`.
+        horizons: [s].
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Raises:
+        ModelError: No model among the paths.
+        FlightError: No log among them.
+    """
+    files = [path for path in paths if Path(path).is_file() and is_model_file(path)]
+    logs = [parse_log(path) for path in paths if path not in files]
+    if not files:
+        raise ModelError(f"no model among {', '.join(paths)}; give files written by `rotorfit fit -o` before the logs")
+    models = [load(path) for path in files]
+    validations, flights = [], []
+    for number in range(len(files)):
+
+        def report(fraction: float, text: str, done: int = number) -> None:
+            if progress:
+                progress((done + fraction) / len(files), f"{files[done]} on {text}")
+
+        validation, seen = validate_logs(models[number], logs, horizons=horizons, progress=report)
+        validations.append(validation)
+        flights.append(seen)
+    alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
+    notes = [f"model {number}: {PAPER_TWICE}" for number, model in enumerate(models, 1) if model.method == "paper"]
+    notes += [
+        f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
+        for number, same in enumerate(alike, 1)
+        if not same
+    ]
+    return Comparison(tuple(files), tuple(validations), _paired(validations, alike), tuple(notes))
+
+
+def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[PairedTest, ...]:
+    """Each model against the first and against the first one's baselines."""
+    first = validations[0]
+    tests = []
+    for number, (validation, same) in enumerate(zip(validations, alike, strict=True), 1):
+        fresh = (
+            () if a.fitted or b.fitted else a.moved for a, b in zip(validation.flights, first.flights, strict=True)
+        )
+        counted = tuple(fresh)
+        others = {"model 1": first.errors["model"], "hold": first.errors["hold"], "paper": first.errors["paper"]}
+        tests += [
+            paired_test((f"model {number}", name), validation.errors["model"], errors, counted)
+            for name, errors in others.items()
+            if same and name != f"model {number}"
+        ]
+    return tuple(tests)
+
+
+def comparison_mapping(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as plain JSON types; the baselines are those of the first model."""
+    mappings = [to_mapping(validation) for validation in comparison.validations]
+    pairs = zip(comparison.paths, mappings, strict=True)
+    return {
+        "models": [{"path": path, "flights": mapping["flights"]} for path, mapping in pairs],
+        "baselines": mappings[0]["baselines"],
+        "paired": [asdict(test) for test in comparison.paired],
+        "notes": list(comparison.notes),
+    }
+
+
+def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
+    """The flights that a model was fitted to, as far as their logs are still where they were, unchanged.
+
+    Returns:
+        The flights; and one line about each that is left out, with the reason.
+    """
+    if model.conversion:  # its card no longer says what their commands were fractions of
+        return (), ("training flights left out: the model was converted to limits that they were not flown under",)
+    flights, left_out = [], []
+    for source in model.flights:
+        try:
+            (flight,) = load_flights([LogSpan(source.path, source.span)], None, model.card)
+        except RotorfitError as error:
+            left_out.append(f"training flight left out: {error}")
+            continue
+        if flight.sha256 == source.sha256:
+            flights.append(flight)
+        else:
+            left_out.append(f"training flight left out: {source.path} is not the file that the model was fitted to")
+    return tuple(flights), tuple(left_out)
+
+
+MODEL_MARK, REPORT_MARK = b'"rotorfit-model"', b"<!doctype html"
+"""What the first bytes of a model file and of a report hold, in small letters."""
+
+
+def check_destination(path: Path, mark: bytes) -> None:
+    """Refuses to write over what is not an earlier result of the same kind: never over a log.
+
+    Args:
+        path: Where something will be written.
+        mark: What the first 4096 bytes of an earlier result hold, in small letters.
+
+    Raises:
+        LogError: The path is taken by something else, or its folder does not exist.
+    """
+    if path.is_dir() or (path.exists() and mark not in _head(path)):
+        raise LogError(f"{path}: exists and is no earlier result of this kind: not overwritten; choose another name")
+    if not path.parent.is_dir():
+        raise LogError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096).lower()
+
+
+def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tuple[Case, ...], tuple[str, ...]]:
+    """Scores every model on every log, each by its own card.
+
+    Args:
+        paths: A model file, then logs and further models in any order, told apart by content; a log may be
+            `LOG@T0:T1`. Without a log nothing is proven.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The cases, and one line about each training flight that could not be read again.
+
+    Raises:
+        ModelError: The first path is no model.
+        LogError: A log cannot be read.
+    """
+    files = [path for k, path in enumerate(paths) if k == 0 or (Path(path).is_file() and is_model_file(path))]
+    models = [load(path) for path in files]
+    logs = [parse_log(path) for path in paths if path not in files]
+    cases: list[Case] = []
+    notes: list[str] = []
+    for number, (path, model) in enumerate(zip(files, models, strict=True)):
+
+        def report(fraction: float, text: str, done: int = number) -> None:
+            if progress:
+                progress((done + fraction) / len(files), f"{files[done]} on {text}")
+
+        training, left_out = training_flights(model)
+        scored = (
+            validate_logs(model, logs, horizons=CURVE, progress=report, beside=training) if logs else (UNPROVEN, ())
+        )
+        cases.append(Case(path, model, training, *scored))
+        notes += left_out
+    return tuple(cases), tuple(dict.fromkeys(notes))

@@ -1,0 +1,437 @@
+"""What the data can and cannot tell: findings from a fit and its flights.
+
+Why a vehicle seems to answer before its command: clocks that disagree, or commands that were logged too seldom.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
+from rotorfit.assessment.prior_influence import prior_findings
+from rotorfit.assessment.uncertainty import disagreement_findings
+from rotorfit.core.finding import Finding, by_gravity
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.core.model import Axis
+from rotorfit.core.results import Fit
+from rotorfit.diagnosis.command_checks import share_above
+from rotorfit.diagnosis.command_response import TURNING
+from rotorfit.diagnosis.doctor import SHORT_TIME
+from rotorfit.diagnosis.frame_checks import OVER
+from rotorfit.diagnosis.position_loop import restored
+from rotorfit.estimation.likelihood.axis_estimate import LOOP_SIGMAS, Estimate, answer
+from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
+from rotorfit.estimation.likelihood.outliers import outlier_findings
+from rotorfit.estimation.regression.axes_by_method import NOT_VALID
+
+ONE_CLOCK = (".ulg", ".bin")
+"""Logs of autopilots: one clock stamps all that is in them."""
+
+
+def too_early(flights: Sequence[Flight], early: float) -> tuple[str, str]:
+    """Effect and remedy of a negative delay, by what the flights allow.
+
+    A command is logged at its row's time. One that was sent between two rows acts before it is logged, by up to a
+    period of the rows and half of that in the mean, where commands change all the time.
+
+    Args:
+        flights: That serve the axis.
+        early: By how much the answer comes before its command [s].
+    """
+    period = max(float(np.median(np.diff(flight.command_time))) for flight in flights)
+    seldom = (
+        f"the commands are logged every {1e3 * period:.0f} ms, and one that was sent between two rows acts before it "
+        f"is logged: delays come out up to {1e3 * period:.0f} ms too short, {5e2 * period:.0f} ms in the mean"
+    )
+    if not all(_one_clock(flight) for flight in flights):
+        beside = f"; or {seldom}" if early <= period else ""
+        return (
+            f"the clocks of commands and poses disagree by at least as much{beside}; the delay is not the vehicle's",
+            "use one clock for both streams, or the stamps at which both were received"
+            + (", and log every command that is sent" if beside else ""),
+        )
+    one = "one clock stamps commands and poses, so it is not the clocks"
+    if early <= period:
+        return (
+            f"{one}; {seldom}; the delay is not the vehicle's",
+            "log every command that is sent (PX4: raise the rate of the set-point's topic in the logger)",
+        )
+    return (
+        f"{one}, nor that commands are logged every {1e3 * period:.0f} ms only; the delay is not the vehicle's",
+        "check that the card's command is what the vehicle was told, and not what was measured or filtered of it",
+    )
+
+
+def _one_clock(flight: Flight) -> bool:
+    """Whether commands and poses of a flight are stamped by one clock for sure."""
+    card = flight.card
+    same = card.command_time.source == card.pose_time.source
+    return flight.clocks is None and (same or Path(flight.path).suffix.lower() in ONE_CLOCK)
+
+
+WEAK_GAIN = 0.2
+"""Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
+
+NEEDED_SHARE = 0.05
+"""Share of the command's power that must lie where delay and damping show; with less they are told from each other by
+the noise. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
+
+WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
+"""Findings of a flight under which the sign of the gain of x or y says nothing of its own."""
+
+OVERTURNED = "axes_turned"
+"""Finding of a flight under which the signs of `OVER` say nothing of their own."""
+
+SAID_BETTER = ("short_data", "slow_commands")
+"""Findings of single flights that the fit of all of them says itself, or takes back."""
+
+ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
+"""Findings of single flights that do not matter where all coefficients of the axis came out well."""
+
+LIKELIHOOD_DOUBT = 2.0
+"""Log-likelihood by which a disbelieved optimum must stand above the chosen one to be a finding."""
+
+ABOUT_DELAY = ("delay_not_identifiable", "delay_negative")
+"""What is not said of a delay that an offset of two clocks has swallowed."""
+
+
+def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+    """Everything that a user should know about a fit, the gravest first.
+
+    Args:
+        fit: The fit with its flights.
+        before: What the flights told of themselves; what the fit knows better is left out.
+    """
+    found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
+    framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
+    wrong = () if framed else ("x", "y")  # what follows from a wrong frame would only bury it
+    overturned = any(finding.code == OVERTURNED for finding in found)
+    clocked = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
+    for k, name in enumerate(AXES):
+        axis = fit.model.axes[name]
+        flights = [f for f, s in zip(fit.flights, fit.model.flights, strict=True) if name in s.axes]
+        found += _status_findings(name, axis, flights, fit.remarks.get(name, ""))
+        found += _event_findings(name, axis, flights)
+        if axis.predictor and name not in wrong:
+            found += () if overturned and name in OVER else _sign_findings(fit, name, axis)
+            told = _coefficient_findings(name, axis, flights)
+            found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
+            found += _mode_findings(name, axis)
+            found += _excitation_findings(name, axis, flights)
+        if axis.predictor and name in fit.estimates and name not in wrong:
+            found += _slow_findings(name, k, axis, flights)
+            found += _feedback_findings(name, fit.estimates[name])
+            found += changed_coefficients(fit, name)
+        found += _paper_findings(fit, k)
+        found += _instrument_findings(name, fit.remarks.get(name, ""))
+    found += prior_findings(fit)
+    found += outlier_findings(fit.flights, fit.outliers)
+    found += disagreement_findings(fit)
+    return by_gravity(found)
+
+
+def _settled(finding: Finding, fit: Fit) -> bool:
+    """Whether the fit knows better than a flight alone."""
+    if finding.code not in ABOUT_EXCITATION or finding.axis is None:
+        return finding.code in SAID_BETTER
+    axis = fit.model.axes[finding.axis]
+    return all(status == "ok" for status in axis.status.values()) and not _weak(axis)
+
+
+def _weak(axis: Axis) -> bool:
+    error = axis.stderr.get("input")
+    return bool(axis.input and error and error > WEAK_GAIN * abs(axis.input))
+
+
+def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: str) -> Iterator[Finding]:
+    status = axis.status["input"]
+    if status == "not_excited" and flights and axis.noise:
+        yield Finding(
+            "not_excited",
+            "warning",
+            f"the {name} command only answers the motion, as a position controller's does: nothing else is in it"
+            if restored(flights, name)
+            else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
+            f"no coefficient of {name} is a number",
+            f"fly {name} with the paper's two sines or larger steps, not only with a position controller's corrections",
+            name,
+        )
+    elif status == "too_short":
+        yield Finding(
+            "too_short",
+            "warning",
+            f"the flights that move {name} hold too little commanded time to estimate from",
+            f"no coefficient of {name} is a number",
+            "fly longer than 20 s with commands throughout",
+            name,
+        )
+    elif status == "diverged":
+        yield Finding(
+            "diverged",
+            "error",
+            f"the estimate of {name} has no end: {remark}"
+            if remark
+            else f"the likelihood of {name} has no clear maximum: the climb did not end",
+            f"no coefficient of {name} is a number",
+            "check the card's columns and signs for this axis, or give a span without take-off and landing",
+            name,
+        )
+
+
+def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Commands that say something only once, or hardly more often."""
+    events = command_events(flights, name)
+    factor = widening(events)
+    if not axis.predictor or not flights or factor < TWICE:
+        return
+    once = events < ONE
+    yield Finding(
+        "few_command_events",
+        "warning",
+        f"the {name} command changes in one event of {EVENT:g} s, or in none beside it that count"
+        if once
+        else f"the {name} command changes in few events: they count as {events:.1f} equal ones of {EVENT:g} s",
+        f"intervals of {name} hold only if the model is right; if what it leaves out is another thing at each event, "
+        + ("nothing can be told of how wide they are" if once else f"they are {factor:.1f} times as wide"),
+        f"command {name} again and again: ten steps or more, or the paper's two sines",
+        name,
+    )
+
+
+def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
+    assert axis.predictor is not None
+    if axis.predictor.input >= 0:
+        return
+    channel = fit.model.card.command.get(name)
+    scale = channel.scale if channel else 1.0  # a world command of one axis moves along both
+    yield Finding(
+        "sign_flipped",
+        "warning",
+        f"the input gain of {name} is {axis.predictor.input:.3g}: a positive command moves {name} backwards",
+        f"the model is right for these logs, but input gain and trim of {name} are not in the sign that other flights "
+        "and controllers expect",
+        f"give the {name} channel of [command] in the card scale = {-scale:g} (now {scale:g}){_or_the_pose(fit, name)}",
+        name,
+    )
+
+
+def _or_the_pose(fit: Fit, name: str) -> str:
+    """What of the pose, in place of the command, would explain a sign that is turned."""
+    points = {axis: fit.model.axes[axis].predictor for axis in AXES}
+    backwards = {axis: point.input < 0 for axis, point in points.items() if point}
+    other = {"x": "y", "y": "x"}.get(name, "")
+    if backwards.get(other):
+        return ", or, as both x and y are backwards, turn yaw by half a turn"
+    over = [axis for axis in OVER if axis in backwards]
+    if name in over and len(over) > 1 and all(backwards[axis] for axis in over):
+        frame = "ENU" if fit.model.card.frame == "NED" else "NED"
+        return f', or, as {" and ".join(over)} are all backwards, read the pose as {frame}: frame = "{frame}"'
+    turning = max((float(np.std(flight.yaw)) for flight in fit.flights), default=0.0)
+    if other in backwards and turning < TURNING:
+        return f"; or the pose is mirrored, which flights that hardly turn do not tell: then {name} of [pose] instead"
+    return ""
+
+
+def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    point = axis.predictor
+    assert point is not None
+    if point.damping < 0:
+        _, high = axis.ci95["damping"]
+        yield _unstable(name, point.input, point.damping, high is not None and high < 0)
+    if "delay" in axis.status and axis.profile:
+        yield from _delay_findings(name, axis, point.delay, flights)
+    if axis.status["damping"] == "not_identifiable":
+        low, high = axis.ci95["damping"]
+        gain, lag = axis.combinations["steady_gain"], axis.combinations.get("total_lag")
+        yield Finding(
+            "damping_not_identifiable",
+            "info",
+            f"the damping of {name} lies anywhere between {_end(low)} and {_end(high)} 1/s (95 %)",
+            f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
+            if lag and None not in (*gain.ci95, *lag.ci95)
+            else f"the input gain of {name} is known, how fast its speed fades is not",
+            "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
+            name,
+        )
+    if axis.status["input"] == "not_identifiable" and axis.status["delay"] != "ok":
+        yield Finding(
+            "input_not_identifiable",
+            "info",
+            f"the delay of {name} is not known, and its commands answer its own motion or end at the searched delays",
+            f"no coefficient of {name} is published: such a loop leaves a slow answer to old commands only",
+            f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
+            name,
+        )
+    elif axis.status["input"] == "not_identifiable":
+        gain = axis.combinations["steady_gain"]
+        yield Finding(
+            "input_not_identifiable",
+            "info",
+            f"{name} answers faster than the data resolve: gain and damping grow together without bound",
+            f"the steady gain of {name}, {gain.value:.3g}, is known; its parts are not",
+            "use the steady gain with the total lag, or record poses and commands at a higher rate",
+            name,
+        )
+
+
+def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Flight]) -> Iterator[Finding]:
+    low, high = axis.ci95["delay"]
+    if min(abs(delay - end) for end in DELAY_RANGE) < 1e-6:
+        yield Finding(
+            "delay_at_bound",
+            "error",
+            f"the delay of {name} ends at the bound of its range, {delay:.2f} s",
+            f"no coefficient of {name} can be trusted",
+            "check the clocks of commands and poses; stamps of different computers are the usual cause",
+            name,
+        )
+    elif high is not None and high < 0:
+        yield Finding(
+            "delay_negative",
+            "warning",
+            f"{name} seems to answer {-1e3 * delay:.0f} ms before its command (95 %: {_end(low)} to {_end(high)} s)",
+            *too_early(flights, -delay),
+            name,
+        )
+    elif axis.status["delay"] == "not_identifiable":
+        yield Finding(
+            "delay_not_identifiable",
+            "info",
+            f"the delay of {name} lies anywhere between {_end(low)} and {_end(high)} s (95 %)",
+            "delay and damping trade against each other in these data",
+            "fly commands with steps or higher frequencies: slow sines hardly show a delay",
+            name,
+        )
+
+
+def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
+    chosen = next((mode for mode in axis.modes if mode.chosen), None)
+    rivals = [mode for mode in axis.modes if not mode.chosen]
+    if chosen is None or not rivals:
+        return
+    rival = max(rivals, key=lambda mode: mode.log_likelihood)
+    above = rival.log_likelihood - chosen.log_likelihood
+    if above > LIKELIHOOD_DOUBT and rival.prediction and chosen.prediction and rival.prediction > chosen.prediction:
+        worse = rival.prediction / chosen.prediction
+        by = f"{worse:.1f} times worse" if worse >= 1.05 else "hardly worse"
+        yield Finding(
+            "likelihood_and_prediction_disagree",
+            "warning",
+            f"the likelihood of {name} is {above:.0f} log units higher at a delay of {rival.delay:.3f} s; it predicts "
+            f"{by} over 1 s than the delay of {chosen.delay:.3f} s",
+            "the optimum that predicts was taken; the other reads the commands of a feedback loop as a measurement",
+            f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
+            name,
+        )
+
+
+def _excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    error = axis.stderr["input"]
+    if axis.input and error and _weak(axis):
+        yield Finding(
+            "weak_excitation",
+            "warning",
+            f"the input gain of {name} is known to {100 * error / abs(axis.input):.0f} % only",
+            f"all coefficients of {name} are wide",
+            "fly larger or longer commands on this axis",
+            name,
+        )
+    time = sum(flight.duration for flight in flights)
+    if time < SHORT_TIME:
+        yield Finding(
+            "short_data",
+            "warning",
+            f"{name} is moved for {time:.0f} s",
+            "intervals from so little data are optimistic where the disturbance is slow",
+            f"fly {name} for a minute or more",
+            name,
+        )
+
+
+def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Commands without power where the delay, or the damping, of this very model shows; only where it is not known."""
+    point = axis.predictor
+    assert point is not None
+    unknown = [part for part in ("damping", "delay") if axis.status.get(part) == "not_identifiable"]
+    bands = {
+        "damping": (point.damping / (2 * np.pi), "b/(2 pi)"),
+        "delay": (1 / (4 * np.pi * max(point.delay, 0.05)), "half of 1/(2 pi tau)"),
+    }
+    for part in unknown:
+        frequency, formula = bands[part]
+        share = max((share_above(f.command_time, f.command[:, k], frequency) for f in flights), default=0.0)
+        if share < NEEDED_SHARE:
+            yield Finding(
+                "slow_commands",
+                "warning",
+                f"{100 * share:.2g} % of the power of the {name} command lies above {frequency:.2g} Hz, {formula}, "
+                f"where the {part} of {name} shows; {100 * NEEDED_SHARE:g} % are needed",
+                f"the {part} of {name} is not identifiable, and what it costs, the others pay",
+                f"command {name} with steps or sines that reach {2 * frequency:.2g} Hz",
+                name,
+            )
+            return
+
+
+def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
+    found = answer(estimate.records, estimate.optimum, estimate.place)
+    if found.sigmas > LOOP_SIGMAS:
+        yield Finding(
+            "feedback",
+            "info",
+            f"the {name} command answers the motion: its changes correlate by {found.correlation:+.2f} with what the "
+            f"model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms before, {found.sigmas:.0f} standard "
+            "deviations of an open loop",
+            f"the likelihood allows for it; regressions, the paper's too, get gain and damping of {name} wrong",
+            f"nothing for this model; what keeps {name} known in a loop is a signal added to its command from outside, "
+            "as `rotorfit plan` adds one",
+            name,
+        )
+
+
+def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
+    name, damping = AXES[k], fit.model.paper[2 * k + 1]
+    axis, gain = fit.model.axes[name], fit.model.paper[2 * k]
+    if fit.model.method == "paper" or damping is None or gain is None or damping >= 0 or not axis.predictor:
+        return
+    lost = any(flight.clocks and flight.clocks.includes_delay for flight in fit.flights)
+    late = "" if lost else f" of {axis.predictor.delay + axis.predictor.extra.get('lag', 0.0):.2f} s"
+    yield Finding(
+        "paper_damping_negative",
+        "info",
+        f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
+        f"it leaves out the delay{late}, and the damping pays; the likelihood keeps it",
+        "use the model as it is; the paper's coefficients are there for comparison",
+        name,
+    )
+
+
+def _instrument_findings(name: str, remark: str) -> Iterator[Finding]:
+    if NOT_VALID in remark:
+        yield Finding(
+            "instrument_not_valid",
+            "warning",
+            f"the commands of {name} answer its motion, and the instrument is simulated from them",
+            f"the instrument holds the wind that it should be free of: the coefficients of {name} are biased",
+            "name what the controller was told in [reference] of the card, or use --method ml",
+            name,
+        )
+
+
+def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
+    return Finding(
+        "damping_unstable",
+        "error" if certain else "warning",
+        f"the regression gives {name} a damping of {damping:.2g} 1/s and a gain of {gain:.3g}: speed grows by itself",
+        "a multirotor does not do that: feedback, noise in the regressors, and above all a delay between command and "
+        "motion that is left out pull the damping down",
+        "use --method ml, which estimates the delay and keeps the damping positive",
+        name,
+    )
+
+
+def _end(value: float | None) -> str:
+    return "an end that the data do not give" if value is None else f"{value:.3g}"

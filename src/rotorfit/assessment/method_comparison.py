@@ -1,0 +1,179 @@
+"""The ladder: every estimator on the same flights, in one table, each tested against the likelihood."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorfit.assessment.validation import validate
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Axis
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import Fit, FlightScores, Method
+from rotorfit.estimation.fitting import fit
+
+LADDER: tuple[Method, ...] = ("paper", "svf", "weak", "iv", "oe", "ml")
+"""The rungs, from the paper's method up; the last one is what the others are tested against."""
+
+HORIZON = 1.0
+"""Horizon of the predictions that are shown [s]."""
+
+DIFFERS = 2.5758293035489004
+"""Standard errors beyond which two estimates differ: 1 % of those that agree do. A table has some fifty tests."""
+
+MORE_VARIANCE = 2.0
+"""A rung's variance must be this many times that of the likelihood before their difference is taken for its own."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """A coefficient of a rung against that of the likelihood.
+
+    Attributes:
+        difference: Rung less likelihood.
+        stderr: Of the difference.
+        how: `hausman` or `bound`; see `agreement`.
+        agrees: Whether the difference is within `DIFFERS` standard errors.
+    """
+
+    difference: float
+    stderr: float
+    how: str
+    agrees: bool
+
+
+@dataclass(frozen=True)
+class MethodRow:
+    """One rung, one axis.
+
+    Attributes:
+        method: Name of the rung.
+        axis: What may be said of the axis.
+        agreement: Coefficient name to its test; without those that either has no number for.
+        prediction: RMSE of 1 s velocity predictions on the same flights [m/s or rad/s]; None without a model.
+        remark: What the rung says of its numbers: why there is none, which instrument, whether it is valid.
+    """
+
+    method: str
+    axis: Axis
+    agreement: Mapping[str, Agreement]
+    prediction: float | None
+    remark: str
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """All rungs on the same flights.
+
+    Attributes:
+        paths: Of the logs.
+        axes: Axis name to its rows, in the order of `LADDER`.
+        held: Axis name to the prediction error of holding the velocity.
+    """
+
+    paths: tuple[str, ...]
+    axes: Mapping[str, tuple[MethodRow, ...]]
+    held: Mapping[str, float | None]
+
+
+def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Progress | None = None) -> Ladder:
+    """Fits every rung to the same flights and tests it against the likelihood.
+
+    Args:
+        flights: Recorded with one card.
+        axes: Which axes are wanted.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Raises:
+        FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+    """
+    fits: dict[str, Fit] = {}
+    scores: dict[str, Sequence[FlightScores]] = {}
+    held: Sequence[FlightScores] = ()
+    for number, method in enumerate(LADDER):
+        if progress:
+            progress(number / len(LADDER), method)
+        fits[method] = fit(flights, method, axes)
+        validation = validate(fits[method].model, flights, (HORIZON,))
+        scores[method], held = validation.flights, validation.baselines["hold"]
+    best = fits[LADDER[-1]].model
+    wanted = [axis for axis in AXES if axis in axes]
+    served = {axis: [axis in source.axes for source in best.flights] for axis in wanted}
+    rows = {
+        axis: tuple(
+            MethodRow(
+                method=method,
+                axis=found.model.axes[axis],
+                agreement={} if method == LADDER[-1] else agreement(found.model.axes[axis], best.axes[axis]),
+                prediction=_pooled(scores[method], axis, served[axis]),
+                remark=found.remarks.get(axis, ""),
+            )
+            for method, found in fits.items()
+        )
+        for axis in wanted
+    }
+    return Ladder(tuple(f.path for f in flights), rows, {axis: _pooled(held, axis, served[axis]) for axis in wanted})
+
+
+def _pooled(scores: Sequence[FlightScores], axis: str, served: Sequence[bool]) -> float | None:
+    """RMSE over the flights that command the axis."""
+    errors = [
+        flight.axes[axis].horizons[f"{HORIZON:g}"] for flight, serves in zip(scores, served, strict=True) if serves
+    ]
+    known = [(error.n, error.velocity_rmse) for error in errors if error.velocity_rmse is not None]
+    return float(np.sqrt(sum(n * e**2 for n, e in known) / sum(n for n, _ in known))) if known else None
+
+
+def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
+    """Tests the coefficients of a rung against those of the likelihood, on the same data.
+
+    The estimates share the data, so the variance of their difference is not the sum of their variances. Where both are
+    right and the likelihood is efficient it is the difference of the variances (`hausman`). That of the rung is itself
+    an estimate, so this is only used where it is at least twice that of the likelihood. Else the standard error is the
+    sum of both (`bound`), which no correlation can exceed: the test is then slow to find a difference, never rash.
+
+    Args:
+        rung: An axis by a rung.
+        best: The same by the likelihood.
+
+    Source: J. A. Hausman, Econometrica 46 (1978), pp. 1251-1271; the bound is Minkowski's inequality.
+    """
+    found = {}
+    for name in COEFFICIENTS:
+        value, other = getattr(rung, name), getattr(best, name)
+        error, least = rung.stderr[name], best.stderr[name]
+        if value is None or other is None or error is None or least is None:
+            continue
+        own = error**2 >= MORE_VARIANCE * least**2
+        spread = float(np.sqrt(error**2 - least**2)) if own else error + least
+        difference = value - other
+        agrees = abs(difference) <= DIFFERS * spread
+        found[name] = Agreement(difference, spread, "hausman" if own else "bound", agrees)
+    return found
+
+
+def to_mapping(result: Ladder) -> dict[str, Any]:
+    """The ladder as plain JSON types."""
+    return {
+        "logs": list(result.paths),
+        "horizon": HORIZON,
+        "axes": {
+            axis: {"rungs": [_row(row) for row in rows], "held": result.held[axis]}
+            for axis, rows in result.axes.items()
+        },
+    }
+
+
+def _row(row: MethodRow) -> dict[str, Any]:
+    return {
+        "method": row.method,
+        **{name: getattr(row.axis, name) for name in COEFFICIENTS},
+        "stderr": dict(row.axis.stderr),
+        "ci95": {name: list(ends) for name, ends in row.axis.ci95.items()},
+        "status": dict(row.axis.status),
+        "agreement": {name: asdict(test) for name, test in row.agreement.items()},
+        "prediction": row.prediction,
+        "remark": row.remark,
+    }

@@ -1,0 +1,167 @@
+"""Plausibility: findings from what the card's limits, symmetry and the literature say of a model."""
+
+import math
+from collections.abc import Iterator
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import GRAVITY, Meaning, Quantity, limit_text, meaning_of
+from rotorfit.core.model import Model
+from rotorfit.dynamics.physics import compared, mapped, people
+from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
+
+LIMIT_MARGIN = 1.2
+"""Factor by which the whole interval must miss what the card makes one expect."""
+
+GAIN_SYMMETRY = 1.2
+"""Ratio of the gains of x and y that a multirotor may have: 9.81 tan(t) knows no direction."""
+
+DAMPING_SYMMETRY = 2.5
+"""Ratio of the dampings of x and y that a multirotor may have: bodies are longer than wide; published, up to 2.1."""
+
+ALIKE = 1.25
+"""Factor by which a coefficient must lie outside of what the published sets span."""
+
+LAGGING = (
+    "; if they are right, the gain is too small because a pure delay stands for the lag of the attitude loop: "
+    "compare a structure with a lag"
+)
+"""The usual cause of a tilt that does less than it should, where the card is right."""
+
+NORMAL = 1.96
+"""97.5 % point of the normal distribution."""
+
+
+def findings_of_settings(model: Model) -> tuple[Finding, ...]:
+    """Where a model contradicts its card's limits, the symmetry of x and y, or what others published.
+
+    Args:
+        model: Of any method. Axes without numbers are passed over.
+    """
+    limits = (finding for axis in AXES for finding in _against_limits(model, axis))
+    return (*limits, *_against_symmetry(model), *_against_published(model))
+
+
+def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
+    """The measured full-scale quantity lies, with its whole interval, away from what the limits make one expect."""
+    meaning, quantity = meaning_of(model.card, axis), compared(model, axis)
+    ratio = quantity.ratio
+    if ratio is None or ratio.value is None or quantity.measured is None or quantity.expected is None:
+        return
+    low, high = ratio.ci95
+    if low is None or high is None or low <= 0 or (low <= LIMIT_MARGIN and high >= 1 / LIMIT_MARGIN):
+        return
+    yield Finding(
+        "gain_contradicts_limit",
+        "warning",
+        f"{_reached(axis, meaning, quantity)}, {ratio.value:.2f} times what the card makes one expect "
+        f"({quantity.expected:.3g}); {_explained(meaning, quantity)}",
+        f"gains of {axis} that are converted to other limits or compared with other flights are off by this factor; "
+        "predictions under the settings of these flights are not",
+        f"check [limits] of the card against the settings in these flights, unit and scale of the {axis} command"
+        + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else ""),
+        axis,
+    )
+
+
+def _reached(axis: str, meaning: Meaning, quantity: Quantity) -> str:
+    assert quantity.measured is not None
+    value, (low, high) = quantity.measured.value, quantity.measured.ci95
+    command = "full command" if meaning.limit else "a command of 1"
+    verb = "accelerates" if meaning.asked == "tilt" else "ends"
+    by = "by" if meaning.asked == "tilt" else "at"
+    return f"{command} {verb} {axis} {by} {value:.3g} {quantity.unit} (95 %: {low:.3g} to {high:.3g})"
+
+
+def _explained(meaning: Meaning, quantity: Quantity) -> str:
+    """Which setting, or which scale, would make it fit."""
+    assert quantity.measured is not None
+    assert quantity.ratio is not None
+    if meaning.limit and quantity.implied_limit and meaning.setting is not None:
+        word, said = meaning.limit.replace("_", " "), limit_text(meaning.limit, meaning.setting)
+        return f"as if the {word} limit were {people(quantity.implied_limit, meaning.limit)} and not {said}"
+    told = f"as if the command were {quantity.ratio.value:.2f} times what was logged"
+    if meaning.asked == "tilt":
+        tilt = mapped(quantity.measured, lambda reached: math.atan(reached / GRAVITY))
+        told += f", or a fraction of a tilt limit of {people(tilt, 'tilt')}"
+    return told
+
+
+def _against_symmetry(model: Model) -> Iterator[Finding]:
+    """x and y differ, beyond the 95 % interval of their ratio, by more than a multirotor's shape explains."""
+    x, y = (meaning_of(model.card, axis) for axis in ("x", "y"))
+    if (x.asked, x.limit) != (y.asked, y.limit) or not (model.axes["x"].predictor and model.axes["y"].predictor):
+        return
+    tests = {"damping": DAMPING_SYMMETRY}
+    if x.asked == "tilt":
+        tests = {"input": GAIN_SYMMETRY, **tests}
+    told = []
+    for name, allowed in tests.items():
+        ratio = _ratio(model, name)
+        if ratio and max(ratio[1], 1 / ratio[2]) > allowed:
+            word = {"input": "input gains", "damping": "dampings"}[name]
+            pair = " and ".join(f"{getattr(model.axes[axis], name):.3g}" for axis in ("x", "y"))
+            told.append(f"{word} {pair}, ratio {ratio[0]:.2f} (95 %: {ratio[1]:.2f} to {ratio[2]:.2f})")
+    if told:
+        yield Finding(
+            "axes_differ",
+            "warning",
+            f"x and y differ more than the shape of a multirotor explains: {'; '.join(told)}",
+            "one of the two is likely wrong: a channel with another scale or unit, or coefficients bent by a feedback "
+            "loop or by too little motion",
+            "compare scale and unit of the x and y channels of [command], and fly both with the same excitation",
+        )
+
+
+def _ratio(model: Model, name: str) -> tuple[float, float, float] | None:
+    """A coefficient of x over that of y, with the 95 % interval from both standard errors and their covariance."""
+    parts = [(getattr(axis, name), axis.stderr[name]) for axis in (model.axes["x"], model.axes["y"])]
+    if any(value is None or value <= 0 or not error for value, error in parts):
+        return None
+    (a, sa), (b, sb) = parts
+    names = [f"x.{name}", f"y.{name}"]
+    both = all(each in model.covariance_names for each in names)
+    shared = float(model.covariance[tuple(model.covariance_names.index(each) for each in names)]) if both else 0.0
+    spread = math.sqrt(max((sa / a) ** 2 + (sb / b) ** 2 - 2 * shared / (a * b), 0.0))
+    return a / b, a / b * math.exp(-NORMAL * spread), a / b * math.exp(NORMAL * spread)
+
+
+def _against_published(model: Model) -> Iterator[Finding]:
+    """What of a model lies outside of what the published sets of its vehicle span."""
+    vehicle = vehicle_of(model.card.name)
+    sets = [_theirs(known) for known in sets_for(vehicle)] if vehicle else []
+    told = []
+    for name, value in ((name, value) for axis in AXES for name, value in _own(model, axis).items()):
+        known = [each[name] for each in sets if name in each]
+        if known and not min(known) / ALIKE <= value <= max(known) * ALIKE:
+            ends = " to ".join(f"{end:.3g}" for end in sorted({min(known), max(known)}))
+            unit = " 1/s" if name.endswith("damping") else " times what the card makes one expect"
+            told.append(f"{name} {value:.3g}{unit} (published: {ends})")
+    if told:
+        yield Finding(
+            "published_sets_disagree",
+            "info",
+            f"outside of what others have published of the {vehicle}: {', '.join(told)}",
+            "either this vehicle, its settings or its flights are unlike theirs, or the coefficient is off",
+            "look at its interval and at the other findings of its axis; if they are clean, trust your own",
+        )
+
+
+def _own(model: Model, axis: str) -> dict[str, float]:
+    """What of an axis compares with published sets: its damping, and its gain where the card says what it should be."""
+    damping, ratio = model.axes[axis].damping, compared(model, axis).ratio
+    parts = {f"{axis} damping": damping, f"{axis} gain": ratio.value if ratio else None}
+    return {name: value for name, value in parts.items() if value is not None and value > 0}
+
+
+def _theirs(known: PublishedSet) -> dict[str, float]:
+    """The same of a published set; gains of commands in SI only, over what they should be, signs aside."""
+    parts: dict[str, float] = {}
+    for k, axis in enumerate(AXES):
+        gain, damping = known.gamma[2 * k : 2 * k + 2]
+        if damping is None or gain is None or damping <= 0:
+            continue
+        parts[f"{axis} damping"] = damping
+        if known.command == "si":
+            parts[f"{axis} gain"] = abs(gain) / (GRAVITY if axis in ("x", "y") else damping)
+    return parts

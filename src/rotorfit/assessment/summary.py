@@ -1,0 +1,86 @@
+"""Summary: what a fit could and could not tell, in one paragraph of plain words."""
+
+from collections.abc import Iterator, Sequence
+
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
+
+_METHODS = {
+    "ml": "the likelihood",
+    "svf": "least squares behind a state-variable filter",
+    "weak": "least squares on the weak form",
+    "iv": "refined instrumental variables",
+    "oe": "output error",
+    "robust": "the likelihood without outliers",
+    "paper": "the paper's regression, which knows no delay",
+}
+
+_NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
+
+_REASONS = {
+    "not_excited": "no flight excites {}",
+    "too_short": "the flights are too short for {}, or command it only once",
+    "diverged": "the estimation of {} did not converge",
+}
+
+BELIEVED = ", with what the card believed beforehand"
+
+
+def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
+    """What the flights could and could not tell, and what must be read before the numbers are used.
+
+    Args:
+        model: With its findings.
+        axes: Those that were asked for; of the others nothing is said.
+    """
+    wanted = [axis for axis in AXES if axis in axes]
+    time = sum(end - start for start, end in (flight.span for flight in model.flights))
+    count = len(model.flights)
+    flights = f"1 flight of {time:.0f} s" if count == 1 else f"{count} flights, {time:.0f} s in all,"
+    coefficients = COEFFICIENTS[:2] if model.method == "paper" else COEFFICIENTS
+    whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
+    partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
+    sentences = [f"Fitted to {flights} by {_METHODS[model.method]}{BELIEVED * bool(model.prior)}."]
+    if whole:
+        sentences.append(f"Known: {_listed([_NAMES[name] for name in coefficients])} of {_listed(whole)}.")
+    sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]
+    unknown = {axis: model.axes[axis].status["input"] for axis in wanted if not model.axes[axis].predictor}
+    groups = {why: [axis for axis, status in unknown.items() if status == why] for why in _REASONS}
+    if reasons := [_REASONS[why].format(_listed(group, "or")) for why, group in groups.items() if group]:
+        sentences.append(f"No numbers: {'; '.join(reasons)}.")
+    return " ".join([*sentences, *_warnings(model, wanted)])
+
+
+def _partly_known(axis: str, known: Axis) -> str:
+    """What is known of an axis of which not every coefficient is."""
+    good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok"]
+    lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] != "ok"]
+    whole = {name: part for name, part in known.combinations.items() if None not in part.ci95}
+    combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in whole.items()]
+    instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
+    head = f"Known of {axis}: {_listed(good)}; " if good else f"Of {axis}, "
+    return f"{head}{_listed(lost)} cannot be identified from these data{instead}."
+
+
+def _range(part: Combination) -> str:
+    low, high = part.ci95
+    return f"{part.value:.3g} ({low:.3g} to {high:.3g})"
+
+
+def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
+    """What must be read first; nothing where there is nothing."""
+    concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
+    errors = {finding.axis for finding in concerned if finding.severity == "error"}
+    spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]
+    warnings = sum(finding.severity == "warning" for finding in concerned)
+    if spoiled:
+        yield f"Do not use {_listed(spoiled)} before you have read the findings."
+    if warnings:
+        yield "One finding is a warning." if warnings == 1 else f"{warnings} findings are warnings."
+    if any(model.axes[axis].predictor for axis in wanted):
+        yield "What it is worth shows on a flight that was not fitted."
+
+
+def _listed(names: Sequence[str], last: str = "and") -> str:
+    """`x`, `x and y`, `x, y and z`."""
+    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

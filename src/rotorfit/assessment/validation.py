@@ -1,0 +1,322 @@
+"""Model + other flights -> Validation: prediction errors beside naive baselines, and what the residuals say."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rotorfit.assessment.paired import paired_test
+from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual_tests
+from rotorfit.core.errors import FlightError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, heading_from_world
+from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
+from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import AxisScore, FlightScores, Horizon, Innovations, ResidualTests, StartErrors, Validation
+from rotorfit.dynamics.protocol import (
+    HORIZONS,
+    AxisDynamics,
+    free_run_prediction,
+    hold_velocity,
+    predict_flight,
+    score_predictions,
+    start_errors,
+)
+from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.estimation.likelihood.blocks import Record, record
+from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.likelihood import response, whiten
+from rotorfit.estimation.likelihood.optima import start_point
+from rotorfit.estimation.likelihood.parameters import Point
+
+
+def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
+    """What prediction needs of the axes of a model; those with known noise and no predictor are tracked only.
+
+    Args:
+        model: The model.
+        flight: What is predicted; None for one with a position of every axis.
+
+    Raises:
+        FlightError: An axis has a position where the model knows the noise of a velocity only, or the other way round.
+    """
+    out, alone = {}, flight.velocity_only if flight else ()
+    for name, axis in model.axes.items():
+        if not axis.noise or (name == "yaw" and axis.predictor is None):
+            continue
+        point = axis.predictor
+        levels = LEVELS_OF["velocity" if name in alone else "position"]
+        if not set(levels) <= set(axis.noise):
+            here, there = ("velocity", "position") if name in alone else ("position", "velocity")
+            raise FlightError(
+                f"{flight.path if flight else 'the flight'}: {name} is measured by its {here}, and the model knows the "
+                f"noise of its {there} only: use the card that it was fitted with, or fit again"
+            )
+        out[name] = AxisDynamics(
+            input=point.input if point else 0.0,
+            damping=point.damping if point else 1.0,
+            delay=point.delay if point else 0.0,
+            levels=tuple(axis.noise[level] for level in levels),  # type: ignore[arg-type]
+            trim_variance=axis.noise["trim_variance"],
+            structure=structure_named(axis.structure) if point else FIRST_ORDER_DELAY,
+            extra=point.extra if point else {},
+        )
+    return out
+
+
+def validate(
+    model: Model, flights: Sequence[Flight], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
+) -> Validation:
+    """Scores a model on flights, by the one prediction protocol.
+
+    Args:
+        model: The model.
+        flights: Flights that it was not fitted to, for a proof; others for comparison.
+        horizons: [s].
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Raises:
+        FlightError: If no flight is given or a horizon is not positive.
+    """
+    if not flights:
+        raise FlightError("no flight to validate on: give at least one log")
+    if not horizons or min(horizons) <= 0:
+        raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
+    flights = without_held_axes(flights)
+    scores: dict[str, list[FlightScores]] = {"model": [], "hold": [], "paper": []}
+    errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
+    tests = []
+    for number, flight in enumerate(flights):
+        if progress:
+            progress(number / len(flights), flight.path)
+        for name, (score, by_horizon) in _score_flight(model, flight, horizons).items():
+            scores[name].append(score)
+            errors[name].append(by_horizon)
+        tests.append(residual_tests_of_flight(model, flight))
+    counted = tuple(() if each.fitted else each.moved for each in scores["model"])
+    found = (
+        finding
+        for flight, axes in zip(flights, tests, strict=True)
+        for axis, each in axes.items()
+        for finding in findings_of_residuals(axis, each, flight.path)
+    )
+    return Validation(
+        flights=tuple(scores["model"]),
+        baselines={name: tuple(scores[name]) for name in ("hold", "paper")},
+        errors={name: tuple(each) for name, each in errors.items()},
+        paired=tuple(
+            paired_test(("model", name), errors["model"], errors[name], counted) for name in ("hold", "paper")
+        ),
+        residuals=tuple(tests),
+        findings=tuple(sorted(found, key=lambda finding: finding.severity == "info")),
+    )
+
+
+def _score_flight(
+    model: Model, flight: Flight, horizons: Sequence[float]
+) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
+    """Scores of the model and of both baselines on one flight, and the errors behind them."""
+    dynamics = dynamics_from_model(model, flight)
+    parts = predict_flight(flight, dynamics, max(horizons))
+    paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
+    paper_damping = np.array([b if (b := model.paper[2 * k + 1]) is not None else np.nan for k in range(4)])
+    coasted = [
+        free_run_prediction(flight, part, np.nan_to_num(paper_input), np.nan_to_num(paper_damping)) for part in parts
+    ]
+    known = np.array([model.axes[axis].predictor is not None for axis in AXES])
+    heading = "predicted" if known[AXES.index("yaw")] else "measured"
+    moved = tuple(a for k, a in enumerate(AXES) if a in flight.axes and bool(np.any(flight.command[:, k])))
+
+    def scored(predicted: Sequence[Array], wanted: Array) -> tuple[FlightScores, dict[str, StartErrors]]:
+        axes = score_predictions(parts, predicted, horizons)
+        empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
+        scores = {a: axes[a] if wanted[k] else empty for k, a in enumerate(AXES)}
+        errors = {f"{h:g}": _known_errors(start_errors(parts, predicted, h), wanted) for h in horizons}
+        fitted = _was_fitted(model, flight)
+        return FlightScores(flight.path, flight.span, scores, heading, fitted, moved), errors
+
+    return {
+        "model": scored([part.predicted for part in parts], known),
+        "hold": scored([hold_velocity(part) for part in parts], np.ones(4, bool)),
+        "paper": scored(coasted, np.isfinite(paper_input)),
+    }
+
+
+def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
+    """NaN in place of the errors of an axis without a model."""
+    velocity, position = (np.where(wanted, values, np.nan) for values in (errors.velocity, errors.position))
+    return replace(errors, velocity=velocity, position=position)
+
+
+def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
+    """Tests of the innovations of the axes that a flight commands and the model knows."""
+    at_fitted = residuals(model, flight)
+    found: dict[str, ResidualTests] = {}
+    for axis, own in residuals(model, flight, own_levels=True).items():
+        if axis in flight.axes and np.any(flight.command[:, AXES.index(axis)]):
+            fitted = _was_fitted(model, flight)
+            covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
+            training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
+            share = flight.duration / training if training > 0 and not fitted else 0.0
+            tests = residual_tests(own.innovations, at_fitted[axis].innovation, covariance, share)
+            found |= {axis: tests} if tests else {}
+    return found
+
+
+def coefficient_covariance(model: Model, axis: str) -> Array:
+    """Covariance of input, log damping and delay of an axis, shape (3, 3); zero where the model has none."""
+    out, names = np.zeros((3, 3)), list(model.covariance_names)
+    point = predictor_of(model, axis)
+    known = [(i, names.index(name)) for i, c in enumerate(COEFFICIENTS) if (name := f"{axis}.{c}") in names]
+    for i, at in known:
+        for j, beside in known:
+            out[i, j] = model.covariance[at, beside]
+    scale = np.array([1.0, 1 / max(point.damping, 1e-3), 1.0])
+    return out * np.outer(scale, scale)
+
+
+def _was_fitted(model: Model, flight: Flight) -> bool:
+    """Whether the same log, over a stretch that overlaps, served the fit."""
+    return any(
+        source.sha256 == flight.sha256 and min(source.span[1], flight.span[1]) > max(source.span[0], flight.span[0])
+        for source in model.flights
+    )
+
+
+def to_mapping(validation: Validation) -> dict[str, Any]:
+    """The validation as plain JSON types."""
+    return {
+        "flights": [asdict(flight) for flight in validation.flights],
+        "baselines": {
+            name: {"flights": [asdict(flight) for flight in flights]} for name, flights in validation.baselines.items()
+        },
+        "paired": [asdict(test) for test in validation.paired],
+        "residuals": [
+            {"path": flight.path, "axes": {axis: asdict(tests) for axis, tests in axes.items()}}
+            for flight, axes in zip(validation.flights, validation.residuals, strict=True)
+        ],
+        "findings": [asdict(finding) for finding in validation.findings],
+    }
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """One-step innovations of an axis on one flight, standardised: white and of unit variance where the model is right.
+
+    Attributes:
+        axis: Name.
+        time: Block times, shape (B,) [s].
+        innovation: Shape (B,).
+        response: Position as the commands explain it, less its start, in the frame of the axis, shape (B,) [m or rad].
+        past: See `Innovations`.
+        sensitivity: See `Innovations`.
+    """
+
+    axis: str
+    time: Array
+    innovation: Array
+    response: Array
+    past: Array
+    sensitivity: Array
+
+    @property
+    def innovations(self) -> Innovations:
+        """What the tests need."""
+        return Innovations(self.time, self.innovation, self.past, self.sensitivity)
+
+
+def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[str, Residuals]:
+    """Innovations of every axis with a predictor, with the flight's own trim and start.
+
+    Args:
+        model: The model.
+        flight: Any flight of the vehicle.
+        own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
+    """
+    if not flight.velocity_only:  # beside poses a velocity says nothing of its own about the model
+        flight = replace(flight, velocity=None)
+    known = [axis for axis in AXES if model.axes[axis].predictor]
+    plane = ("x", "y")
+    rec = record(flight, plane) if any(axis in known for axis in plane) else None
+    together = rec is not None and not rec.held and all(model.axes[axis].noise for axis in plane)
+    groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
+    out: dict[str, Residuals] = {}
+    for group in groups:
+        out |= _group_residuals(model, flight, group, own_levels)
+    return out
+
+
+def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_levels: bool) -> dict[str, Residuals]:
+    """Of one axis, or of x and y where the vehicle turns."""
+    rec = record(flight, group)
+    if rec is None:
+        return {}
+    points = [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in group]
+    names = LEVELS_OF[rec.measured]
+    if not all(set(names) <= set(model.axes[axis].noise) for axis in group):
+        return {}
+    levels = np.log([[model.axes[axis].noise[level] for level in names] for axis in group])
+    start = replace(
+        start_point([rec], 0.0, 1.0, levels),
+        gain=np.array([point.input for point in points]),
+        log_damping=np.log([max(point.damping, 1e-3) for point in points]),
+        delay=np.array([point.delay for point in points]),
+    )
+    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in group], points)
+    free = np.zeros(start.flat().size, bool)
+    free[start.coefficients : None if own_levels else start.n] = True
+    best = maximise([rec], start, free)
+    explained, sensitivity = response(rec, best.point, 0, best.point.start)
+    rows = whiten(rec, sensitivity, best.point.levels)[0]
+    if len(group) == 2:
+        explained = heading_from_world(explained, rec.block_yaw)
+    return {
+        axis: Residuals(
+            axis,
+            rec.block_time,
+            best.score.innovations[0][:, k],
+            explained[:, k],
+            _past(flight, AXES.index(axis), rec.block_time),
+            _sensitivity(rec, rows[:, :, k], k),
+        )
+        for k, axis in enumerate(group)
+        if model.axes[axis].predictor
+    }
+
+
+def _past(flight: Flight, k: int, time: Array) -> Array:
+    """The command that was held 1, 2, ... blocks before, up to a second back; before a segment, its first."""
+    step = float(np.median(np.diff(time)))
+    lags = step * np.arange(1, max(1, round(REACH / step)) + 1)
+    segment = np.searchsorted([part.start for part in flight.segments], time, side="right") - 1
+    first = np.searchsorted(flight.command_time, [part.start for part in flight.segments])[segment]
+    held = np.searchsorted(flight.command_time, time[:, None] - lags, side="right") - 1
+    return np.asarray(flight.command[np.maximum(held, first[:, None]), k])
+
+
+def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
+    """Whitened sensitivities to input, log damping and delay, less what trim and start make up for, shape (B, 3).
+
+    Args:
+        rec: The flight.
+        rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
+        k: Which of the K axes.
+    """
+    K, segment = len(rec.axes), np.cumsum(rec.fresh)
+    starts = [rows[:, -K:] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    own, others = rows[:, [k, K + k, 2 * K + k]], np.hstack([rows[:, -2 * K : -K], *starts])
+    return np.asarray(own - others @ np.linalg.lstsq(others, own)[0])
+
+
+def _with_structures(point: Point, structures: Sequence[Structure], known: Sequence[Predictor]) -> Point:
+    """The point under the structures of a model, with their further parameters; axes without numbers have none."""
+    laws = tuple(
+        s if set(p.extra) == {e.name for e in s.extras} else FIRST_ORDER_DELAY
+        for s, p in zip(structures, known, strict=True)
+    )
+    extra = np.zeros((max(len(law.extras) for law in laws), len(laws)))
+    for k, (law, one) in enumerate(zip(laws, known, strict=True)):
+        extra[: len(law.extras), k] = [e.coordinate(one.extra[e.name]) for e in law.extras]
+    return replace(point, structures=laws, extra=extra)

@@ -1,0 +1,236 @@
+"""What the innovations say of a model: are they white, free of the commands that came before, and of unit variance?
+
+An innovation is what a block of poses brings that the model did not foresee. In a feedback loop the commands that come
+after it answer it, so only commands from before it may be asked about; those it must not follow, loop or no loop.
+All three tests allow for a variance that changes during a flight, as it does in gusts. Whiteness and independence are
+judged with the levels of the disturbance that the flight itself has: other wind is no fault of the model. How much
+other, the variance ratio tells.
+
+Source: L. Ljung, System Identification, 2nd ed., 1999, chapter 16; T. Soderstrom, P. Stoica, System Identification,
+1989, chapter 11; G. M. Ljung, G. E. P. Box, Biometrika 65 (1978), pp. 297-303.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rotorfit.assessment.paired import frequencies, variance_of_mean
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.results import Correlogram, Innovations, ResidualTests, student_quantile
+from rotorfit.estimation.regression.paper import newey_west
+
+REACH = 1.0
+"""How far back the tests look [s]."""
+
+COMMAND_EVERY = 0.1
+"""Steps between the past commands that are tested together [s]."""
+
+BAND = 1.959963984540054
+"""97.5 % point of the normal distribution."""
+
+LEVEL = 0.05
+"""p-value below which a test speaks against the model."""
+
+FINDING_LEVEL = 0.001
+"""p-value below which it is a finding: flights have several axes, and a finding must not come by chance."""
+
+OPTIMISTIC = 1.1
+"""Factor by which intervals must be too narrow for the finding to be a warning."""
+
+LEAST_BLOCKS = 100
+"""Innovations below which nothing is tested."""
+
+DISTINCT = 1e-3
+"""Share of the largest variance below which a combination of past commands is left out: it is a copy of the others."""
+
+
+def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Correlogram:
+    """Autocorrelation of innovations, pairs across holes left out, with bands that allow for a changing variance.
+
+    Args:
+        time: Shape (B,) [s].
+        innovation: Shape (B,).
+        reach: Longest lag [s].
+
+    Source: V. Dalla, L. Giraitis, P. C. B. Phillips, Econometric Theory 38 (2022), pp. 913-941, for the bands; of
+    constant variance they are 1.96 over the root of N.
+    """
+    e = innovation - innovation.mean()
+    step, power = _step(time), float(e @ e)
+    lags = np.arange(1, _lag_count(time, reach) + 1)
+    value, band = np.empty(lags.size), np.empty(lags.size)
+    for i, k in enumerate(lags):
+        product = (e[k:] * e[:-k])[_adjacent(time, int(k))]
+        value[i] = product.sum() / power
+        band[i] = BAND * np.sqrt(product @ product) / power
+    return Correlogram(np.asarray(step * lags, float), value, band)
+
+
+def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogram:
+    """Correlation of innovations with commands from before them, with bands that hold for coloured innovations too.
+
+    Args:
+        innovations: Of one axis.
+        covariance: Of the coefficients, as for `residual_tests`.
+
+    Source: Ljung 1999, section 16.6: the variance is the sum of the products of both autocovariances, here estimated
+    from the products themselves (W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708).
+    """
+    u = innovations.past - innovations.past.mean(axis=0)
+    e = innovations.innovation - innovations.innovation.mean()
+    size = np.sqrt(float(e @ e) * np.sum(u**2, axis=0))
+    value, band = np.zeros(size.size), np.zeros(size.size)
+    for i in np.flatnonzero(size > 0):
+        total, spread = _with_command(innovations, u[:, i : i + 1], covariance)
+        value[i], band[i] = total[0] / size[i], BAND * np.sqrt(spread[0, 0]) / size[i]
+    lag = _step(innovations.time) * np.arange(1, size.size + 1)
+    return Correlogram(np.asarray(lag, float), value, band)
+
+
+def residual_tests(
+    innovations: Innovations, at_fitted_levels: Array, covariance: Array, training_share: float
+) -> ResidualTests | None:
+    """All tests of one axis on one flight; None for fewer than 100 innovations.
+
+    Args:
+        innovations: With the levels of the disturbance that this flight has.
+        at_fitted_levels: Innovations with the levels of the fit, shape (B,).
+        covariance: Of input, log damping and delay, shape (3, 3): how far a model from other flights may be off; zeros
+            where it was fitted to this one.
+        training_share: Time of this flight over that of the flights of the fit, for what the fit knows of its levels.
+    """
+    e = innovations.innovation
+    if e.size < LEAST_BLOCKS:
+        return None
+    found = autocorrelation(innovations.time, e)
+    n, lags = e.size, found.lag.size
+    classic = float(n * (n + 2) * np.sum(found.value**2 / (n - np.arange(1, lags + 1))))
+    told = found.band > 0  # a predictor without any error has no band
+    robust = float(np.sum((BAND * found.value[told] / found.band[told]) ** 2))
+    command_p, freedom = _independence(innovations, covariance)
+    with_command = cross_correlation(innovations, covariance)
+    peak = int(np.argmax(np.abs(with_command.value) - with_command.band))
+    white_p = _chi_squared(robust, lags)
+    count, ratio = frequencies(n), float(np.mean(at_fitted_levels**2))
+    spread = float(variance_of_mean(at_fitted_levels[:, None] ** 2, count)[0, 0]) * (1 + training_share)
+    half = student_quantile(count) * spread**0.5
+    return ResidualTests(
+        n=n,
+        lags=lags,
+        ljung_box=classic,
+        ljung_box_p=_chi_squared(classic, lags),
+        white_p=white_p,
+        command_freedom=freedom,
+        command_p=command_p,
+        command_peak=float(abs(with_command.value[peak]) / with_command.band[peak]) if freedom else None,
+        command_peak_lag=float(with_command.lag[peak]) if freedom else None,
+        variance_ratio=ratio,
+        variance_ci95=(max(0.0, ratio - half), ratio + half),
+        optimism=_optimism(innovations, found.value),
+        white=white_p >= LEVEL,
+        follows_command=None if command_p is None else command_p < LEVEL,
+    )
+
+
+def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
+    """p-value of no correlation with any of the past commands, all at once, and how many of these are independent."""
+    every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
+    u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
+    size, directions = np.linalg.eigh(u.T @ u)
+    if size[-1] <= 0:
+        return None, 0
+    distinct = u @ directions[:, size > DISTINCT * size[-1]]
+    total, spread = _with_command(innovations, distinct, covariance)
+    return _chi_squared(float(total @ np.linalg.solve(spread, total)), total.size), total.size
+
+
+def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tuple[Array, Array]:
+    """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
+
+    To what the innovations scatter comes what the model's own coefficients may be off by.
+
+    Source: lags of the kernel by W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9).
+    """
+    scores = u * (innovations.innovation - innovations.innovation.mean())[:, None]
+    lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * _step(innovations.time)
+    through = u.T @ innovations.sensitivity
+    spread = newey_west(innovations.time, scores - scores.mean(axis=0), lag)
+    return scores.sum(axis=0), spread + through @ covariance @ through.T
+
+
+def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
+    """Root of the variance that each estimate has with innovations of this colour over that with white ones.
+
+    Source: Bartlett's formula: the sum over the lags of the products of both autocorrelations, here of the innovations
+    and of their weights in the estimate, up to the reach of the tests.
+    """
+    X = innovations.sensitivity
+    out, fading = {}, 1 - np.arange(1, colour.size + 1) / (colour.size + 1)
+    for name, weight in zip(COEFFICIENTS, (X @ np.linalg.pinv(X.T @ X, hermitian=True)).T, strict=True):
+        power = float(weight @ weight)
+        own = np.array([float(weight[k:] @ weight[:-k]) / power for k in range(1, colour.size + 1)])
+        out[name] = float(np.sqrt(max(0.0, 1 + 2 * float(np.sum(fading * colour * own)))))
+    return out
+
+
+def _step(time: Array) -> float:
+    return float(np.median(np.diff(time)))
+
+
+def _lag_count(time: Array, reach: float) -> int:
+    return max(1, min(round(reach / _step(time)), time.size // 4))
+
+
+def _adjacent(time: Array, k: int) -> Array:
+    """Which pairs of blocks, k apart by count, are k apart by time, too."""
+    return np.asarray(np.abs(time[k:] - time[:-k] - k * _step(time)) < 0.5 * _step(time))
+
+
+def _chi_squared(statistic: float, freedom: int) -> float:
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, statistic))
+
+
+def narrows_intervals(tests: ResidualTests) -> bool:
+    """Whether the innovations' colour makes intervals too narrow beyond doubt."""
+    return tests.white_p < FINDING_LEVEL and max(tests.optimism.values(), default=1.0) >= OPTIMISTIC
+
+
+def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterator[Finding]:
+    """What the tests of one axis on one flight mean to a user.
+
+    Args:
+        axis: Name.
+        tests: Of its innovations.
+        where: The flight, for the evidence.
+    """
+    factor = max(tests.optimism.values(), default=1.0)
+    if tests.white_p < FINDING_LEVEL:
+        narrow = narrows_intervals(tests)
+        yield Finding(
+            "residuals_not_white",
+            "warning" if narrow else "info",
+            f"{where}: the innovations of {axis} are correlated over {tests.lags} lags (p = {tests.white_p:.1g}; "
+            f"Ljung-Box {tests.ljung_box:.0f}, expected {tests.lags})",
+            f"intervals of {axis} are optimistic by about the factor {factor:.2f}"
+            if narrow
+            else f"little: intervals of {axis} would change by about the factor {factor:.2f}",
+            f"multiply the half widths of {axis} by {factor:.2f}, or judge by flight-to-flight scatter "
+            "(fit --leave-one-out)"
+            if narrow
+            else "nothing for the coefficients; the disturbance has a colour of its own",
+            axis,
+        )
+    if tests.command_p is not None and tests.command_p < FINDING_LEVEL and tests.command_peak_lag is not None:
+        yield Finding(
+            "residuals_follow_command",
+            "warning",
+            f"{where}: the innovations of {axis} follow its own past commands (p = {tests.command_p:.1g}), most those "
+            f"of {tests.command_peak_lag:.2f} s before, by {tests.command_peak or 0.0:.1f} times the 95 % band",
+            f"the model leaves out part of how {axis} answers: its coefficients may be biased beyond their intervals",
+            "look where predictions fail in the report; fit the flight on its own, or a structure with more to it",
+            axis,
+        )

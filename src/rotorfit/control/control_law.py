@@ -1,0 +1,210 @@
+"""One number, the bandwidth w, to the law of an axis: every gain of a kind follows from it and from the model.
+
+Where feedback decides, both poles of the tracking error stand at -w: K = w^2, D = 2 w - b. A vehicle that damps itself
+faster than that keeps its own pole: D = 0, K = w (b - w). The slow disturbance is taken out at SLOW w: by the third
+pole of an observer, or by an integral whose pole that is. Of LQR, w^4 is the price of the error's square over that of
+the square of the acceleration asked for: without damping its poles are those of a Butterworth filter of that frequency.
+
+Source: third-order pole placement; for observers by one bandwidth Z. Gao, Scaling and bandwidth-parameterization based
+controller tuning, American Control Conference 2003. The optimal law of a vehicle with a delay is the optimal law
+without it, at the predicted state, because nothing that is decided now can change what comes before: K. J. Åström,
+B. Wittenmark, Computer-Controlled Systems (optimal control with delays). A test solves the
+system that holds the commands under way.
+
+The law of one axis between a measured pose and a command, for a vehicle that answers late; as a linear system.
+
+    v' = g u(t - delay) - b v + d                                  the vehicle, d slow: wind, trim
+    u = (r'' + b r' + K (r - p) + D (r' - v) - d) / g              all at the instant at which u will act
+
+The vehicle of that instant is not measured yet. A `predictor` (and `lqr`, whose K and D are optimal) knows p, v and d
+at the last pose from an observer, and moves them over the delay by the commands that are under way, exactly. The
+`linearising` law and the `pid` take the error of the last pose instead, and an integral of it for d.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from rotorfit.core.frames import Array
+from rotorfit.dynamics.response import transition
+from rotorfit.planning.axis_information import AxisBelief
+
+Kind = Literal["predictor", "lqr", "linearising", "pid"]
+
+KINDS: tuple[Kind, ...] = ("predictor", "lqr", "linearising")
+"""Designs that follow from a model; `pid` is the form that gains from elsewhere are flown in."""
+
+ROUNDING = 1e-9
+"""A delay so close to a whole number of periods is that number [periods]."""
+
+
+@dataclass(frozen=True)
+class AxisLaw:
+    """The law of one axis.
+
+    Attributes:
+        kind: Which law.
+        period: Between commands, each held until the next [s].
+        input: g, acceleration per command [m/s^2 or rad/s^2]; 1 for gains that are commands per error.
+        damping: b of the vehicle: of its motion in the observer, and of r' in the feed-forward [1/s].
+        delay: From a command until it acts, as far as the law knows of it [s].
+        latency: From the exposure of a pose to the command that uses it [s].
+        stiffness: K [1/s^2]; of a `pid`, command per error.
+        rate: D [1/s].
+        integral: Of the error [1/s^3]; 0 with an observer, whose d does the same.
+        filter_time: Of the filtered difference that gives the rate of the error [s]; 0 with an observer.
+        observer: Corrections of p, v and d per error of the predicted pose, shape (3,) [1, 1/s, 1/s^2]; None without.
+        forward: Weight of r'' in the feed-forward: 1, or 0 where there is none.
+    """
+
+    kind: Kind
+    period: float
+    input: float
+    damping: float
+    delay: float
+    latency: float
+    stiffness: float
+    rate: float
+    integral: float = 0.0
+    filter_time: float = 0.0
+    observer: tuple[float, float, float] | None = None
+    forward: float = 1.0
+
+    @property
+    def reach(self) -> float:
+        """How far ahead of the pose the law must look: latency and delay together [s]."""
+        return self.latency + self.delay
+
+
+def whole_periods(reach: float, period: float) -> tuple[int, float]:
+    """Whole periods in a time, and the rest [s]."""
+    whole = int(np.floor(reach / period + ROUNDING))
+    return whole, max(reach - whole * period, 0.0)
+
+
+def motion_matrices(damping: float, time: float) -> tuple[Array, Array]:
+    """p, v, d after a time from p, v, d, shape (3, 3), and from an acceleration that is held over it, shape (3,).
+
+    Source: paper, eq. (4), with a constant disturbance; its closed form as in `response`.
+    """
+    f, k, h = transition(damping, time)[:3]
+    return np.array([[1.0, k, h], [0.0, f, k], [0.0, 0.0, 1.0]]), np.array([h, k, 0.0])
+
+
+def linear_system(law: AxisLaw, commands: int = 0) -> tuple[Array, Array, Array]:
+    """The law at rest of its reference, s_k = A s_(k-1) + B y_k, u_k = C s_k, where y_k is the k-th measured pose.
+
+    Args:
+        law: The law.
+        commands: How many commands the state must at least hold, the latest first, behind its first three entries.
+
+    Returns:
+        A of shape (n, n), B and C of shape (n,). Entry 3 of the state is u_k, entry 3 + j is u_(k-j).
+    """
+    return _with_observer(law, commands) if law.observer else _with_difference(law, commands)
+
+
+def _with_difference(law: AxisLaw, commands: int) -> tuple[Array, Array, Array]:
+    """States: the pose, the filtered difference of the error and its integral."""
+    n, h, fresh = 3 + max(commands, 1), law.period, 1 / (law.filter_time + law.period)
+    A, B = _shifted(n)
+    B[0] = 1.0
+    A[1, :2], B[1] = (fresh, 1 - h * fresh), -fresh
+    A[2, 2], B[2] = 1.0, -h
+    A[3], B[3] = 0.0, -law.stiffness / law.input
+    A[3] += (law.rate * A[1] + law.integral * A[2]) / law.input
+    B[3] += (law.rate * B[1] + law.integral * B[2]) / law.input
+    return A, B, np.eye(n)[3]
+
+
+def _with_observer(law: AxisLaw, commands: int) -> tuple[Array, Array, Array]:
+    """States: p, v and d at the last pose."""
+    whole, rest = whole_periods(law.reach, law.period)
+    n = 3 + max(commands, whole + 2)
+    A, B = _shifted(n)
+    step, late, new = held_step(law.damping, law.reach, law.period)
+    A[:3, :3] = step
+    A[:3, 3 + whole] += law.input * new
+    A[:3, 4 + whole] += law.input * late
+    correction = np.array(law.observer)
+    A[:3] -= np.outer(correction, A[0])
+    B[:3] = correction
+    ahead, _ = motion_matrices(law.damping, law.reach)
+    wish = np.array([law.stiffness, law.rate, 1.0]) / law.input
+    A[3], B[3] = -wish @ ahead @ A[:3], -wish @ ahead @ B[:3]
+    for j in range(whole + 1):  # the commands under way, the latest first; the oldest acts for the rest of its period
+        left, _ = motion_matrices(law.damping, j * law.period)
+        _, held = motion_matrices(law.damping, law.period if j < whole else rest)
+        A[3, 3 + j] -= law.input * float(wish @ left @ held)
+    return A, B, np.eye(n)[3]
+
+
+def held_step(damping: float, reach: float, period: float) -> tuple[Array, Array, Array]:
+    """p, v, d one period later: from themselves, shape (3, 3), and from the accelerations that are asked for by the
+    command that acts until the rest of `reach` has passed and by the next one, shape (3,) each."""
+    _, rest = whole_periods(reach, period)
+    after, new = motion_matrices(damping, period - rest)
+    before, held = motion_matrices(damping, rest)
+    return after @ before, after @ held, new
+
+
+def _shifted(n: int) -> tuple[Array, Array]:
+    """The part that moves every command one place on."""
+    A = np.zeros((n, n))
+    A[4:, 3:-1] = np.eye(n - 4)
+    return A, np.zeros(n)
+
+
+SLOW = 0.2
+"""Pole of the disturbance over the bandwidth; chosen: at the same peak of the sensitivity gusts hardly feel it."""
+
+
+def law_of_bandwidth(
+    kind: Kind, vehicle: AxisBelief, bandwidth: float, period: float, latency: float, filter_time: float
+) -> AxisLaw:
+    """The law of an axis.
+
+    Args:
+        kind: One of `control_law.KINDS`.
+        vehicle: What the law believes.
+        bandwidth: w [rad/s].
+        period: Between commands [s].
+        latency: From the exposure of a pose to the command that uses it [s].
+        filter_time: Of the velocity that comes from poses: of the observer's fast poles, or of the difference [s].
+    """
+    g, b, delay = vehicle
+    slow = SLOW * bandwidth
+    if kind == "lqr":
+        stiffness, rate = optimal_gains(vehicle, bandwidth, period)
+    else:
+        rate = max(2 * bandwidth - b, 0.0)
+        stiffness = bandwidth * (b + rate - bandwidth)
+    if kind == "linearising":
+        integral, stiffness = slow * stiffness, stiffness + slow * (b + rate)
+        rate += slow
+        return AxisLaw(kind, period, g, b, delay, latency, stiffness, rate, integral, filter_time)
+    poles = np.exp(-period * np.array([1 / filter_time, 1 / filter_time, slow]))
+    return AxisLaw(kind, period, g, b, delay, latency, stiffness, rate, observer=observer_of_poles(b, period, poles))
+
+
+def observer_of_poles(damping: float, period: float, poles: np.ndarray) -> tuple[float, float, float]:
+    """Corrections that give the error of p, v, d these poles from one corrected estimate to the next, shape (3,).
+
+    Source: Ackermann's formula for (F, C F), F being the motion over a period and C the pose.
+    """
+    F, _ = motion_matrices(damping, period)
+    seen = np.array([F[0], F[0] @ F, F[0] @ F @ F])
+    wanted = np.linalg.multi_dot([F - pole * np.eye(3) for pole in poles])
+    p, v, d = (wanted @ np.linalg.solve(seen, [0.0, 0.0, 1.0])).tolist()
+    return p, v, d
+
+
+def optimal_gains(vehicle: AxisBelief, bandwidth: float, period: float) -> tuple[float, float]:
+    """K and D that minimise the sum of w^4 p^2 + (g u)^2, sampled, without the delay."""
+    step, _, new = held_step(vehicle.damping, 0.0, period)
+    A, B = step[:2, :2], new[:2, None]
+    P = solve_discrete_are(A, B, np.diag([bandwidth**4, 0.0]), np.eye(1))
+    K, D = np.linalg.solve(np.eye(1) + B.T @ P @ B, B.T @ P @ A)[0].tolist()
+    return K, D

@@ -1,0 +1,160 @@
+"""How far a vehicle may differ from what its control law believes: the sampled loop, its margins, exactly.
+
+A pose is measured every period h, the command that follows from it is held for h and acts after the delay. Over a
+period the vehicle is moved by the command that is about to end, for the rest of the delay, and by the next one: from
+pose to pose the loop is a linear system of finite order, whatever the delay. With P(z) from the command to the pose
+that is measured, C(z) the law, and L = -C P,
+
+    stable       every eigenvalue of the closed loop inside the unit circle
+    gain margin  the factors on the vehicle's gain between which it stays so, from the crossings of the negative axis
+    phase margin the least distance of L from -1 in angle where |L| = 1
+    peak         of the sensitivity 1 / |1 + L|: 1 over the least distance of L from -1
+    delay margin the further delay at which it is no longer stable
+
+Source: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997): sampling with a delay;
+K. J. Åström, R. M. Murray, Feedback Systems: stability margins.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from rotorfit.control.control_law import AxisLaw, held_step, linear_system, whole_periods
+from rotorfit.core.frames import Array
+from rotorfit.planning.axis_information import AxisBelief
+
+SLOWEST, POINTS = 1e-3, 600
+"""Lowest frequency of the grid, as a share of the Nyquist frequency, and its size; crossings are refined by roots."""
+
+LONGEST = 2.0
+"""Delay beyond which no margin is looked for [s]."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of one axis.
+
+    Attributes:
+        stable: Whether the closed loop is.
+        gain: Factors on the vehicle's gain, the largest below and the least above 1, at which it becomes unstable; 0
+            or infinite where there is none.
+        phase: Phase margin [rad].
+        delay: Delay margin [s].
+        peak: Of the sensitivity.
+        crossover: Highest frequency at which |L| = 1 [rad/s].
+    """
+
+    stable: bool
+    gain: tuple[float, float]
+    phase: float
+    delay: float
+    peak: float
+    crossover: float
+
+
+def closed_loop(law: AxisLaw, vehicle: AxisBelief) -> Array:
+    """The loop from pose to pose, for a vehicle that may not be the one that the law believes, shape (n, n).
+
+    States: the vehicle's position and velocity, then those of the law.
+    """
+    reach = vehicle.delay + law.latency
+    whole, _ = whole_periods(reach, law.period)
+    A, B, _ = linear_system(law, whole + 2)
+    step, late, new = held_step(vehicle.damping, reach, law.period)
+    n = len(A)
+    M = np.zeros((2 + n, 2 + n))
+    M[:2, :2] = step[:2, :2]
+    M[:2, 5 + whole] += vehicle.gain * new[:2]
+    M[:2, 6 + whole] += vehicle.gain * late[:2]
+    M[2:, 2:] = A
+    M[2:] += np.outer(B, M[0])
+    return M
+
+
+def spectral_radius(law: AxisLaw, vehicle: AxisBelief) -> float:
+    """Largest modulus of the eigenvalues of the closed loop; below 1 it is stable."""
+    return float(np.abs(np.linalg.eigvals(closed_loop(law, vehicle))).max())
+
+
+def law_response(law: AxisLaw, w: Array) -> Array:
+    """C(e^(i w h)), from the measured pose to the command, shape of w [rad/s]."""
+    A, B, C = linear_system(law)
+    z = np.exp(1j * w * law.period)[..., None, None]
+    return np.asarray(z[..., 0, 0] * (np.linalg.solve(z * np.eye(len(A)) - A, B[:, None])[..., 0] @ C))
+
+
+def vehicle_response(vehicle: AxisBelief, period: float, latency: float, w: Array) -> Array:
+    """P(e^(i w h)), from the command to the pose that is measured, shape of w [rad/s]."""
+    reach = vehicle.delay + latency
+    whole, _ = whole_periods(reach, period)
+    step, late, new = held_step(vehicle.damping, reach, period)
+    z = np.exp(1j * w * period)
+    new, late = vehicle.gain * new, vehicle.gain * late
+    p, v = (new[i] * z ** float(-whole) + late[i] * z ** float(-whole - 1) for i in (0, 1))
+    return np.asarray((p + step[0, 1] * v / (z - step[1, 1])) / (z - 1.0))
+
+
+def open_loop(law: AxisLaw, vehicle: AxisBelief) -> Callable[[Array], Array]:
+    """L as a function of the frequency [rad/s]."""
+    return lambda w: -law_response(law, w) * vehicle_response(vehicle, law.period, law.latency, w)
+
+
+def frequencies(period: float, points: int = POINTS) -> Array:
+    """A grid from `SLOWEST` up to the Nyquist frequency, shape (points,) [rad/s]."""
+    return np.pi / period * np.geomspace(SLOWEST, 1.0 - 1e-9, points)
+
+
+def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
+    """Margins of a law around a vehicle; without margin where the loop is not stable."""
+    L = open_loop(law, vehicle)
+    w = frequencies(law.period)
+    values = L(w)
+    unit = _roots(lambda x: float(np.log(np.abs(L(np.array(x))))), w, np.log(np.abs(values)))
+    real = _roots(lambda x: float(L(np.array(x)).imag), w, values.imag)
+    crossings = np.array([-L(np.array(x)).real for x in real] + [0.0, np.inf])
+    factors = 1 / crossings[crossings > 0]
+    if spectral_radius(law, vehicle) >= 1:
+        return Margins(False, (1.0, 1.0), 0.0, 0.0, np.inf, max(unit, default=0.0))
+    angles = [abs(float(np.angle(-L(np.array(x))))) for x in unit]
+    below, above = factors[factors < 1], factors[factors > 1]
+    return Margins(
+        True,
+        (float(below.max(initial=0.0)), float(above.min(initial=np.inf))),
+        min(angles, default=np.pi),
+        delay_margin(law, vehicle),
+        _peak(L, w, values),
+        max(unit, default=0.0),
+    )
+
+
+def delay_margin(law: AxisLaw, vehicle: AxisBelief) -> float:
+    """The least further delay that makes a stable loop unstable [s]; infinite where none up to `LONGEST` does.
+
+    By the eigenvalues themselves: looked at every quarter of a period, then by bisection.
+    """
+
+    def excess(more: float) -> float:
+        return spectral_radius(law, vehicle._replace(delay=vehicle.delay + more)) - 1.0
+
+    steps = np.arange(0.0, LONGEST, law.period / 4)
+    for low, high in pairwise(steps.tolist()):
+        if excess(high) >= 0:
+            return float(brentq(excess, low, high, xtol=1e-7)) if excess(low) < 0 else 0.0
+    return np.inf
+
+
+def _roots(f: Callable[[float], float], w: Array, values: Array) -> list[float]:
+    """Where a function changes its sign between neighbours of the grid."""
+    places = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return [float(brentq(f, w[i], w[i + 1], xtol=1e-9)) for i in places]
+
+
+def _peak(L: Callable[[Array], Array], w: Array, values: Array) -> float:
+    """Peak of the sensitivity, refined between the neighbours of the highest value of the grid."""
+    top = int(np.argmin(np.abs(1 + values)))
+    ends = (w[max(top - 1, 0)], w[min(top + 1, w.size - 1)])
+    found = minimize_scalar(lambda x: float(np.abs(1 + L(np.array(x)))), bounds=ends, method="bounded")
+    return float(1 / min(found.fun, np.abs(1 + values[top])))

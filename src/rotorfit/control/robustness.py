@@ -1,0 +1,137 @@
+"""Margins under what is not known: vehicles drawn from a model's covariance, and a law around each of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.control.control_law import AxisLaw
+from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import FIRST_ORDER_DELAY
+from rotorfit.core.model import COEFFICIENTS, Model, predictor_of
+from rotorfit.planning.axis_information import AxisBelief
+from rotorfit.planning.belief import DELAY
+
+GRID = 300
+"""Frequencies at which the loops of the draws are looked at."""
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """A law around the vehicles that a model believes possible.
+
+    Attributes:
+        unstable: Share of them around which it is not stable, by the eigenvalues.
+        peak: 95 % of them have no higher peak of the sensitivity.
+        phase: 95 % of them have no smaller phase margin [rad].
+        delay: 95 % of them have no smaller delay margin, the phase margin over the frequency at |L| = 1 [s].
+        draws: How many.
+        seed: Of the draws.
+    """
+
+    unstable: float
+    peak: float
+    phase: float
+    delay: float
+    draws: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Vehicles that are believed possible, and their responses on one grid.
+
+    Attributes:
+        vehicles: D draws.
+        frequency: Shape (GRID,) [rad/s].
+        response: From the command to the pose, shape (D, GRID).
+        seed: Of the draws.
+    """
+
+    vehicles: tuple[AxisBelief, ...]
+    frequency: Array
+    response: np.ndarray
+    seed: int
+
+
+def known_dynamics(model: Model, axis: str) -> AxisBelief:
+    """The axis as a first-order law with a delay: the predictor, or the default structure's point of another one.
+
+    Raises:
+        ModelError: The axis was not excited, or its structure comes without a point of the default one.
+    """
+    predictor, known = predictor_of(model, axis), model.axes[axis]
+    if known.structure == FIRST_ORDER_DELAY.name or known.plain is None:
+        return AxisBelief(predictor.input, predictor.damping, predictor.delay)
+    plain = known.plain
+    numbers = [getattr(plain, name) for name in COEFFICIENTS]
+    both = zip(numbers, (predictor.input, predictor.damping, predictor.delay), strict=True)
+    return AxisBelief(*(value if one is None else one for one, value in both))
+
+
+def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[AxisBelief]:
+    """Vehicles drawn for an axis: jointly normal by the model's covariance, no delay below 0.
+
+    A delay of which the model knows nothing is that of commercial quadrotors, `belief.DELAY`.
+    """
+    rng = np.random.default_rng(seed)
+    values = np.tile(known_dynamics(model, axis), (count, 1))
+    known = model.axes[axis]
+    if known.plain is not None:
+        deviation = [known.plain.stderr[name] or 0.0 for name in COEFFICIENTS]
+        values += rng.standard_normal((count, 3)) * deviation
+    else:
+        names = [name for name in COEFFICIENTS if f"{axis}.{name}" in model.covariance_names]
+        there = [model.covariance_names.index(f"{axis}.{name}") for name in names]
+        at = [COEFFICIENTS.index(name) for name in names]
+        values[:, at] += rng.multivariate_normal(np.zeros(len(at)), model.covariance[np.ix_(there, there)], count)
+        if "delay" not in names:
+            values[:, 2] = rng.normal(*DELAY, count)
+    values[:, 2] = np.maximum(values[:, 2], 0.0)
+    return [AxisBelief(*row) for row in values.tolist()]
+
+
+def doubt(vehicles: Sequence[AxisBelief], period: float, latency: float, seed: int) -> Doubt:
+    """The responses of vehicles, worked out once for all laws that are tried."""
+    w = frequencies(period, GRID)
+    return Doubt(tuple(vehicles), w, np.array([vehicle_response(one, period, latency, w) for one in vehicles]), seed)
+
+
+def highest_peak(law: AxisLaw, possible: Doubt) -> float:
+    """The peak that 95 % of the vehicles do not exceed, if all are stable: what can be known without eigenvalues."""
+    L = -law_response(law, possible.frequency) * possible.response
+    return _quantile(1 / np.abs(1 + L).min(axis=1), 0.95)
+
+
+def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
+    """A law around every vehicle that is believed possible; one around which it is not stable has no margin."""
+    L = -law_response(law, possible.frequency) * possible.response
+    stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
+    peak = np.where(stable, 1 / np.abs(1 + L).min(axis=1), np.inf)
+    phase, delay = _phase_and_delay(L, possible.frequency)
+    return Robustness(
+        float(np.mean(~stable)),
+        _quantile(peak, 0.95),
+        _quantile(np.where(stable, phase, 0.0), 0.05),
+        _quantile(np.where(stable, delay, 0.0), 0.05),
+        len(possible.vehicles),
+        possible.seed,
+    )
+
+
+def _quantile(values: Array, share: float) -> float:
+    """One of the values, infinite ones among them: nothing is drawn between two."""
+    return float(np.quantile(values, share, method="inverted_cdf"))
+
+
+def _phase_and_delay(L: np.ndarray, w: Array) -> tuple[Array, Array]:
+    """Least phase margin and least delay margin of each row, at crossings drawn straight between the grid's points."""
+    size, angle = np.log(np.abs(L)), np.mod(np.angle(-L), 2 * np.pi)
+    crossing = size[:, :-1] * size[:, 1:] < 0
+    share = np.where(crossing, size[:, :-1] / np.where(crossing, size[:, :-1] - size[:, 1:], 1.0), 0.0)
+    turn = np.angle(L[:, 1:] / L[:, :-1])
+    at = np.mod(angle[:, :-1] + share * turn, 2 * np.pi)
+    frequency = w[:-1] + share * np.diff(w)
+    phase = np.where(crossing, np.minimum(at, 2 * np.pi - at), np.pi).min(axis=1)
+    return phase, np.where(crossing, at / frequency, np.inf).min(axis=1)

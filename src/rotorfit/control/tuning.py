@@ -1,0 +1,211 @@
+"""Tune: a model to the gains of a controller, as fast as what is known of the vehicle allows.
+
+The bandwidth of each axis is the highest at which 95 % of the vehicles that the model's covariance believes possible
+keep a peak of the sensitivity of at most `PEAK` and a delay margin of at least half of what the loop already waits, and
+none is unstable. A model that knows its vehicle poorly gets slower gains, and one that knows too little gets none.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.control.control_law import KINDS, AxisLaw, Kind, law_of_bandwidth, linear_system
+from rotorfit.control.margins import Margins, closed_loop, margins
+from rotorfit.control.robustness import (
+    Doubt,
+    Robustness,
+    believed_possible,
+    doubt,
+    highest_peak,
+    known_dynamics,
+    robustness,
+)
+from rotorfit.core.errors import ModelError
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import FIRST_ORDER_DELAY
+from rotorfit.core.model import Model
+from rotorfit.planning.axis_information import AxisBelief
+from rotorfit.planning.belief import DELAY
+from rotorfit.planning.plan_control import full_scale
+
+PEAK = 1.7
+"""Highest peak of the sensitivity. Source: K. J. Åström, T. Hägglund, Advanced PID Control (2006): between 1.4 for
+careful and 2.0 for fast loops. It holds a phase margin of 2 asin(1 / 2 peak) and a gain margin of peak / (peak - 1)."""
+
+DELAY_SHARE = 0.5
+"""Least delay margin as a share of the reach of the loop: latency and delay."""
+
+BANDWIDTHS = (0.1, 15.0, 81)
+"""Lowest and highest bandwidth that are tried [rad/s], and how many between them, in equal ratios."""
+
+FILTERS = (0.03, 0.06, 0.12, 0.25)
+"""Filter times that are tried, the shortest first [s]."""
+
+RESTLESS = 0.05
+"""Largest standard deviation of a command that the noise of poses causes, as a share of full scale."""
+
+RATE, LATENCY, DRAWS = 50.0, 0.015, 200
+"""Commands a second; from the exposure of a pose to the command that uses it [s]; vehicles drawn."""
+
+
+@dataclass(frozen=True)
+class AxisTuning:
+    """One axis.
+
+    Attributes:
+        law: With the gains.
+        bandwidth: w [rad/s].
+        margins: Around the vehicle as the model has it.
+        robustness: Around those that it believes possible.
+        noise: Standard deviation of the command that the noise of poses causes, share of full scale; None where the
+            model does not tell the noise or the card no full scale.
+        note: What had to be assumed; empty for nothing.
+    """
+
+    law: AxisLaw
+    bandwidth: float
+    margins: Margins
+    robustness: Robustness
+    noise: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Gains for every axis that a model knows well enough.
+
+    Attributes:
+        kind: Of the laws.
+        rate: Commands a second.
+        latency: From the exposure of a pose to the command that uses it [s].
+        axes: Axis name to its gains and margins.
+        refused: Axis name to why it has none.
+    """
+
+    kind: Kind
+    rate: float
+    latency: float
+    axes: Mapping[str, AxisTuning]
+    refused: Mapping[str, str]
+
+
+def tune(
+    model: Model,
+    kind: Kind = "predictor",
+    *,
+    rate: float = RATE,
+    latency: float = LATENCY,
+    axes: Sequence[str] = AXES,
+    peak: float = PEAK,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> Tuning:
+    """Gains from a model, with margins under its covariance.
+
+    Args:
+        model: From a fit.
+        kind: `predictor`, `lqr` or `linearising`; see `control_law`.
+        rate: Commands a second [1/s].
+        latency: From the exposure of a pose to the command that uses it [s].
+        axes: To tune.
+        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn.
+        draws: Vehicles drawn from the covariance, at least 20.
+        seed: Of the draws.
+
+    Returns:
+        The gains of the axes that the model knows well enough, and for each of the others the reason in one line.
+
+    Raises:
+        ModelError: No axis can be tuned, or what is asked cannot be: a kind, rate, latency or peak.
+    """
+    _check(kind, rate, latency, peak, draws)
+    tuned: dict[str, AxisTuning] = {}
+    refused: dict[str, str] = {}
+    for axis in (axis for axis in AXES if axis in axes):
+        if model.axes[axis].predictor is None:
+            refused[axis] = f"the model has no numbers ({model.axes[axis].status['input']}): fit a flight that moves it"
+            continue
+        vehicle = known_dynamics(model, axis)
+        possible = doubt(believed_possible(model, axis, draws, seed), 1 / rate, latency, seed)
+        found = _fastest(model, axis, kind, vehicle, possible, 1 / rate, latency, peak)
+        if isinstance(found, str):
+            refused[axis] = found
+        else:
+            tuned[axis] = found
+    if not tuned:
+        raise ModelError("no axis can be tuned: " + "; ".join(f"{axis}: {why}" for axis, why in refused.items()))
+    return Tuning(kind, rate, latency, tuned, refused)
+
+
+def _check(kind: Kind, rate: float, latency: float, peak: float, draws: int) -> None:
+    if kind not in KINDS:
+        raise ModelError(f"no such design: {kind!r}; designs are {', '.join(KINDS)}")
+    if not (5 <= rate <= 500 and 0 <= latency <= 0.5):
+        raise ModelError(
+            f"cannot tune for {rate:g} commands a second and a latency of {latency:g} s: 5 to 500, 0 to 0.5"
+        )
+    if not (1.2 <= peak <= 3.0 and draws >= 20):
+        raise ModelError(f"cannot tune to a peak of {peak:g} over {draws} draws: 1.2 to 3, and at least 20")
+
+
+def _fastest(
+    model: Model,
+    axis: str,
+    kind: Kind,
+    vehicle: AxisBelief,
+    possible: Doubt,
+    period: float,
+    latency: float,
+    peak: float,
+) -> AxisTuning | str:
+    """The law of the highest bandwidth that holds, with the shortest filter that keeps it quiet; or why none does."""
+    for filter_time in FILTERS:
+        for bandwidth in np.geomspace(*BANDWIDTHS[:2], int(BANDWIDTHS[2]))[::-1].tolist():
+            law = law_of_bandwidth(kind, vehicle, bandwidth, period, latency, filter_time)
+            if highest_peak(law, possible) <= peak and _holds(known := robustness(law, possible), law, peak):
+                break
+        else:
+            continue
+        noise = _command_noise(model, axis, law, vehicle)
+        if noise is None or noise <= RESTLESS or filter_time == FILTERS[-1]:
+            return AxisTuning(law, bandwidth, margins(law, vehicle), known, noise, _note(model, axis, noise))
+    return (
+        f"too poorly known: not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows "
+        f"keep a peak of {peak:g}; fly the next flight (`rotorfit plan --after`) and fit again"
+    )
+
+
+def _holds(known: Robustness, law: AxisLaw, peak: float) -> bool:
+    return known.unstable == 0 and known.peak <= peak and known.delay >= DELAY_SHARE * law.reach
+
+
+def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: AxisBelief) -> float | None:
+    """Standard deviation of the command that white noise of the poses causes in the closed loop, share of full scale.
+
+    Source: the stationary covariance X = M X M' + B B' of a stable linear system.
+    """
+    from scipy.linalg import solve_discrete_lyapunov
+
+    variance, scale = model.axes[axis].noise.get("pose_variance"), full_scale(model.card, axis)
+    if variance is None or not np.isfinite(scale):
+        return None
+    M = closed_loop(law, vehicle)
+    B = np.zeros(len(M))
+    B[2:] = linear_system(law, len(M) - 5)[1]
+    return float(np.sqrt(variance * solve_discrete_lyapunov(M, np.outer(B, B))[5, 5]) / scale)
+
+
+def _note(model: Model, axis: str, noise: float | None) -> str:
+    """What had to be assumed."""
+    notes = []
+    known = model.axes[axis]
+    if known.structure != FIRST_ORDER_DELAY.name:
+        notes.append(f"tuned for the first-order law with a delay, not for {known.structure}")
+    if known.delay is None and f"{axis}.delay" not in model.covariance_names:
+        notes.append(
+            f"the delay is not known: the law looks ahead by none, its margins are for {DELAY[0]:g} +- {DELAY[1]:g} s"
+        )
+    if noise is not None and noise > RESTLESS:
+        notes.append(f"noise of the poses moves the command by {100 * noise:.0f} % of full scale: filter the poses")
+    return "; ".join(notes)

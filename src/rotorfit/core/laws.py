@@ -1,0 +1,232 @@
+"""Levels of disturbance and noise: what they are by what was measured, where they are searched, where they start.
+
+Structures: the laws that an axis may obey, and the parameters that each adds to gain, damping and delay.
+
+One general law holds them all; along one axis of the heading frame, with the delayed command u,
+
+    w = g (1 + s sign u) min(max(|u| - D, 0), L) sign u + h u'         what the command demands
+    T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
+    T v'' + v' + b v = w + c                                           second order instead
+
+u' and v' of the second and third term being those of the other horizontal axis. A structure says which of the further
+parameters are estimated; the others stand where they do nothing (s = D = h = m = k = T = 0, L without bound).
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rotorfit.core.errors import ModelError
+from rotorfit.core.frames import Array
+
+Measured = Literal["position", "velocity", "both"]
+"""What the blocks of a record hold."""
+
+LEVELS_OF: dict[Measured, tuple[str, ...]] = {
+    "position": ("wind_power", "pose_variance", "wind_damping", "wind_overlap"),
+    "velocity": ("wind_power", "velocity_variance", "wind_damping", "wind_overlap"),
+    "both": ("wind_power", "pose_variance", "wind_damping", "wind_overlap", "velocity_variance"),
+}
+"""Names of the L levels: q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1], and r_v [unit^2/s^2], the variance
+of one velocity besides its rounding."""
+
+LEVEL_RANGE = np.log(np.array([[1e-9, 1e4], [1e-12, 1e-2], [0.05, 200.0], [1e-3, 1.0]]))
+"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
+
+START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))
+"""Where the levels start."""
+
+VELOCITY_RANGE = np.log(np.array([1e-9, 1.0]))
+"""Logarithmic bounds of the variance of a velocity [m^2/s^2]."""
+
+START_VELOCITY = np.log(1e-3)
+"""Where it starts."""
+
+
+@functools.cache
+def level_range(measured: Measured) -> Array:
+    """Logarithmic bounds of the L levels in the order of `LEVELS_OF`, shape (L, 2)."""
+    if measured == "both":
+        return np.vstack([LEVEL_RANGE, VELOCITY_RANGE])
+    out: Array = LEVEL_RANGE.copy()
+    if measured == "velocity":
+        out[1] = VELOCITY_RANGE
+    return out
+
+
+def start_levels(measured: Measured) -> Array:
+    """Where the L levels start, shape (L,)."""
+    if measured == "both":
+        return np.append(START_LEVELS, START_VELOCITY)
+    out: Array = START_LEVELS.copy()
+    if measured == "velocity":
+        out[1] = START_VELOCITY
+    return out
+
+
+(GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS) = (
+    range(14)
+)
+"""Places of a law's numbers: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the input, 2 second
+order); and what acts on the velocity besides linear damping (1 quadratic drag, 2 the other axis)."""
+
+LAW_SIZE = 14
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A parameter that a structure adds.
+
+    Attributes:
+        name: In the model file.
+        place: In the law.
+        low: Least value that is searched.
+        high: Largest.
+        logarithmic: Whether it is estimated by its logarithm.
+        estimated: Whether it is estimated at all; else it is a constant that goes with the others.
+        unit: `s`, `1/s`, `speed` (m/s or rad/s), `command` (that of the command), `gain` (acceleration per command), or
+            empty for a number.
+        closed: Whether the largest value is one like any other, so that an interval may end there.
+    """
+
+    name: str
+    place: int
+    low: float
+    high: float
+    logarithmic: bool = False
+    estimated: bool = True
+    unit: str = ""
+    closed: bool = False
+
+    def coordinate(self, value: float) -> float:
+        """What the estimator moves: the value or its logarithm."""
+        return float(np.log(value)) if self.logarithmic else value
+
+    def value(self, coordinate: float) -> float:
+        """The parameter at a coordinate."""
+        return float(np.exp(coordinate)) if self.logarithmic else float(coordinate)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A law with the parameters that it leaves free besides gain, damping and trim.
+
+    Attributes:
+        name: As asked for on the command line.
+        law: The equation, in words of one line.
+        extras: Further parameters.
+        delayed: Whether the delay is estimated; else it is 0.
+        order: Of the lag: 0 none, 1 on the input, 2 of the velocity itself.
+        linear: Whether the motion is linear in commands and state.
+        tried: Axes for which `auto` tries it.
+    """
+
+    name: str
+    law: str
+    extras: tuple[Extra, ...] = ()
+    delayed: bool = True
+    order: int = 0
+    linear: bool = True
+    tried: tuple[str, ...] = ("x", "y", "z", "yaw")
+
+    @property
+    def size(self) -> int:
+        """Number of estimated parameters besides gain and damping."""
+        return self.delayed + sum(extra.estimated for extra in self.extras)
+
+    @property
+    def kicks(self) -> int:
+        """What acts on the velocity besides linear damping: 1 quadratic drag, 2 the other axis."""
+        places = {extra.place for extra in self.extras}
+        return (SHARE in places) + 2 * (CROSS_DAMPING in places)
+
+
+_LAG = Extra("lag", LAG, 0.005, 2.0, logarithmic=True, unit="s")
+
+_DRAG = (
+    Extra("drag_share", SHARE, 0.0, 1.0, closed=True),
+    Extra("reference_speed", SPEED, 0.0, np.inf, False, False, "speed"),
+)
+
+_CROSS = (
+    Extra("cross_input", CROSS_INPUT, -np.inf, np.inf, unit="gain"),
+    Extra("cross_damping", CROSS_DAMPING, -np.inf, np.inf, unit="1/s"),
+)
+
+FIRST_ORDER_DELAY = Structure("first_order_delay", "v' = g u(t - tau) - b v + c")
+
+STRUCTURES: Mapping[str, Structure] = {
+    structure.name: structure
+    for structure in (
+        Structure("first_order", "v' = g u - b v + c, the paper's", delayed=False),
+        FIRST_ORDER_DELAY,
+        Structure("first_order_lag", "v' = q - b v + c, T q' = g u - q", (_LAG,), delayed=False, order=1),
+        Structure("first_order_delay_lag", "v' = q - b v + c, T q' = g u(t - tau) - q", (_LAG,), order=1),
+        Structure("quadratic_drag", "v' = g u(t - tau) - b (1 - m + m |v|/V) v + c", _DRAG, linear=False),
+        Structure(
+            "climb_descent",
+            "v' = g (1 + s sign u) u(t - tau) - b v + c",
+            (Extra("asymmetry", ASYMMETRY, -0.95, 0.95),),
+            linear=False,
+            tried=("z",),
+        ),
+        Structure(
+            "saturation",
+            "v' = g u(t - tau) - b v + c, |u| no more than L",
+            (Extra("level", LEVEL, 1e-4, 1e4, logarithmic=True, unit="command"),),
+            linear=False,
+        ),
+        Structure(
+            "dead_zone",
+            "v' = g u(t - tau) - b v + c, |u| less D",
+            (Extra("dead_zone", DEAD, 0.0, 1e4, unit="command"),),
+            linear=False,
+        ),
+        Structure(
+            "coupled", "v' = g u(t - tau) + h u' - b v - k v' + c, u', v' across", _CROSS, tried=("x", "y")
+        ),
+        Structure(
+            "second_order", "T v'' + v' + b v = g u(t - tau) + c", (_LAG,), order=2, tried=("z", "yaw")
+        ),
+    )
+}  # fmt: skip
+"""Every structure by its name, simple ones first."""
+
+
+def structure_named(name: str) -> Structure:
+    """The structure of a name.
+
+    Raises:
+        ModelError: There is none.
+    """
+    if name not in STRUCTURES:
+        raise ModelError(f"no such structure: {name!r}; structures are {', '.join(STRUCTURES)}")
+    return STRUCTURES[name]
+
+
+def law_of(
+    structure: Structure, gain: float, damping: float, delay: float, extra: Mapping[str, float], trim: float = 0.0
+) -> Array:
+    """The numbers of the general law, shape (LAW_SIZE,).
+
+    Args:
+        structure: Which parameters are there.
+        gain: g.
+        damping: b [1/s].
+        delay: tau [s].
+        extra: Name to value of its further parameters.
+        trim: c.
+    """
+    law = np.zeros(LAW_SIZE)
+    law[[GAIN, DAMPING, DELAY, TRIM, LEVEL]] = gain, damping, delay, trim, np.inf
+    law[[ORDER, KICKS]] = structure.order, structure.kicks
+    for one in structure.extras:
+        law[one.place] = extra[one.name]
+    return law
+
+
+DELAY_RANGE = (-0.1, 0.6)
+"""Delays that are searched [s]. Below zero, because a bound at zero biases; a negative optimum is a finding."""

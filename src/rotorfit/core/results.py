@@ -1,0 +1,352 @@
+"""Results: Fit with the paper's regression, Validation with scores, paired tests and tests of the residuals."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array
+from rotorfit.core.model import Model
+
+PaperStatus = Literal["ok", "not_excited", "not_identifiable", "too_short"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the regression sees of a flight: the N pose stamps where the command is known and a whole window fits.
+
+    Attributes:
+        time: Stamps, shape (N,) [s].
+        yaw: Heading, shape (N,) [rad].
+        command: The command that is held at the stamp, x, y, z, yaw, in the heading frame, shape (N, 4).
+        velocity: x, y, z, yaw, in the HEADING frame, shape (N, 4) [m/s, rad/s].
+        acceleration: x, y, z, yaw, in the WORLD frame, shape (N, 4) [m/s^2, rad/s^2].
+    """
+
+    time: Array
+    yaw: Array
+    command: Array
+    velocity: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class PaperFit:
+    """Result of the paper's regression. Axes of length 8 are gamma_1 .. gamma_8: input and damping of x, y, z, yaw.
+
+    Attributes:
+        gamma: Shape (8,); NaN for an axis without numbers.
+        stderr: Shape (8,), from `covariance`.
+        covariance: Shape (8, 8), valid under autocorrelated residuals (Newey and West), NaN as in `gamma`.
+        covariance_ols: Shape (8, 8), the textbook sigma^2 (X^T X)^-1; far too small here, kept for comparison.
+        status: Requested axis to what became of it.
+        reason: Axis whose status is not `ok` to the reason, one sentence.
+        r_squared: Axis to the share of the variance of its acceleration that is explained, x and y along the heading.
+        condition: Axis to the condition number of its equation, columns scaled to unit length.
+        lag: Axis to the lag up to which autocorrelation of the residuals enters `covariance` [s].
+        rows: Axis to the number of pose stamps used.
+        half_width: Half the width of the window [s].
+        degree: Degree of the polynomial.
+        motions: Measured accelerations, one a flight, in the order of the flights.
+        modelled: Accelerations by eq. (6) at the same stamps, WORLD frame, one of shape (N, 4) a flight. Together with
+            `motions` they are the paper's Figure 4; see `modelled_acceleration` for axes without numbers.
+    """
+
+    gamma: Array
+    stderr: Array
+    covariance: Array
+    covariance_ols: Array
+    status: Mapping[str, PaperStatus]
+    reason: Mapping[str, str]
+    r_squared: Mapping[str, float]
+    condition: Mapping[str, float]
+    lag: Mapping[str, float]
+    rows: Mapping[str, int]
+    half_width: float
+    degree: int
+    motions: tuple[Motion, ...]
+    modelled: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """Errors at one horizon.
+
+    Attributes:
+        velocity_rmse: Over all steps up to the horizon [m/s or rad/s]; None for fewer than five predictions.
+        position_rmse: At the end point, against the measured pose [m or rad]; None likewise, and where only the
+            velocity is measured.
+        n: Number of predictions.
+    """
+
+    velocity_rmse: float | None
+    position_rmse: float | None
+    n: int
+
+
+@dataclass(frozen=True)
+class AxisScore:
+    """Errors of one axis of one flight.
+
+    Attributes:
+        horizons: Horizon [s] as `%g` to errors.
+        fit_percent: 100 (1 - ||v - v^|| / ||v - mean v||) of the 1 s velocity predictions.
+    """
+
+    horizons: Mapping[str, Horizon]
+    fit_percent: float | None
+
+
+@dataclass(frozen=True)
+class StartErrors:
+    """Squared errors start by start, over all segments of a flight; what a paired test compares. S starts.
+
+    Their sums give the scores: velocity RMSE = sqrt(velocity.sum() / steps.sum()), position RMSE = sqrt(mean position).
+
+    Attributes:
+        start: Shape (S,) [s].
+        velocity: Sum over the steps up to the horizon, shape (S, 4) [m^2/s^2 or rad^2/s^2].
+        steps: How many steps that are, shape (S, 4).
+        position: Of the end point, shape (S, 4) [m^2 or rad^2].
+    """
+
+    start: Array
+    velocity: Array
+    steps: Array
+    position: Array
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A pose that was left out.
+
+    Attributes:
+        time: Of the pose [s].
+        axis: On which it is furthest off, in standard deviations.
+        size: How far it lies from where the filter expected it [m or rad].
+    """
+
+    time: float
+    axis: str
+    size: float
+
+
+Outliers = tuple[tuple[Outlier, ...], ...]
+"""Of each flight."""
+
+Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
+
+LIKELIHOOD = ("ml", "robust")
+"""The methods that maximise the likelihood."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model and the flights that it was fitted to.
+
+    Attributes:
+        model: Coefficients, intervals, statuses.
+        flights: In the order of `model.flights`.
+        paper: The paper's regression on the same flights.
+        estimates: Axis name to the maximum of its likelihood, an `Estimate` of the estimation; none for other methods.
+        remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
+        outliers: Poses of each flight that the robust method left out.
+    """
+
+    model: Model
+    flights: tuple[Flight, ...]
+    paper: PaperFit
+    estimates: Mapping[str, Any] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
+    outliers: Outliers = ()
+
+
+def student_quantile(freedom: float) -> float:
+    """97.5 % point of Student's distribution."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
+
+
+Verdict = Literal["better", "worse", "no_difference_shown", "too_short"]
+
+Quantity = Literal["velocity", "position"]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Errors of a first predictor less those of a second on the same starts; None where there is no number.
+
+    Attributes:
+        n: Pairs of predictions.
+        rmse: Difference of the RMSE [m/s, m; rad/s, rad]: negative where the first is better.
+        rmse_stderr: Its standard error, by the delta method.
+        freedom: Degrees of freedom of that.
+        p: Two-sided, by Student's t.
+        mse: Difference of the mean squares, in the same units squared.
+        mse_stderr: Its standard error.
+        verdict: Of the first: `better`, `worse`, `no_difference_shown` at 95 %, or `too_short` for a standard error.
+    """
+
+    n: int
+    rmse: float
+    rmse_stderr: float | None
+    freedom: float | None
+    p: float | None
+    mse: float
+    mse_stderr: float | None
+    verdict: Verdict
+
+    @property
+    def rmse_ci95(self) -> tuple[float, float] | None:
+        """95 % interval of the difference of the RMSE, by Student's t: it holds 0 where no difference is shown."""
+        if self.rmse_stderr is None or self.freedom is None:
+            return None
+        half = student_quantile(self.freedom) * self.rmse_stderr
+        return self.rmse - half, self.rmse + half
+
+
+@dataclass(frozen=True)
+class Paired:
+    """One axis and quantity at one horizon.
+
+    Attributes:
+        flights: One each; None where one of the two predicts nothing, or fewer than five starts are common.
+        pooled: Those that count together, weighted by their predictions; None where none does.
+        agreement: p-value of the difference being the same on all that count; None for fewer than two.
+    """
+
+    flights: tuple[Difference | None, ...]
+    pooled: Difference | None
+    agreement: float | None
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Two predictors on the same flights.
+
+    Attributes:
+        first: Name of the one that is judged.
+        second: Name of the one that it is judged against.
+        axes: Axis name to horizon [s] as `%g` to `velocity` and `position`.
+    """
+
+    first: str
+    second: str
+    axes: Mapping[str, Mapping[str, Mapping[Quantity, Paired]]]
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """One-step innovations of an axis on one flight, standardised. B blocks of poses.
+
+    Attributes:
+        time: Shape (B,) [s].
+        innovation: Shape (B,): white and of unit variance where the model is right.
+        past: The command of the axis k blocks before, for k = 1 ... L, up to a second back, shape (B, L).
+        sensitivity: Change of the innovations by -1 times a change of input, log damping and delay, as far as trim and
+            start cannot make up for it, shape (B, 3).
+    """
+
+    time: Array
+    innovation: Array
+    past: Array
+    sensitivity: Array
+
+
+@dataclass(frozen=True)
+class Correlogram:
+    """Correlations over the lag with 95 % bands of their own.
+
+    Attributes:
+        lag: Shape (L,) [s].
+        value: Shape (L,).
+        band: Half width of the band of each, shape (L,): wider where the variance changes or neighbours go together.
+    """
+
+    lag: Array
+    value: Array
+    band: Array
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """The tests of one axis on one flight.
+
+    Attributes:
+        n: Innovations.
+        lags: How many lags, up to a second, the test of whiteness takes.
+        ljung_box: Its classic statistic, chi-squared with `lags` degrees of freedom if the innovations are white.
+        ljung_box_p: p-value of it.
+        white_p: The same where the variance may change during the flight: what the verdict takes.
+        command_freedom: How many independent past commands, up to a second back, the second test takes.
+        command_p: p-value of the innovations not following them; None where the axis was not commanded.
+        command_peak: Largest correlation with a past command, in units of its 95 % band.
+        command_peak_lag: Its lag [s].
+        variance_ratio: Mean square of the innovations with the levels of the fit; 1 if wind and noise are those of
+            the fit.
+        variance_ci95: Its 95 % interval, what the fit knows of its levels included.
+        optimism: Coefficient name to the factor by which its interval would be too narrow for innovations like these.
+        white: Whether nothing speaks against whiteness at 95 %.
+        follows_command: Whether they follow the past commands, at 95 %; None where there were none.
+    """
+
+    n: int
+    lags: int
+    ljung_box: float
+    ljung_box_p: float
+    white_p: float
+    command_freedom: int
+    command_p: float | None
+    command_peak: float | None
+    command_peak_lag: float | None
+    variance_ratio: float
+    variance_ci95: tuple[float, float]
+    optimism: Mapping[str, float]
+    white: bool
+    follows_command: bool | None
+
+
+@dataclass(frozen=True)
+class FlightScores:
+    """Prediction errors on one flight.
+
+    Attributes:
+        path: Of its log.
+        span: Seconds of its common window.
+        axes: Axis name to errors; None in place of every number of an axis that has no model.
+        heading: `predicted` by the model's own yaw, or `measured` where it has none.
+        fitted: Whether the model was fitted to part of this very stretch: then the scores prove nothing.
+        moved: The axes that the flight commands, and does not merely hold where another one moves them.
+    """
+
+    path: str
+    span: tuple[float, float]
+    axes: Mapping[str, AxisScore]
+    heading: str
+    fitted: bool = False
+    moved: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Prediction errors of a model and of the naive baselines on the same flights.
+
+    Attributes:
+        flights: Of the model, one each.
+        baselines: `hold` (the world velocity of the start is kept) and `paper` (the paper's coefficients on the model's
+            training flights, from the same filtered states), each one each flight.
+        errors: `model`, `hold` and `paper` to the errors behind the scores, start by start: a mapping a flight, from
+            the horizon; NaN for an axis without a model.
+        paired: The model against each baseline.
+        residuals: A mapping a flight, from the axes that it commands and the model knows to tests of the innovations.
+        findings: What the tests of the innovations say, in words.
+    """
+
+    flights: tuple[FlightScores, ...]
+    baselines: Mapping[str, tuple[FlightScores, ...]]
+    errors: Mapping[str, tuple[Mapping[str, StartErrors], ...]] = field(default_factory=dict)
+    paired: tuple[PairedTest, ...] = ()
+    residuals: tuple[Mapping[str, ResidualTests], ...] = ()
+    findings: tuple[Finding, ...] = ()

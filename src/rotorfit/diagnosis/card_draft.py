@@ -1,0 +1,417 @@
+"""Texts of cards: of a built-in one, and the draft that names, values and the motion of a log give.
+
+What the names of a log say of its commands and pose, and the text of a card from that.
+"""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from rotorfit.core.card import Channel
+from rotorfit.core.errors import CardError, FlightError
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Log
+from rotorfit.core.results import Motion
+from rotorfit.diagnosis.card_choice import proposal
+from rotorfit.diagnosis.command_response import BETTER, Answers, CommandResponse, answers_of
+from rotorfit.diagnosis.frame_checks import height_sign, overturned
+from rotorfit.diagnosis.pose_checks import position_unit
+from rotorfit.diagnosis.recognition import (
+    Recognised,
+    commands_in,
+    is_of_tello,
+    is_of_the_body,
+    pose_in,
+    reference_in,
+    velocity_in,
+    windows_in,
+)
+from rotorfit.dynamics.kinematics import motion_from_flight
+from rotorfit.files.cards import builtin_card_text, card_from_mapping
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import shape_text, source_of
+
+NED_FORMATS = ("ulog", "dataflash", "dataflash_text")
+"""Logs of autopilots, whose world is north, east, down."""
+
+
+@dataclass(frozen=True)
+class DraftContents:
+    """What a draft is made of.
+
+    Attributes:
+        commands: By their names, later with axes and signs by the motion.
+        pose: By its names.
+        velocity: The vehicle's own, by its names.
+        frame: Of the commands: `heading` or `world`.
+        velocity_frame: Likewise.
+        pose_frame: `ENU` or `NED`.
+        pose_said: Why it is that, behind its line.
+        remarks: What to say behind other lines of the pose, by quantity.
+    """
+
+    commands: Recognised
+    pose: Recognised
+    velocity: Recognised
+    frame: str
+    velocity_frame: str
+    pose_frame: str
+    pose_said: str
+    remarks: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def alone(self) -> list[str]:
+        """Axes of which there is only a velocity."""
+        return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
+
+
+def found_in(log: Log) -> DraftContents:
+    """What the names say."""
+    commands, pose = commands_in(log), pose_in(log)
+    velocity = velocity_in(log, commands, pose)
+    if is_of_tello(log, velocity):
+        dm = {axis: replace(channel, scale=10.0, unit="cm/s") for axis, channel in velocity.channels.items()}
+        velocity = replace(velocity, channels=dm)
+    of_velocity = "heading" if is_of_the_body(velocity) else "world"
+    return DraftContents(commands, pose, velocity, "heading", of_velocity, *_pose_frame(log, velocity))
+
+
+def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
+    """The draft."""
+    commands, pose = found.commands, found.pose
+    columns = [(table, name) for table in log.tables.values() for name in table.columns]
+    reference = reference_in(log, commands)
+    body = [
+        f"name = {_quoted(log.path.stem)}",
+        f'frame = "{found.pose_frame}"  # {found.pose_said}',
+        "",
+        "[command]",
+        f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
+        "# hold = 0.3  # s that a command acts without a successor; default: three median periods",
+        _line("time", commands.time),
+        *(_line(axis, commands.channels.get(axis), said.get(axis, "")) for axis in AXES),
+        '# x = { from = "...", scale = -1, meaning = "tilt", full_scale = "tilt" }  # all that a command can say;',
+        "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
+        "",
+        "[pose]",
+        *(["# Motive has y up: the axes are turned in a ring"] * (log.format == "motive")),
+        _line("time", pose.time),
+        *(
+            _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""))
+            for axis in "xyz"
+            if axis not in found.alone
+        ),
+        *([f"# {', '.join(found.alone)}: only the velocity, below"] if found.alone else []),
+        _quaternion_line(pose)
+        if _is_whole(pose)
+        else _line("yaw", pose.channels.get("yaw"), found.remarks.get("yaw", "")),
+        "",
+        *_velocity_lines(found),
+        *(["[reference]", *(_line(axis, channel) for axis, channel in reference.items()), ""] if reference else []),
+        *(line for source, says in windows_in(log) for line in _window_lines(source, says)),
+        "# [limits]  # of the vehicle's settings during the flight",
+        '# tilt = { value = 10, unit = "deg" }',
+        '# vertical_speed = { value = 1, unit = "m/s" }',
+        '# yaw_rate = { value = 100, unit = "deg/s" }',
+        "",
+        f"# All columns of {log.path.name}; a row of a matrix is NAME[0], NAME[1] and so on:",
+        *(f"#   {source_of(log, table, name)}{shape_text(table.columns[name])}" for table, name in columns),
+    ]
+    return "\n".join([*_heading(log, found), *([f"# {checked}"] if checked else []), *body]) + "\n"
+
+
+def _velocity_lines(found: DraftContents) -> list[str]:
+    """The vehicle's own velocity: in place of a position, or beside it and not used unless the card says so."""
+    velocity = found.velocity
+    if not velocity.channels:
+        return []
+    use = "in place of a position" if found.alone else "not used beside a position unless it is independent of that"
+    return [
+        f"[velocity]  # {use}",
+        *([] if found.alone else ["# independent = true  # only where neither was made from the other"]),
+        f'frame = "{found.velocity_frame}"  # "world", or "heading" where x and y are forward and left: check',
+        _line("time", velocity.time),
+        *(_line(axis, velocity.channels[axis]) for axis in "xyz" if axis in velocity.channels),
+        "",
+    ]
+
+
+def _is_whole(pose: Recognised) -> bool:
+    return {"qw", "qx", "qy", "qz"} <= pose.channels.keys()
+
+
+def _pose_frame(log: Log, velocity: Recognised) -> tuple[str, str]:
+    """The frame of the pose by the format, and what to say of it."""
+    if is_of_tello(log, velocity):
+        return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
+    if log.format in NED_FORMATS:
+        return "NED", 'as autopilots have it; "ENU" where z points up'
+    return "ENU", 'of the pose; "NED" where z points down'
+
+
+def _window_lines(source: str, says: str) -> list[str]:
+    return ["[[window]]  # commands count while this holds", f"when = {_quoted(source)}", *says.splitlines(), ""]
+
+
+def _heading(log: Log, found: DraftContents) -> list[str]:
+    """What a reader of the draft must know first."""
+    pose = found.pose
+    there = {
+        "[command] time": found.commands.time is not None,
+        "[command] x, y, z or yaw": bool(found.commands.channels),
+        "[pose] time": pose.time is not None,
+        **{f"[pose] {axis}": axis in pose.channels or axis in found.alone for axis in "xyz"},
+        "[pose] yaw or quaternion": _is_whole(pose) or "yaw" in pose.channels,
+    }
+    missing = [what for what, is_there in there.items() if not is_there]
+    return [
+        f"# Drafted from the names in {log.path.name}. Check every line, the signs of the commands above all:",
+        "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",
+        *(
+            [f"# INCOMPLETE: nothing was recognised for {'; '.join(missing)}. Fill in the lines marked EDIT."]
+            * bool(missing)
+        ),
+    ]
+
+
+def _quoted(text: object) -> str:
+    return json.dumps(str(text), ensure_ascii=False)
+
+
+def _line(key: str, channel: Channel | None, said: str = "") -> str:
+    if channel is None:
+        return f'# {key} = "TABLE:COLUMN"  # EDIT: nothing was recognised'
+    parts = [f"from = {_quoted(channel.source)}"]
+    parts += [f"scale = {channel.scale:g}"] * (channel.scale != 1) + [f'unit = "{channel.unit}"'] * bool(channel.unit)
+    remarks = ["unit guessed"] * bool(channel.unit) + [said] * bool(said)
+    value = f"{{ {', '.join(parts)} }}" if len(parts) > 1 else _quoted(channel.source)
+    return f"{key} = {value}" + (f"  # {'; '.join(remarks)}" if remarks else "")
+
+
+def _quaternion_line(pose: Recognised) -> str:
+    names = [str(pose.channels[f"q{part}"].source) for part in "wxyz"]
+    prefix = names[0].removesuffix(".w")
+    if names == [f"{prefix}.{part}" for part in "wxyz"]:
+        return f"quaternion = {_quoted(prefix)}"
+    return f"quaternion = [{', '.join(_quoted(name) for name in names)}]  # w, x, y, z"
+
+
+CLEARER = 0.7
+"""Share of the residual variance that another way to read the pose must leave at most to be taken."""
+
+MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
+
+_LEADS = {
+    "heading": {"x": "forward", "y": "left", "z": "up", "yaw": "counter-clockwise"},
+    "world": {"x": "along x (east)", "y": "along y (north)", "z": "up", "yaw": "counter-clockwise"},
+}
+
+
+def draft_card(log: Log, fresh: bool = False) -> str:
+    """The TOML text of a card for a log, guessed from names, values and the motion, for the user to correct.
+
+    Where a built-in card fits, it is that card. Else the draft loads as a card if all the essentials were found, and
+    says on top which were not. Where the motion tells which way a command leads, the line says so, with axis and sign
+    corrected.
+
+    Args:
+        log: As recorded.
+        fresh: Draft from names and motion also where a built-in card fits.
+
+    Returns:
+        Text of the card, with what to check in comments; the names of all columns stand at its end.
+    """
+    name = None if fresh else _builtin(log)
+    if name:
+        text = builtin_card_text(name)
+        return f"# A copy of the built-in card {name}, whose columns are all in {log.path.name}.\n{text}"
+    asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
+    found, told = asked.found, asked.told
+    if told is None:
+        return text_of(log, found, {}, f"The motion was not asked: {asked.why}." if asked.why else "")
+    if turned := ", ".join(overturned(told.of, asked.height)):
+        found = replace(found, pose_said=f"as z is above 0; {turned} are turned together: forward, right, down?")
+    moved, said = _by_motion(found.commands, told)
+    found = _in_metres(replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
+    sure = all(answer.axis for answer in told.of.values())
+    checked = f"Signs were checked against the motion{'' if sure else ', which does not tell those marked EDIT'}."
+    frame = "" if told.frame else " The flight turns too little to tell the heading frame from the world."
+    return text_of(log, found, said, f"{checked}{frame}")
+
+
+def _builtin(log: Log) -> str | None:
+    """Name of the built-in card that the log would be read with."""
+    try:
+        return proposal(log).name
+    except CardError:
+        return None
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A draft of which the motion was asked.
+
+    Attributes:
+        found: What it is made of.
+        told: What the motion says; None where it says nothing.
+        why: Why not.
+        motion: Of the flight.
+        height: As of `height_sign`.
+    """
+
+    found: DraftContents
+    told: Answers | None
+    why: str = ""
+    motion: Motion | None = None
+    height: int = 0
+
+
+def _asked(log: Log, found: DraftContents) -> _Asked:
+    """Asks the motion what the commands of a draft do."""
+    try:
+        card = card_from_mapping(tomllib.loads(text_of(log, found, {})), "drafted")
+    except CardError:
+        return _Asked(found, None)  # incomplete: said on top
+    try:
+        flight = flight_from_log(log, card)
+    except (CardError, FlightError) as error:
+        return _Asked(found, None, str(error))
+    motion = motion_from_flight(flight)
+    told = answers_of(flight, motion)
+    if told.of:
+        return _Asked(found, told, "", motion, height_sign(flight))
+    if not np.any(np.ptp(flight.command, axis=0)):
+        return _Asked(found, None, "no command moves")
+    pieces = len(flight.segments)
+    return _Asked(found, None, f"{flight.duration:.1f} s of commands in {pieces} pieces are too few to tell")
+
+
+def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
+    """The draft with a velocity that has no position beside it in the frame that explains it better.
+
+    Where commands and velocity are in one frame, the motion does not tell which: then it is the heading frame, as
+    commands almost always are. The coefficients are the same.
+    """
+    found, told = asked.found, asked.told
+    if told is None or told.frame is None or "x" not in found.alone:
+        return asked
+    other = _asked(log, replace(found, velocity_frame="world" if found.velocity_frame == "heading" else "heading"))
+    if other.told is None:
+        return asked
+    allowed = BETTER if told.frame == "heading" else 1 / BETTER
+    return other if _left(other.told) < allowed * _left(told) else asked
+
+
+def _left(told: Answers) -> float:
+    """What commands leave of the horizontal velocity, as shares of its variance."""
+    return sum(1 - answer.explained for name, answer in told.of.items() if name in ("x", "y"))
+
+
+def _better_read(log: Log, asked: _Asked) -> _Asked:
+    """The draft with the pose read as the motion bears out.
+
+    That is another frame where it alone turns several commands back, for both explain as much; else, of what explains
+    the motion clearly better, what leaves the fewest commands that do not do what they are called.
+    """
+    found, told = asked.found, asked.told
+    if told is None or (told.frame != "world" and not _odd(told)):
+        return asked
+    turned = overturned(told.of, asked.height)
+    if turned and asked.height <= 0:
+        here, other = found.pose_frame, "ENU" if found.pose_frame == "NED" else "NED"
+        said = f"by the motion: in {here}, {', '.join(turned)} would be turned; if it is {here}, give scale = -1 there"
+        return _asked(log, replace(found, pose_frame=other, pose_said=said))
+    if told.frame is None or found.alone:
+        return asked
+    others = [_asked(log, one) for one in _readings(found)]
+    better = [one for one in others if one.told and one.told.left < CLEARER * told.left]
+    least = min((one.told.left for one in better if one.told), default=0.0)
+    sound = [(_odd(one.told), one) for one in better if one.told and CLEARER * one.told.left <= least]
+    return min(sound, key=lambda pair: pair[0])[1] if sound else asked
+
+
+def _odd(told: Answers) -> int:
+    """How many commands do not do what they are called."""
+    return sum(1 for name, answer in told.of.items() if answer.axis and (answer.axis != name or answer.sign < 0))
+
+
+def _readings(found: DraftContents) -> Iterator[DraftContents]:
+    """Other ways to read the pose that a card can say."""
+    pose, asks = found.pose.channels, "by the motion: EDIT if that is not so"
+    if {"x", "y"} <= pose.keys():
+        yield _read(found, f"y turned, for the pose is mirrored {asks}", y=_turned(pose["y"]))
+        yield _read(found, f"x and y exchanged, for the pose is mirrored {asks}", y=pose["x"], x=pose["y"])
+    if "yaw" in pose:
+        yield _read(found, f"yaw grows clockwise {asks}", yaw=_turned(pose["yaw"]))
+        if pose["yaw"].unit is None:
+            yield _read(found, f"yaw is in degrees {asks}", yaw=replace(pose["yaw"], unit="deg"))
+
+
+def _read(found: DraftContents, why: str, **channels: Channel) -> DraftContents:
+    """The same with channels of the pose changed."""
+    pose = replace(found.pose, channels={**found.pose.channels, **channels})
+    return replace(found, pose=pose, remarks={next(iter(channels)): why})
+
+
+def _turned(channel: Channel) -> Channel:
+    return replace(channel, scale=-channel.scale)
+
+
+def _in_metres(found: DraftContents, motion: Motion | None) -> DraftContents:
+    """The same with the unit of a position that no vehicle can have flown in metres."""
+    known = {axis: channel for axis, channel in found.pose.channels.items() if axis in "xyz"}
+    unit = position_unit(motion) if motion and not found.alone else None
+    if unit is None or any(channel.unit for channel in known.values()):
+        return found
+    name, speed = unit
+    read = _read(found, "", **{axis: replace(channel, unit=name) for axis, channel in known.items()})
+    why = f'by the motion: its speed is {speed:.2g} m/s (RMS), in metres too much for any; EDIT: "cm" or "mm"'
+    return replace(read, remarks={**found.remarks, "x": "; ".join(filter(None, (found.remarks.get("x"), why)))})
+
+
+def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[str, str]]:
+    """Commands by the axes and with the signs that the motion tells, and what to say behind each."""
+    sure = {name: answer for name, answer in told.of.items() if answer.axis}
+    wanted = {name: answer.axis or name for name, answer in sure.items()}
+    moved = {name: wanted.get(name, name) for name in commands.channels}
+    if len(set(moved.values())) < len(moved):  # two commands on one axis: names decide
+        moved = {name: name for name in moved}
+    channels, said = {}, {}
+    for name, channel in commands.channels.items():
+        axis, answer = moved[name], told.of.get(name)
+        turned = answer is not None and name in sure and answer.sign < 0 and answer.axis == axis
+        channels[axis] = _turned(channel) if turned else channel
+        mirrored = turned and told.frame is None and axis in ("x", "y")
+        said[axis] = _remark(name, axis, answer, told.frame or "heading") + MIRRORED * mirrored
+    return replace(commands, channels=channels), said
+
+
+def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) -> str:
+    """What the motion says of one command."""
+    if answer is None:
+        return "does not move in this log: EDIT, sign unknown"
+    sure, explained = f"{answer.certainty:.0f} standard errors", f"{100 * answer.explained:.0f} % explained"
+    figures = f"{sure}, {explained}, delay and time constant together {answer.lag:.1f} s"
+    if answer.axis is None:
+        return f"EDIT: the motion does not tell the sign ({figures})"
+    if answer.axis != axis:
+        return f"EDIT: the motion follows it along {answer.axis} ({figures})"
+    renamed = f", though it looks like {name}" if name != axis else ""
+    return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
+
+
+def write_draft(log: Log, path: Path, fresh: bool = False) -> None:
+    """Writes the draft of a card to a new file; the arguments are those of `draft_card`.
+
+    Raises:
+        CardError: The file exists already: it may be a card that somebody has edited.
+    """
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(draft_card(log, fresh))
+    except FileExistsError:
+        raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it") from None

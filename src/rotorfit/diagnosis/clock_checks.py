@@ -1,0 +1,299 @@
+"""What the stamps of a flight give away: gaps, jitter, clocks that drift or disagree, rows that repeat a command.
+
+What there is to say of the clocks of a flight whose commands and poses are from two files.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.finding import Finding, counted
+from rotorfit.core.flight_data import Clocks, Flight
+from rotorfit.core.frames import Array
+from rotorfit.core.log import Log
+from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
+from rotorfit.flights.columns import split_source
+from rotorfit.flights.other_tables import sample_rows
+from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, ClockDrift, Stamps, increasing, rate, stamps_of
+from rotorfit.flights.streams import recorder_clock
+
+
+def two_files(clocks: Clocks) -> Iterator[Finding]:
+    """Findings about the clocks of commands and poses that are from different files."""
+    if clocks.refused:
+        yield Finding(
+            "clock_source_refused",
+            "warning",
+            f"the vehicle's own motion cannot tell how its clock stands to that of the poses: {clocks.refused}",
+            "it is not used",
+            "check that both files are of one flight and of one vehicle, and [velocity] and [attitude] of the card",
+        )
+    if clocks.later:
+        late = ", ".join(f"{sensor} by {1e3 * lag:.0f} ms" for sensor, lag in clocks.later.items())
+        yield Finding(
+            "clock_sensors_disagree",
+            "warning",
+            f"the vehicle's own sensors do not agree on its clock: late against {', '.join(clocks.explained)}: {late}",
+            "the late ones were left out; by as much as the others are late, too, the delay comes out too long",
+            "where the latency of a stamp is known, give it as a negative offset of its time in the card",
+        )
+    if clocks.includes_delay:
+        yield _includes_delay(clocks)
+    elif clocks.moved:
+        yield Finding(
+            "clocks_joined",
+            "info",
+            f"the clock of the poses stands to that of the commands at {_figures(clocks)}, by {_explained(clocks)}",
+            f"the commands were moved, and {1e3 * clocks.half_width:.1f} ms went into the delay's interval; by as much "
+            "as the vehicle's own motion is stamped late, the delay comes out too long",
+            "where the latency of that stamp is known, give it as a negative offset of its time in the card",
+        )
+    elif clocks.differs:
+        yield Finding(
+            "clock_offset",
+            "warning",
+            f"the clocks of the two files are taken as one, since {clocks.stated}, but by {_explained(clocks)} that of "
+            f"the poses stands to that of the commands at {_figures(clocks)}",
+            "unless the vehicle's own motion is stamped that late, the delay of every axis comes out "
+            f"{1e3 * abs(clocks.offset):.0f} ms too {'long' if clocks.offset > 0 else 'short'}",
+            'if they are two clocks, leave clock = "one" out of the card',
+        )
+    elif clocks.source == "none":
+        yield Finding(
+            "clock_unchecked",
+            "info",
+            f"commands and poses are from two files whose clocks are taken as one, since {clocks.stated}",
+            "whatever the clocks differ by is in the delay of every axis",
+            "record the vehicle's own velocity or heading beside the commands: it checks the clocks",
+        )
+
+
+def _includes_delay(clocks: Clocks) -> Finding:
+    return Finding(
+        "clock_includes_delay",
+        "warning",
+        "commands and poses are from two files, and only the answer to the commands tells how their clocks stand: the "
+        f"answer is stamped {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s (95 %) after its command, offset and delay "
+        f"together, by {_explained(clocks)}",
+        "what part of that is the delay cannot be told, and no delay is published; input gain and damping keep their "
+        "values, but for a drift of the clocks",
+        "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
+        'clock = "one" there if the clocks are one',
+    )
+
+
+def _figures(clocks: Clocks) -> str:
+    return (
+        f"{clocks.offset:+.4f} s (95 %: +-{1e3 * clocks.half_width:.1f} ms), drift {1e6 * clocks.drift:+.0f} us/s "
+        f"(+-{1e6 * clocks.drift_half_width:.0f})"
+    )
+
+
+def _explained(clocks: Clocks) -> str:
+    """What told the offset, with the share of it that the poses explain."""
+    return ", ".join(f"{name} ({100 * share:.0f} % explained)" for name, share in clocks.explained.items())
+
+
+SETTLING_LOSS = 0.6
+"""What each segment of commands loses at its start [s]: the longest delay that is searched."""
+
+LOST_SHARE = 0.05
+"""Share of the time that gaps may take before it is said."""
+
+LARGE_LOSS = 0.2
+"""Share of the time from which on gaps are a warning."""
+
+POSE_HOLE = 0.25
+"""Shortest hole in the poses that counts [s]: the half width of the window that differentiates them."""
+
+LONG_HOLE = 0.5
+"""A single hole of this length is said [s]: the vehicle has answered a command before it is seen again."""
+
+JITTER_SHARE = 0.5
+"""Spread of the steps between stamps (5th to 95th percentile) over their median beyond which it is jitter. A scheduler
+on a busy computer gives 0.1 to 0.3; messages that arrive in bursts over Wi-Fi pass 1."""
+
+LEAST_JITTER = 0.004
+"""Spread that is never said [s]: at 1 m/s it is 4 mm."""
+
+DRIFT_GROWTH = 0.010
+"""Growth of the difference of two clocks over a flight that matters [s]: standard errors of delays are about that."""
+
+CLOCK_OFFSET = 0.05
+"""Difference of two clocks of one file that transport does not explain [s]."""
+
+STALE_SHARE = 0.05
+"""Share of repeated poses that is worth a word."""
+
+REPEATED_SHARE = 0.6
+"""Share of rows that change the command below which rows repeat it; a controller at the rate of the rows changes it in
+nearly every one."""
+
+LATENESS = 0.002
+"""Mean lateness of a change of the command that is worth a word [s]."""
+
+
+def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
+    """Findings about the stamps of one flight.
+
+    Args:
+        log: As recorded.
+        card: That was applied.
+        flight: What came of it.
+    """
+    commands = stamps_of(log, card.command_time)[sample_rows(log, card.command_time, card.command)]
+    poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
+    yield from _command_gaps(flight)
+    yield from _pose_gaps(flight)
+    one_row = card.command_time.source == card.pose_time.source and np.array_equal(commands, poses)
+    if one_row:
+        yield from _repeated(flight)
+    else:
+        effect = "what acts when is known no better: the delay comes out wide or biased"
+        yield from _jitter("command", commands, flight, effect)
+    yield from _jitter(
+        "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
+    )
+    yield from _two_clocks(log, card) if flight.clocks is None else two_files(flight.clocks)
+    yield from _stale(flight)
+
+
+def _command_gaps(flight: Flight) -> Iterator[Finding]:
+    parts = flight.segments
+    if len(parts) < 2:
+        return
+    holes = [b.start - a.end for a, b in pairwise(parts)]
+    lost = sum(holes) + SETTLING_LOSS * len(holes)
+    share = lost / (parts[-1].end - parts[0].start)
+    if share > LOST_SHARE:
+        yield Finding(
+            "command_gaps",
+            "warning" if share > LARGE_LOSS else "info",
+            f"{counted(len(holes), 'gap')} in the commands, up to {max(holes):.3f} s beyond the hold, taking "
+            f"{lost:.1f} s ({100 * share:.0f} % of the flight) with the {SETTLING_LOSS:g} s that each segment needs to "
+            "start",
+            "all coefficients rest on less data; a segment shorter than 0.7 s tells nothing",
+            "send commands at a steady rate; where the vehicle keeps the last one for longer, say so by hold in the "
+            "card",
+        )
+
+
+def _pose_gaps(flight: Flight) -> Iterator[Finding]:
+    holes = np.concatenate([_holes(flight, part.start, part.end) for part in flight.segments])
+    if not holes.size:
+        return
+    share, longest = float(np.sum(holes)) / flight.duration, float(np.max(holes))
+    if share > LOST_SHARE or longest > LONG_HOLE:
+        yield Finding(
+            "pose_gaps",
+            "warning" if share > LARGE_LOSS or longest > 2 * LONG_HOLE else "info",
+            f"{counted(holes.size, 'hole')} in the poses, the longest of {longest:.2f} s, taking "
+            f"{np.sum(holes):.1f} s ({100 * share:.0f} % of the flight)",
+            "damping and delay lose most: what happens right after a command is not seen; no prediction is scored "
+            "across a hole of 1 s",
+            "move or add cameras, or fly where the markers are seen throughout",
+        )
+
+
+def _holes(flight: Flight, start: float, end: float) -> Array:
+    """Lengths of the holes in the poses of a segment [s]."""
+    time = flight.pose_time[(flight.pose_time >= start) & (flight.pose_time <= end)]
+    steps = np.diff(time)
+    limit = max(POSE_HOLE, (GAP_PERIODS + GAP_TOLERANCE) * float(np.median(steps))) if steps.size else POSE_HOLE
+    return steps[steps > limit]
+
+
+def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[Finding]:
+    if any(note.code == f"{what}_stamps_straightened" for note in flight.notes):
+        return
+    found = rate(stamps)
+    if found.period is None or found.jitter is None:
+        return
+    spread = found.jitter[1] - found.jitter[0]
+    if spread > max(JITTER_SHARE * found.period, LEAST_JITTER):
+        yield Finding(
+            "stamp_jitter",
+            "info",
+            f"steps between {what} stamps spread over {1e3 * spread:.0f} ms (5th to 95th percentile), "
+            f"{spread / found.period:.1f} times their median of {1e3 * found.period:.0f} ms",
+            effect,
+            f"stamp each {what} where it is made, not where it is received; of a bag take header.stamp",
+        )
+
+
+def _two_clocks(log: Log, card: Card) -> Iterator[Finding]:
+    """The clocks of poses and commands, each against the recorder's."""
+    command = _against_recorder(log, card.command_time, card.command)
+    pose = _against_recorder(log, card.pose_time, card.pose)
+    if command is None or pose is None:
+        return
+    duration = _length(stamps_of(log, card.pose_time))
+    growth = (command.drift - pose.drift) * duration
+    noise = 0.5 * max(c.spread[1] - c.spread[0] - abs(c.drift) * duration for c in (command, pose))
+    if abs(growth) > max(DRIFT_GROWTH, noise):
+        yield Finding(
+            "clock_drift",
+            "warning",
+            f"against the recorder's clock, that of the poses gains {1e3 * growth:.0f} ms on that of the commands in "
+            f"{duration:.0f} s, {1e6 * growth / duration:.0f} us a second",
+            "the delay of every axis changes by as much within the flight; damping and gain pay for it",
+            "synchronise the computers (chrony), or take log_time for both streams in the card",
+        )
+    offset = command.offset - pose.offset
+    if abs(offset) > CLOCK_OFFSET:
+        yield Finding(
+            "clock_offset",
+            "warning",
+            f"poses are stamped {1e3 * abs(offset):.0f} ms {'ahead of' if offset > 0 else 'behind'} the commands, "
+            "judged by when both were recorded",
+            f"the delay of every axis comes out {1e3 * abs(offset):.0f} ms too {'long' if offset > 0 else 'short'}, "
+            "unless transport takes that long; beyond the searched range gain and damping are lost, too",
+            "synchronise the computers (chrony), or take log_time for both streams in the card",
+        )
+
+
+def _against_recorder(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
+    """The recorder's clock against the one that the card takes; None where that is neither of a message's stamps."""
+    name = split_source(time.source)[1]
+    if name == "log_time":
+        return ClockDrift(0.0, (0.0, 0.0), 0.0)
+    return recorder_clock(log, time, channels) if name == "header.stamp" else None
+
+
+def _length(stamps: Stamps) -> float:
+    there = stamps[increasing(stamps)]
+    return float(there[-1] - there[0]) / 1e9
+
+
+def _stale(flight: Flight) -> Iterator[Finding]:
+    stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
+    outside = sum(note.count for note in flight.notes if note.code == "poses_outside")
+    share = stale / max(stale + outside + flight.pose_time.size, 1)
+    if share > STALE_SHARE:
+        yield Finding(
+            "stale_poses",
+            "info",
+            f"{stale} poses ({100 * share:.0f} %) repeat the one before under a fresh stamp",
+            "they were dropped; kept, they would move gain and delay",
+            "let the motion capture bridge publish new frames only",
+        )
+
+
+def _repeated(flight: Flight) -> Iterator[Finding]:
+    """Commands that stand in every row of the poses, though they change in few."""
+    if len(flight.command_time) < 2 or not np.any(np.diff(flight.command, axis=0)):
+        return
+    changed = np.any(np.diff(flight.command, axis=0) != 0, axis=1)
+    period = float(np.median(np.diff(flight.command_time)))
+    if np.mean(changed) < REPEATED_SHARE and period / 2 > LATENESS:
+        yield Finding(
+            "repeated_commands",
+            "info",
+            f"commands stand in every row beside a pose and change in {100 * np.mean(changed):.0f} % of the rows: a "
+            f"change bears the stamp of its row, {1e3 * period / 2:.0f} ms late in the mean, {1e3 * period:.0f} ms at "
+            "most",
+            f"delays come out up to {1e3 * period:.0f} ms too short; gain and damping keep their values",
+            "log commands by themselves, each with the stamp at which it was sent",
+        )

@@ -1,0 +1,170 @@
+"""What the commands of a flight alone give away: saturation, slowness, likeness, units that cannot be meant."""
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+
+SATURATED_SHARE = 0.1
+"""Share of the commands at the largest value beyond which they are called saturated."""
+
+SATURATED_LEVELS = 5
+"""Commands of no more distinct values than this are steps, whose largest value is not a limit."""
+
+SATURATED_EXCESS = 3.0
+"""How much oftener a limit is held than any value below it, but zero: with steps of many sizes each is held alike."""
+
+SLOW_FREQUENCY = 0.1
+"""Frequency [Hz] above which some power must lie. The paper's sines are at 0.16 and 0.21 Hz, and with them the delay
+comes out with a standard error of 0.01 to 0.07 s; at half their frequency it is lost on simulated flights."""
+
+SLOW_SHARE = 0.05
+"""Share of power below which there is none to speak of."""
+
+ALIKE = 0.95
+"""Correlation beyond which two commands are one: with 0.95 the standard errors of two regressors are 3.2 times those of
+independent ones. Independent steps over 40 s stay below 0.5 on simulated flights."""
+
+FRACTION_LIMIT = 3.0
+"""Largest command that is believed to be a fraction of a limit. Controllers without limits overshoot 1, to 2.3 on
+simulated flights; per cent and degrees lie beyond 5."""
+
+MEANING_LIMITS: Mapping[str, tuple[float, str]] = {
+    "tilt": (1.4, "rad"),
+    "velocity": (40.0, "m/s"),
+    "vertical_speed": (20.0, "m/s"),
+    "yaw_rate": (20.0, "rad/s"),
+}
+"""Largest command that is believed, by what it means in SI: 80 degrees of tilt, a racer's speed, 3 turns a second."""
+
+
+def command_findings(card: Card, flight: Flight) -> Iterator[Finding]:
+    """Findings about the commands of one flight.
+
+    Args:
+        card: That was applied.
+        flight: Commands after the card's scale.
+    """
+    for axis in flight.axes:
+        command = flight.command[:, AXES.index(axis)]
+        if np.any(command):
+            yield from _saturated(axis, command)
+            yield from _slow(axis, flight.command_time, command)
+            yield from _units(axis, card, command)
+    yield from _alike(flight)
+
+
+def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
+    """Power of held values about their mean.
+
+    Args:
+        time: When each value was sent, at least 2, shape (N,) [s].
+        values: Shape (N,), each held until the next.
+
+    Returns:
+        Frequencies [Hz] and the power at each, both of shape (F,).
+    """
+    period = float(np.median(np.diff(time)))
+    grid = np.arange(time[0], time[-1], period)
+    held = values[np.searchsorted(time, grid + 1e-9, side="right") - 1]
+    power: Array = np.abs(np.fft.rfft(held - np.mean(held))) ** 2
+    return np.asarray(np.fft.rfftfreq(len(grid), period), np.float64), power
+
+
+def share_above(time: Array, values: Array, frequency: float) -> float:
+    """Share of the power of held values that lies above a frequency [Hz]; 0 for constant ones."""
+    if len(time) < 8:
+        return 0.0
+    at, power = spectrum(time, values)
+    total = float(np.sum(power))
+    return float(np.sum(power[at > frequency])) / total if total > 0 else 0.0
+
+
+def saturated_share(command: Array) -> float:
+    """Share of samples at the largest magnitude, where that is a limit; 0 for steps."""
+    size = np.abs(command)
+    top = size >= size.max() * (1 - 1e-9)
+    below = np.unique(command[~top & (size > 0)], return_counts=True)[1]
+    steps = np.unique(command).size <= SATURATED_LEVELS or top.sum() < SATURATED_EXCESS * below.max(initial=0)
+    return 0.0 if steps else float(top.mean())
+
+
+def _saturated(axis: str, command: Array) -> Iterator[Finding]:
+    share = saturated_share(command)
+    if share > SATURATED_SHARE:
+        yield Finding(
+            "saturated_commands",
+            "info",
+            f"the {axis} command stands at its largest value, {np.abs(command).max():.3g}, in {100 * share:.0f} % of "
+            "the samples",
+            f"none on {axis} if the vehicle received what was logged; else its input gain comes out too small",
+            "log the command as sent, after its limits",
+            axis,
+        )
+
+
+def _slow(axis: str, time: Array, command: Array) -> Iterator[Finding]:
+    share = share_above(time, command, SLOW_FREQUENCY)
+    if np.ptp(command) > 0 and share < SLOW_SHARE:
+        yield Finding(
+            "slow_commands",
+            "warning",
+            f"{100 * share:.2g} % of the power of the {axis} command lies above {SLOW_FREQUENCY:g} Hz; a damping b "
+            "shows about b/(2 pi), 0.03 to 0.6 Hz for multirotors, a delay of 0.2 s about 1/(2 pi 0.2) = 0.8 Hz",
+            f"delay and damping of {axis} can hardly be told from each other, and gain and damping only by their ratio",
+            f"command {axis} with steps of about a second, or with sines up to 0.8 Hz",
+            axis,
+        )
+
+
+def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
+    channel, largest = card.command[axis], float(np.abs(command).max())
+    if channel.full_scale:
+        limit, what = FRACTION_LIMIT, f"a fraction of the {channel.full_scale} limit"
+    elif channel.meaning:
+        limit, unit = MEANING_LIMITS[channel.meaning]
+        what = f"a {channel.meaning.replace('_', ' ')} in {unit}"
+    else:
+        return
+    if largest > limit:
+        yield Finding(
+            "unit_mistake",
+            "warning",
+            f"the {axis} command reaches {largest:.3g}, which cannot be {what}; more than {limit:g} is not believed",
+            f"the input gain of {axis} is per that command: too small by the ratio of the units",
+            f"give the {axis} channel of [command] its unit (deg, deg/s, cm/s), or the scale that makes it a fraction",
+            axis,
+        )
+
+
+def _alike(flight: Flight) -> Iterator[Finding]:
+    """Pairs of commanded axes whose commands are proportional but for a constant."""
+    moving = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
+    weight = np.minimum(np.diff(flight.command_time, append=np.inf), np.median(np.diff(flight.command_time)) * 3)
+    pairs = {}
+    for one, other in combinations(moving, 2):
+        r = _correlation(flight.command[:, AXES.index(one)], flight.command[:, AXES.index(other)], weight)
+        if abs(r) > ALIKE:
+            pairs[one, other] = r
+    if pairs:
+        plane = ("x", "y") in pairs
+        told = ", ".join(f"{one} and {other} {r:+.2f}" for (one, other), r in pairs.items())
+        yield Finding(
+            "collinear_commands",
+            "warning" if plane else "info",
+            f"commands are proportional to each other; correlations: {told}",
+            "what one axis does to another cannot be told from its own response"
+            + ("; exchanged or turned x and y cannot be noticed" if plane else ""),
+            "fly the axes one after the other, or with frequencies of their own",
+        )
+
+
+def _correlation(one: Array, other: Array, weight: Array) -> float:
+    """Correlation of two series, weighted by how long each value is held."""
+    a, b = (values - np.average(values, weights=weight) for values in (one, other))
+    return float(np.sum(weight * a * b) / np.sqrt(np.sum(weight * a**2) * np.sum(weight * b**2)))

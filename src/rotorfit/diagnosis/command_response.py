@@ -1,0 +1,192 @@
+"""Answers: which commands move the vehicle which way, told by the motion alone, whatever they are called.
+
+The velocity along an axis is taken as a sum of the commands, each delayed and smoothed as a first-order vehicle would,
+and a straight line in time for wind and trim. Delay and time constant are those that leave least; standard errors come
+from leaving out each tenth of the flight in turn. Only the sign and the axis of the effects are used.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, world_from_heading
+from rotorfit.core.results import Motion
+from rotorfit.dynamics.kinematics import motion_from_flight
+
+DELAYS = np.arange(0.0, 0.41, 0.1)
+"""Delays that are tried [s]."""
+
+CONSTANTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Time constants that are tried [s]: from a stiff velocity loop to the drag of a vehicle that is told its tilt."""
+
+GRID = 0.02
+"""Step of the grid on which commands are smoothed [s]."""
+
+RATE = 10.0
+"""Velocities a second that are looked at."""
+
+BLOCKS = 10
+"""Stretches of the flight of which each is left out in turn."""
+
+LEAST_POSES = 100
+"""Poses under commands below which nothing is said."""
+
+TOLD = 5.0
+"""Standard errors from which on an answer has a sign."""
+
+EXPLAINED = 0.3
+"""Share of the variance of the velocity that commands must explain: those of a loop that only holds still follow the
+motion, and their sign is that of the loop."""
+
+CLEARLY = 1.5
+"""How many times as many standard errors one axis must show as any other for a command to be its."""
+
+TURNING = np.radians(20.0)
+"""Standard deviation of yaw from which on the frames differ."""
+
+BETTER = 0.9
+"""Share of the residual variance, against the heading frame, that the world must leave at most to be believed."""
+
+
+@dataclass(frozen=True)
+class CommandResponse:
+    """What a command does.
+
+    Attributes:
+        axis: That it moves: one of `AXES`; None where none stands out.
+        sign: +1 where a positive command moves forward, left, up or counter-clockwise; -1 else.
+        certainty: Effect on that axis, in standard errors.
+        explained: Share of the variance of the velocity along that axis that all commands together explain.
+        lag: After which the motion answers: delay and time constant together [s].
+    """
+
+    axis: str | None
+    sign: int
+    certainty: float
+    explained: float
+    lag: float
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What the commands of a flight do.
+
+    Attributes:
+        frame: In which x and y of the commands lead: `heading` or `world`; None where the flight turned too little.
+        of: Name of the command in the card to its answer.
+        left: What the commands leave of the horizontal velocity, sum of squares [m^2/s^2].
+    """
+
+    frame: Literal["heading", "world"] | None
+    of: dict[str, CommandResponse]
+    left: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Effects of all commands on one axis.
+
+    Attributes:
+        effect: In standard errors, with sign, shape (K,).
+        lag: Delay and time constant that leave least [s].
+        left: Residual sum of squares.
+        explained: Share of the variance about a straight line.
+    """
+
+    effect: Array
+    lag: float
+    left: float
+    explained: float
+
+
+def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
+    """Tells which command moves the vehicle which way.
+
+    Args:
+        flight: Read with a card that takes the commands as they are (`frame = "heading"`, no signs turned).
+        motion: Of the flight, where it is known already.
+
+    Returns:
+        The frame and the answers; no answers for a flight that is too short to tell.
+    """
+    motion = motion or motion_from_flight(flight)
+    names = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
+    if not names or len(motion.time) < LEAST_POSES:
+        return Answers(None, {})
+    motion = _thinned(motion, flight.duration)
+    lagged = _smoothed(flight, motion.time, [AXES.index(name) for name in names])
+    frames: tuple[Literal["heading", "world"], ...] = ("heading", "world")
+    fits = {frame: [_fit(lagged, motion.time, _along(motion, frame, k)) for k in range(4)] for frame in frames}
+    left = {frame: fits[frame][0].left + fits[frame][1].left for frame in frames}
+    turned = bool(np.std(motion.yaw) > TURNING) and bool({"x", "y"} & set(names))
+    frame: Literal["heading", "world"] = "world" if turned and left["world"] < BETTER * left["heading"] else "heading"
+    found = {name: _answer(fits[frame], j) for j, name in enumerate(names)}
+    return Answers(frame if turned else None, found, left[frame])
+
+
+def _thinned(motion: Motion, duration: float) -> Motion:
+    thin = max(1, round(len(motion.time) / max(duration, 1e-9) / RATE))
+    return Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
+
+
+def _smoothed(flight: Flight, time: Array, columns: list[int]) -> list[tuple[float, Array]]:
+    """Lag [s] and smoothed commands at some times, shape (N, K), for each time constant and delay."""
+    grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
+    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
+    found = []
+    for constant in CONSTANTS:
+        smooth = _first_order(held, GRID / constant)
+        for delay in DELAYS.tolist():
+            parts = [np.interp(time - delay, grid, series) for series in smooth.T]
+            found.append((delay + constant, np.column_stack(parts)))
+    return found
+
+
+@numba.njit(cache=True)
+def _first_order(held: Array, step: float) -> Array:
+    """First-order low-pass of held values, shape (N, K), from rest."""
+    keep, out = np.exp(-step), np.empty(held.shape)
+    for k in range(held.shape[1]):
+        state = 0.0
+        for i in range(held.shape[0]):
+            state = keep * state + (1 - keep) * held[i, k]
+            out[i, k] = state
+    return out
+
+
+def _along(motion: Motion, frame: str, k: int) -> Array:
+    """Velocity along one axis of a frame, shape (N,)."""
+    if k < 2 and frame == "world":
+        return world_from_heading(motion.velocity[:, :2], motion.yaw)[:, k]
+    return motion.velocity[:, k]
+
+
+def _fit(lagged: list[tuple[float, Array]], time: Array, velocity: Array) -> _Fit:
+    """Effects of the commands on the velocity along one axis."""
+    rest = np.column_stack([np.ones_like(time), time - time.mean()])
+    designs = [(lag, np.column_stack([commands, rest])) for lag, commands in lagged]
+    left = [float(np.sum((velocity - design @ _solved(design, velocity)) ** 2)) for _, design in designs]
+    index = int(np.argmin(left))
+    lag, design = designs[index]
+    block = np.arange(len(design)) * BLOCKS // len(design)
+    parts = np.array([_solved(design[block != b], velocity[block != b])[:-2] for b in range(BLOCKS)])
+    spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
+    alone = float(np.sum((velocity - rest @ _solved(rest, velocity)) ** 2))
+    effect = np.asarray(parts.mean(axis=0) / np.maximum(spread, 1e-12))
+    return _Fit(effect, lag, left[index], 1 - left[index] / alone if alone > 0 else 0.0)
+
+
+def _solved(design: Array, target: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(design, target, rcond=None)[0])
+
+
+def _answer(fits: list[_Fit], j: int) -> CommandResponse:
+    """The axis that a command moves most surely."""
+    order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
+    first, second = fits[order[0]], fits[order[1]]
+    told = float(first.effect[j])
+    sure = abs(told) > max(TOLD, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
+    return CommandResponse(AXES[order[0]] if sure else None, int(np.sign(told)), abs(told), first.explained, first.lag)

@@ -1,0 +1,365 @@
+"""In which direction the vehicle moves when it is told to: exchanged axes, wrong frames, a yaw that is off or mirrored.
+
+A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y + c - B v) in the
+world, B diagonal. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more names the
+wrong frame, or yaw in another unit; the directions of c_x and c_y name a wrong zero of yaw or exchanged axes.
+Directions hardly suffer from feedback, and a delay of any size is allowed for, so this is safe to say before any fit.
+
+Commands that lead the other way all at once: a pose with z down that is read as one with z up, or the reverse.
+
+Half a turn about the vehicle's forward axis turns y, z and yaw and leaves x. So the motion alone does not tell a pose
+in NED from commands that are forward, right, down and clockwise; the height does, where the floor is at 0.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rotorfit.core.card import Card
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import UNIT_SCALE, Array
+from rotorfit.core.results import Motion
+from rotorfit.diagnosis.command_response import CommandResponse, answers_of
+from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
+
+Complex = npt.NDArray[np.complex128]
+
+RATE = 10.0
+"""Poses a second that are looked at: the windows that differentiate them are half a second long."""
+
+BLOCKS = 10
+"""Stretches of the flight of which each is left out in turn, for the standard errors."""
+
+LEAST_POSES = 100
+"""Poses under commands below which nothing is said of directions: ten a stretch."""
+
+TOLD = 5.0
+"""Standard errors from zero from which on a command's effect has a direction."""
+
+LEAST_EXPLAINED = 0.3
+"""Share of the variance of the horizontal acceleration below which no direction is believed."""
+
+BETTER = 0.7
+"""Share of the residual variance, against the card's frame, that another frame must leave at most."""
+
+STRAIGHT = 0.85
+"""The same for directions that are off, against directions as they should be. When x and y are commanded by sine and
+cosine, as the paper does, a turned direction is nearly a delay: there standard errors alone are no proof."""
+
+DEGREE = float(np.pi / 180)
+
+TURNING = np.radians(20.0)
+"""Standard deviation of yaw from which on frames can be told apart: of less, a turned frame is a wrong zero of yaw."""
+
+SLIGHT = np.radians(3.0)
+"""Standard deviation of yaw as it is read from which on degrees that are taken for radians matter: below, turned by the
+wrong heading, the gains of x and y change by less than 1 - cos(3 degrees), a thousandth."""
+
+SAME_THING = ": of a heading that is a few degrees off 0 all the time the commands tell no difference"
+"""Why degrees read as radians and commands of the world are one finding where the heading hardly turned."""
+
+OFF = np.radians(12.0)
+"""Deviation of a direction that is said, where it passes also `TOLD` standard errors. Markers put on by eye are off by
+2 to 5 degrees."""
+
+NEAR = np.radians(30.0)
+"""Deviation from a quarter or half turn up to which a direction counts as one."""
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Where the horizontal commands of a flight lead, in one frame.
+
+    Attributes:
+        turns: k: how many times the measured yaw turns the command.
+        straight: Residual sum of squares with the directions held where they should be.
+        explained: Share of the variance of the acceleration.
+        left: Residual sum of squares [m^2/s^4].
+        angle: Direction of the effect of `x` and of `y`, from where it should be, in (-pi, pi] [rad]; only those told.
+        stderr: Standard error of each [rad].
+    """
+
+    turns: float
+    explained: float
+    left: float
+    straight: float
+    angle: dict[str, float]
+    stderr: dict[str, float]
+
+
+def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Finding]:
+    """Findings about the frames of one flight; none where its directions cannot be told.
+
+    Args:
+        card: That was applied.
+        flight: Commands in the heading frame.
+        motion: Velocity and acceleration by differentiated poses.
+    """
+    moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
+    if not moved or len(motion.time) < LEAST_POSES:
+        return
+    thin = max(1, round(len(motion.time) / max(flight.duration, 1e-9) / RATE))
+    part = Motion(*(getattr(motion, name)[::thin] for name in ("time", "yaw", "command", "velocity", "acceleration")))
+    own = directions(flight, part, moved, 1)
+    others = [directions(flight, part, moved, turns) for turns in _other_turns(card, float(np.std(part.yaw)))]
+    if others:
+        best = min(others, key=lambda other: other.left)
+        if best.left < BETTER * own.left and best.explained > LEAST_EXPLAINED and best.angle:
+            yield _other_frame(card, own, best)
+            return
+    if own.explained > LEAST_EXPLAINED:
+        yield from _turned(card, own, float(np.mean(part.yaw)), float(np.std(part.yaw)))
+
+
+def _other_turns(card: Card, turning: float) -> list[float]:
+    """What k may be if the card is wrong; none where the vehicle turned too little to tell."""
+    yaw = card.pose.get("yaw")
+    others = [(2.0, 0.0), (0.0, -1.0)][card.command_frame == "heading"] if turning > TURNING else ()
+    angle = yaw.unit or "rad" if yaw and card.frame == "ENU" else None
+    units = []
+    if angle == "rad" and (SLIGHT < turning <= TURNING or turning * DEGREE > TURNING):
+        units = [DEGREE]  # between, degrees that hardly turned and commands of the world are one
+    elif angle == "deg" and turning / DEGREE > TURNING:
+        units = [1 / DEGREE]
+    return [*others, *units]
+
+
+def directions(flight: Flight, motion: Motion, moved: list[str], turns: float) -> Directions:
+    """Fits the effect of the horizontal commands in the frame that yaw has turned so many times.
+
+    Args:
+        flight: Commands.
+        motion: Of the flight.
+        moved: Which of `x` and `y` are commanded.
+        turns: k; 1 is the heading frame, 0 the world.
+    """
+    back = np.exp(-1j * turns * motion.yaw)
+    target = (motion.acceleration[:, 0] + 1j * motion.acceleration[:, 1]) * back
+    velocity = (motion.velocity[:, 0] + 1j * motion.velocity[:, 1]) * np.exp(1j * motion.yaw) * back
+    columns, ones = ["xy".index(axis) for axis in moved], np.ones(len(velocity))
+    due = {"x": 1.0 + 0j, "y": 1j}
+    left, straight, design = np.inf, np.inf, np.zeros((0, 0))
+    for lag in LAGS:
+        ahead = lagged_command(flight, motion.time, float(lag))[:, columns] * [due[axis] for axis in moved]
+        rest = [velocity.real + 0j, 1j * velocity.imag, ones, 1j * ones]
+        free = _real(np.column_stack([ahead, 1j * ahead, *rest]))
+        held = _real(np.column_stack([ahead, *rest]))
+        if (remains := _left(free, _real(target))) < left:
+            left, design = remains, free
+        straight = min(straight, _left(held, _real(target)))
+    effect, spread = _jackknife(design, _real(target), len(moved))
+    told = [i for i in range(len(moved)) if abs(effect[i]) > TOLD * spread[i]]
+    return Directions(
+        turns=turns,
+        explained=1 - left / float(np.sum(np.abs(target - target.mean()) ** 2)),
+        left=left,
+        straight=straight,
+        angle={moved[i]: float(np.angle(effect[i])) for i in told},
+        stderr={moved[i]: float(spread[i] / abs(effect[i])) for i in told},
+    )
+
+
+def _real(rows: Complex) -> Array:
+    """Complex rows as twice as many real ones: the dampings of x and y are real, each along its own axis."""
+    return np.concatenate([rows.real, rows.imag])
+
+
+def _left(design: Array, target: Array) -> float:
+    """Residual sum of squares, from the last corner of the triangle of both together."""
+    return float(_triangle(np.column_stack([design, target]))[-1, -1] ** 2)
+
+
+def _triangle(rows: Array) -> Array:
+    """R of the QR factorisation: all that least squares need of the rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array]:
+    """Effects of the commands, along (real) and across, and their standard errors: each stretch left out in turn.
+
+    Stretches, because residuals are coloured by wind and by the windows of the derivatives. Each is first reduced to
+    its triangle.
+    """
+    rows = np.column_stack([design, target])
+    block = np.tile(np.arange(len(rows) // 2) * BLOCKS // (len(rows) // 2), 2)
+    triangles = [_triangle(rows[block == b]) for b in range(BLOCKS)]
+
+    def effects(parts: list[Array]) -> Complex:
+        stacked = np.concatenate(parts)
+        solution = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=None)[0]
+        return np.asarray(solution[:count] + 1j * solution[count : 2 * count])
+
+    parts = np.array([effects(triangles[:b] + triangles[b + 1 :]) for b in range(BLOCKS)])
+    variance: Array = (BLOCKS - 1) / BLOCKS * np.sum(np.abs(parts - parts.mean(axis=0)) ** 2, axis=0)
+    return effects(triangles), np.sqrt(np.maximum(variance, 1e-24))
+
+
+def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
+    """The card's frame is wrong: another explains what it does not."""
+    told = (
+        f"of the horizontal acceleration {100 * best.explained:.0f} % are explained {{}}, {100 * own.explained:.0f} % "
+        "as the card has it"
+    )
+    effect = "input gain, damping and delay of x and y are not the vehicle's: with every turn the commands are mistaken"
+    if best.turns == -1 or (card.command_frame == "world" and best.turns == 0):
+        counted = abs(_wrapped(best.angle.get("y", 0.0) - best.angle.get("x", 0.0))) < np.pi / 2
+        return Finding(
+            "mirrored_pose",
+            "error",
+            told.format("with yaw counted the other way round"),
+            effect,
+            'yaw grows clockwise: give it scale = -1 in [pose] of the card (frame = "NED" if z points down, too)'
+            if counted
+            else "x and y of the pose are exchanged or one of them is turned: make [pose] of the card right-handed",
+        )
+    if best.turns in (DEGREE, 1 / DEGREE):
+        unit = "deg" if best.turns == DEGREE else "rad"
+        instead = f', or write frame = "world" in [command]{SAME_THING}' if best.turns == DEGREE else ""
+        return Finding(
+            "unit_mistake",
+            "error",
+            told.format(f"with yaw in {unit}"),
+            effect,
+            f'give yaw in [pose] of the card unit = "{unit}"{instead}',
+        )
+    world = card.command_frame == "world"
+    return Finding(
+        "command_frame",
+        "error",
+        told.format(f"with commands taken in the {'heading' if world else 'world'} frame"),
+        effect,
+        f'write frame = "{"heading" if world else "world"}" in [command] of the card (now "{card.command_frame}")'
+        + ("" if world else f', or give yaw in [pose] unit = "deg"{SAME_THING}'),
+    )
+
+
+def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator[Finding]:
+    """The frame is right or cannot be told; directions may be off by a constant angle."""
+    off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, TOLD * own.stderr[axis])}
+    if not off or own.left > STRAIGHT * own.straight:
+        return
+    both = len(own.angle) == 2
+    apart = abs(_wrapped(own.angle["y"] - own.angle["x"])) if both else 0.0
+    told = " and ".join(
+        f"{axis} leads {np.degrees(angle):+.0f} +- {np.degrees(own.stderr[axis]):.0f} degrees from where it should"
+        for axis, angle in own.angle.items()
+    )
+    if both and apart > np.pi - NEAR:
+        if abs(abs(own.angle["x"]) - np.pi / 2) < NEAR:
+            yield _exchanged(told, own.angle["x"] < 0)
+        return  # else one sign is turned: the fit tells
+    if both and apart > NEAR:
+        return
+    angle = _mean_angle(own)
+    if abs(angle) > np.pi - NEAR:
+        return  # both signs, or half a turn: the fit tells
+    yield _offset(card, own, told, angle, yaw, turning)
+
+
+def _exchanged(told: str, negative: bool) -> Finding:
+    return Finding(
+        "axes_exchanged",
+        "error",
+        f"{told}: a forward command moves the vehicle {'right' if negative else 'left'}, a left command "
+        f"{'backwards' if negative else 'forwards'}",
+        "no coefficient of x and y is the vehicle's: each is fitted to the command of the other",
+        "exchange the columns of x and y in [command] of the card"
+        + (", both with scale = -1" if negative else "")
+        + ", or those of [pose] if they are the wrong ones",
+    )
+
+
+def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, turning: float) -> Finding:
+    ways = [_yaw_remedy(card, angle)]
+    if turning < TURNING and abs(_wrapped(angle + yaw)) < NEAR and card.command_frame == "heading":
+        ways.append(
+            f'or write frame = "world" in [command]: yaw was held at {np.degrees(yaw):.0f} degrees all the time'
+        )
+    if len(own.angle) == 1 and abs(abs(angle) - np.pi / 2) < NEAR:
+        ways.append("or exchange the columns of x and y in [command], if only those are wrong")
+    return Finding(
+        "yaw_offset",
+        "error" if abs(angle) > np.pi / 4 else "warning",
+        f"a command of {told}",
+        f"input gains of x and y come out {np.cos(angle):.2f} times what they are, and each axis takes the other's "
+        "motion for wind",
+        "; ".join(ways),
+    )
+
+
+def _yaw_remedy(card: Card, angle: float) -> str:
+    """What turns yaw by an angle, given what the card says now."""
+    if "yaw" not in card.pose:
+        return (
+            f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion"
+        )
+    yaw = card.pose["yaw"]
+    raw = angle / UNIT_SCALE[yaw.unit or "rad"] * (-1 if card.frame == "NED" else 1)
+    return f"give yaw in [pose] of the card offset = {yaw.offset + raw:.3g} (now {yaw.offset:g})"
+
+
+def _mean_angle(own: Directions) -> float:
+    weight = np.array([1 / own.stderr[axis] ** 2 for axis in own.angle])
+    return float(np.angle(np.sum(weight * np.exp(1j * np.array(list(own.angle.values()))))))
+
+
+def _wrapped(angle: float) -> float:
+    return float(np.angle(np.exp(1j * angle)))
+
+
+OVER = ("y", "z", "yaw")
+"""What half a turn about the forward axis turns."""
+
+
+def height_sign(flight: Flight) -> int:
+    """+1 where the vehicle is above 0 throughout, -1 where it is below, 0 where z says nothing."""
+    z = flight.position[:, 2]
+    return int(np.min(z) > 0) - int(np.max(z) < 0)
+
+
+def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, ...]:
+    """Which of y, z and yaw lead the other way, where half a turn about the forward axis explains that; else none.
+
+    One axis alone is not enough, unless the vehicle flies below the floor.
+
+    Args:
+        told: Command to answer, as the card has them.
+        height: As of `height_sign`.
+    """
+    sure = {name: answer.sign < 0 for name, answer in told.items() if answer.axis == name}
+    turned = tuple(name for name in OVER if sure.get(name))
+    kept = sure.get("x", False) or any(name in sure and not sure[name] for name in OVER)
+    return () if kept or len(turned) < (1 if height < 0 else 2) else turned
+
+
+def sign_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Finding]:
+    """Findings about signs that are turned together.
+
+    Args:
+        card: That was applied.
+        flight: What came of it.
+        motion: Of the flight.
+    """
+    told, height = answers_of(flight, motion).of, height_sign(flight)
+    turned = overturned(told, height)
+    if not turned or card.command_frame != "heading":
+        return
+    names = " and ".join(filter(None, (", ".join(turned[:-1]), turned[-1])))
+    sure = ", ".join(f"{told[name].certainty:.0f}" for name in turned)
+    straight = ", that of x as it should" if "x" in told and told["x"].axis == "x" else ""
+    where = {1: "; z of the pose is above 0 throughout", -1: "; z of the pose is below 0 throughout", 0: ""}[height]
+    other = "ENU" if card.frame == "NED" else "NED"
+    ways = [
+        f'is the pose {other}? Write frame = "{other}" at the top of the card (now "{card.frame}")',
+        f"are the commands forward, right, down, clockwise? Turn the scale of {names} in [command]",
+    ]
+    yield Finding(
+        "axes_turned",
+        "warning",
+        f"by the motion the command of {names} leads the other way ({sure} standard errors){straight}{where}",
+        f"the input gain of {names} comes out negative; delay and damping keep their values",
+        "; or ".join(ways if height <= 0 else ways[::-1]),
+    )

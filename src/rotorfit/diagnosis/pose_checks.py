@@ -1,0 +1,178 @@
+"""What the poses of a flight give away: leaps of the markers, and units that no vehicle's motion allows."""
+
+from collections.abc import Iterator
+
+import numba
+import numpy as np
+
+from rotorfit.core.finding import Finding, counted
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, UNIT_SCALE, Array, Mask
+from rotorfit.core.results import Motion
+
+LEAP_SIGMAS = 10.0
+"""Robust standard deviations of the steps beside the neighbouring motion beyond which a step may be a leap."""
+
+LEAP_FLOORS = (0.02, 20.0 * 0.15), (0.05, 100.0 * 0.15)
+"""What a step may differ from the neighbouring motion without being a leap, for position [m, m/s] and yaw [rad, rad/s]:
+a floor, and so much for each second of the step. The latter is the speed that 20 m/s^2, or 100 rad/s^2, give in the
+0.15 s by which the neighbours lie apart."""
+
+NEIGHBOURS = 9
+"""Steps on either side whose median speed is the neighbouring motion."""
+
+RETURN = 1.0
+"""Time within which a leap that is undone has come back [s]."""
+
+FASTEST, HARDEST = 30.0, 25.0
+"""Speed [m/s] and acceleration [m/s^2], root mean squares over a flight, that no multirotor keeps."""
+
+FASTEST_TURN = 6.0
+"""Turn rate, root mean square over a flight, that no multirotor keeps [rad/s]: commercial ones end at 1.7 to 5."""
+
+SMALLEST = 0.02
+"""Travel [m], over all of x, y and z, that no flight with commands on them stays within: a hover drifts more."""
+
+
+def pose_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
+    """Findings about the poses of one flight.
+
+    Args:
+        flight: Its poses.
+        motion: Their derivatives.
+    """
+    yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0])
+    yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1])
+    yield from _unit_of_position(flight, motion)
+    yield from _unit_of_yaw(motion)
+
+
+def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array, Array]:
+    """Steps that neighbouring motion does not explain.
+
+    Args:
+        time: Stamps, shape (N,) [s].
+        value: Position or yaw, shape (N, K).
+        floor: Least size of a leap.
+        slope: What is added to it for each second of the step.
+
+    Returns:
+        When each leap ends, shape (J,) [s], and by how much it goes beyond the motion, shape (J, K).
+    """
+    if len(time) < 4 * NEIGHBOURS:
+        return np.zeros(0), np.zeros((0, value.shape[1]))
+    step = np.diff(time)
+    speed = np.diff(value, axis=0) / step[:, None]
+    padded = np.pad(speed, ((NEIGHBOURS, NEIGHBOURS), (0, 0)), mode="edge")
+    beyond = np.diff(value, axis=0) - step[:, None] * _running_median(padded, 2 * NEIGHBOURS + 1)
+    size = np.linalg.norm(beyond, axis=1)
+    sigma = 1.4826 * float(np.median(size))
+    leap: Mask = size > LEAP_SIGMAS * sigma + floor + slope * step
+    return time[1:][leap], beyond[leap]
+
+
+@numba.njit(cache=True)
+def _running_median(values: Array, width: int) -> Array:
+    """Medians of an odd number of neighbours, column by column: shape (N - width + 1, K) of (N, K)."""
+    out = np.empty((values.shape[0] - width + 1, values.shape[1]))
+    for k in range(values.shape[1]):
+        for i in range(out.shape[0]):
+            out[i, k] = np.sort(values[i : i + width, k])[width // 2]
+    return out
+
+
+def position_unit(motion: Motion) -> tuple[str, float] | None:
+    """`cm` or `mm`, whichever brings the speed nearer to 1 m/s, and that speed [m/s] (RMS); None for a speed in metres.
+
+    Args:
+        motion: Of the flight, its position taken for metres.
+    """
+    speed, acceleration = _pace(motion)
+    if speed <= FASTEST and acceleration <= HARDEST:
+        return None
+    unit = min(("cm", "mm"), key=lambda unit: abs(np.log(speed * UNIT_SCALE[unit])))
+    return unit, speed * UNIT_SCALE[unit]
+
+
+def _pace(motion: Motion) -> tuple[float, float]:
+    """Speed [m/s] and acceleration [m/s^2], root mean squares; 0 without any."""
+    if not len(motion.time):
+        return 0.0, 0.0
+    speed, acceleration = (
+        float(np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, axis=1)))) for rows in (motion.velocity, motion.acceleration)
+    )
+    return speed, acceleration
+
+
+def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> Iterator[Finding]:
+    when, by = leaps(time, value, floor, slope)
+    if not len(when):
+        return
+    back = _undone(when, by)
+    largest = float(np.max(np.linalg.norm(by, axis=1)))
+    size = f"{100 * largest:.3g} cm" if what == "position" else f"{np.degrees(largest):.3g} degrees"
+    stay = len(when) - 2 * back
+    concerned = "all coefficients" if what == "yaw" else "input gain and damping of x, y and z"
+    yield Finding(
+        "pose_jumps",
+        "warning",
+        f"the {what} leaps {counted(len(when), 'time')} beside its neighbouring motion, by up to {size}, the first "
+        f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
+        f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
+        "data biased",
+        "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "
+        "out, or leave the stretch out by --span",
+        "yaw" if what == "yaw" else None,
+    )
+
+
+def _undone(when: Array, by: Array) -> int:
+    """How many leaps are followed, soon, by one of the opposite direction and about the same size."""
+    count, used = 0, set()
+    for i in range(len(when)):
+        for j in range(i + 1, len(when)):
+            if i in used or j in used or when[j] - when[i] > RETURN:
+                continue
+            if np.linalg.norm(by[i] + by[j]) < 0.3 * np.linalg.norm(by[i]):
+                used |= {i, j}
+                count += 1
+    return count
+
+
+def _unit_of_yaw(motion: Motion) -> Iterator[Finding]:
+    rate = float(np.sqrt(np.mean(motion.velocity[:, 3] ** 2))) if len(motion.time) else 0.0
+    if rate > FASTEST_TURN:
+        yield Finding(
+            "unit_mistake",
+            "error",
+            f"the vehicle turns with {rate:.3g} rad/s (RMS); no multirotor keeps more than {FASTEST_TURN:g} rad/s",
+            "input gain of yaw is too large by the ratio of the units, and x and y are resolved in a wrong heading",
+            'give yaw in [pose] of the card unit = "deg"',
+            "yaw",
+        )
+
+
+def _unit_of_position(flight: Flight, motion: Motion) -> Iterator[Finding]:
+    if not len(motion.time):
+        return
+    speed, acceleration = _pace(motion)
+    travel = float(np.max(np.ptp(flight.position, axis=0)))
+    commanded = any(np.any(flight.command[:, AXES.index(axis)]) for axis in flight.axes if axis != "yaw")
+    told = f"the vehicle moves with {speed:.3g} m/s and {acceleration:.3g} m/s^2 (RMS) within {travel:.3g} m"
+    if speed > FASTEST or acceleration > HARDEST:
+        yield Finding(
+            "unit_mistake",
+            "error",
+            f"{told}; no multirotor keeps more than {FASTEST:g} m/s or {HARDEST:g} m/s^2",
+            "input gains of x, y and z are too large by the ratio of the units; damping and delay keep their values",
+            f'give x, y and z of [pose] in the card their unit: "cm" makes the travel {travel / 100:.3g} m, "mm" '
+            f"{travel / 1000:.3g} m; check that of time, too",
+        )
+    elif commanded and 0 < travel < SMALLEST:
+        yield Finding(
+            "unit_mistake",
+            "warning",
+            f"{told}, though it is commanded; no flight stays within {100 * SMALLEST:g} cm",
+            "input gains of x, y and z are too small by the ratio of the units; damping and delay keep their values",
+            "check the unit of x, y and z of [pose] in the card: metres read as cm or mm?",
+        )

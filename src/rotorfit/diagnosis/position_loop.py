@@ -1,0 +1,132 @@
+"""Is a command a position controller's answer to the motion, and nothing else? And which came first, by the stamps?
+
+A controller that only holds an axis commands u = c - K p - D v of the pose that it was shown a moment before. Where
+that law is nearly the whole command, nothing else is in it: nobody excites the axis, and a fit that reads the law
+backwards, v = -(u + K p) / D, explains the motion by its own consequence. It gives itself away by a negative gain
+without memory. And since no controller knows the future, a law that fits best to poses that are stamped after the
+command tells that the stamps of the poses are late, or those of the commands early.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, heading_from_world
+from rotorfit.core.results import Motion
+from rotorfit.dynamics.kinematics import motion_from_flight
+
+LAGS = np.arange(-0.30, 0.301, 0.02)
+"""By how much later than the command the poses are stamped that it may answer [s]."""
+
+WHOLE = 0.9
+"""Share of the variance of a command from which on the law is all of it. Of held axes it is 0.96 to 0.99 on simulated
+flights, 0.9998 on the z axis of a recorded one; of axes that are excited inside of such a loop less than 0.6."""
+
+POSITION = 0.5
+"""Share of what velocity alone leaves of the command that may be left with position, too, at most. Velocity alone also
+follows a command that drives it, and then position adds next to nothing: 0.8 to 1 is left on clean flights."""
+
+EARLY = 0.03
+"""Lag from which on a pose comes after its answer [s]: a step and a half of the lags above the best one possible, 0."""
+
+LEAST_COMMANDS = 200
+"""Commands below which nothing is said."""
+
+THINNED = 2000
+"""Commands that are looked at, at most, evenly spread."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A command as an answer to the pose.
+
+    Attributes:
+        lag: By how much later than the command the pose is stamped that it answers best; negative behind a pose [s].
+        explained: Share of the variance of the command.
+    """
+
+    lag: float
+    explained: float
+
+
+def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> Law | None:
+    """The law of a position controller, where that is the whole command of an axis; None where it is not.
+
+    Args:
+        flight: Commands in the heading frame.
+        axis: Name.
+        motion: Of the flight; computed where it is not at hand.
+    """
+    k = AXES.index(axis)
+    if axis not in flight.axes or flight.velocity_only or not np.ptp(flight.command[:, k]) > 0:
+        return None
+    motion = motion or motion_from_flight(flight)
+    inside = (flight.command_time + LAGS[0] > motion.time[0]) & (flight.command_time + LAGS[-1] < motion.time[-1])
+    rows = np.flatnonzero(inside) if len(motion.time) else np.zeros(0, np.int64)
+    if rows.size < LEAST_COMMANDS:
+        return None
+    rows = rows[:: max(1, rows.size // THINNED)]
+    t, u = flight.command_time[rows], flight.command[rows, k]
+    place, rest = _place(flight, k)
+    fits = [_fitted(t + lag, u, motion.time, motion.velocity[:, k], flight.pose_time, place, rest) for lag in LAGS]
+    best = int(np.argmin([left for left, _, _ in fits]))
+    left, alone, gains = fits[best]
+    whole = left < (1 - WHOLE) and left < POSITION * alone and (gains < 0).all()
+    return Law(float(LAGS[best]), 1 - left) if whole and 0 < best < LAGS.size - 1 else None
+
+
+def _place(flight: Flight, k: int) -> tuple[Array, Array]:
+    """Position along an axis at the poses (N,), and what a constant place to be held looks like there (N, C)."""
+    if k < 2:
+        turned = heading_from_world(flight.position[:, :2], flight.yaw)[:, k]
+        return turned, np.column_stack([np.cos(flight.yaw), np.sin(flight.yaw), np.ones(flight.yaw.size)])
+    return (flight.position[:, 2] if k == 2 else flight.yaw), np.ones((flight.yaw.size, 1))
+
+
+def _fitted(
+    t: Array, u: Array, motion_time: Array, velocity: Array, pose_time: Array, place: Array, rest: Array
+) -> tuple[float, float, Array]:
+    """Shares of the command that the law, and velocity alone, leave; gains of position and velocity."""
+    v, p = np.interp(t, motion_time, velocity), np.interp(t, pose_time, place)
+    others = np.column_stack([np.interp(t, pose_time, column) for column in rest.T])
+    total = float(np.sum((u - u.mean()) ** 2))
+    left = []
+    for columns in ([p, v], [v]):
+        design = np.column_stack([*columns, others])
+        solution = np.linalg.lstsq(design, u, rcond=None)[0]
+        left.append((float(np.sum((u - design @ solution) ** 2)) / total, solution))
+    return left[0][0], left[1][0], left[0][1][:2]
+
+
+def restored(flights: Sequence[Flight], axis: str) -> bool:
+    """Whether each flight that commands an axis merely holds it by such a law."""
+    moving = [f for f in flights if axis in f.axes and np.ptp(f.command[:, AXES.index(axis)]) > 0]
+    return bool(moving) and all(restoring_law(flight, axis) is not None for flight in moving)
+
+
+def restoring_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
+    """What a law that answers poses of the future tells of the stamps; at most one finding.
+
+    Args:
+        flight: Commands and poses.
+        motion: Of the flight.
+    """
+    laws = {axis: law for axis in flight.axes if (law := restoring_law(flight, axis, motion))}
+    early = {axis: law for axis, law in laws.items() if law.lag > EARLY}
+    if not early:
+        return
+    told = " and ".join(f"{100 * law.explained:.0f} % of that of {axis}" for axis, law in early.items())
+    least = min(law.lag for law in early.values())
+    yield Finding(
+        "answers_before_motion",
+        "warning",
+        f"commands answer the motion before it is seen: a position controller explains {told} by poses that are "
+        f"stamped {1e3 * least:.0f} ms later",
+        f"the delay of every axis comes out at least {1e3 * least:.0f} ms too long; a fit of the axes that are only "
+        "held reads the feedback backwards",
+        "check the clocks: the poses are stamped late or the commands early; take the stamps at which both were "
+        "received, or give the time of [pose] in the card a negative offset",
+    )

@@ -1,0 +1,308 @@
+"""Recognition: what the names of a log's columns say that they are."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Channel
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Log, Table
+from rotorfit.flights.columns import (
+    clock_of,
+    clocks_of,
+    column,
+    name_without_unit,
+    plain_name,
+    sample_count,
+    series_of,
+    source_of,
+    unit_of_name,
+)
+from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
+
+_COMMAND_FAMILIES = (
+    ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
+    ("(?:u|input|ctrl|control)", "(?:v_?)?"),
+    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position that was asked for
+)
+
+_ASKED = "cmd|command|setpoint|target|goal|desired"
+
+_TOLD = {axis: f"(?:d|t|des)_?v(?:el)?_?{axis}" for axis in "xyz"}  # DVelX, TVX of autopilots
+
+_SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}" for i, axis in enumerate("xyz")}
+
+_SETPOINT |= {"yaw": "yaw_?speed|yaw_?rate|r"}
+
+_TURN_RATE = "yaw|yaw_?rate|psi|psi_?dot|r|w|wz|ang_?z|angular_z"
+
+_FORWARD, _LEFT, _UP = (
+    "lin_?x|linear_x|vf|pitch|theta|forward",
+    "lin_?y|linear_y|vl|roll|phi|left",
+    "lin_?z|linear_z|ve|climb|up",
+)
+
+_PLACE = "(?:(?:pose|transform|position|pos|translation|p|mocap|vicon|optitrack|opt|state|odom|drone|body)_?)*"
+
+_NED = {"x": "pn|north", "y": "pe|east", "z": "pd|down"}
+
+_POSE = {
+    axis: f"{_PLACE}{axis}|{axis}_?(?:pos|position|opt|mocap|u)|(?:position|pos)_{i}|{_NED[axis]}"
+    for i, axis in enumerate("xyz")
+}
+
+_HEADING = {"yaw": f"{_PLACE}(?:yaw|psi|heading)|(?:yaw|psi)_?(?:pos|opt|mocap)"}
+
+_HEADING |= {
+    f"q{part}": f"{_PLACE}(?:(?:orientation|rotation|quaternion|quat|q)_?{part}|q_{i}|q{i + 1})"
+    for i, part in enumerate("wxyz")
+}
+
+_POSE |= _HEADING
+
+_BODY = {axis: f"(?:.*_)?position_{axis}" for axis in "xyz"}
+
+_BODY |= {f"q{part}": f"(?:.*_)?(?:rotation|quaternion)_{part}" for part in "wxyz"}
+
+_Y_UP = {"x": "z", "y": "x", "z": "y", "qw": "qw", "qx": "qz", "qy": "qx", "qz": "qy"}
+
+_STATE = "(?:(?:twist|state|estimate|odom|drone|body|world|local|onboard|mocap|vicon|optitrack|velocity)_?)*"
+
+_VELOCITIES = (
+    {
+        axis: f"{_STATE}(?:v_?g?_?{axis}|(?:vel|velocity|speed|linear|lin)_?{axis}|(?:vel|velocity)_{i})"
+        for i, axis in enumerate("xyz")
+    },
+    {"x": "v_?n|vel_?north", "y": "v_?e|vel_?east", "z": "v_?d|vel_?down"},
+    {"x": "vf", "y": "vl", "z": "ve|vu"},  # forward, left, up
+)
+
+_OF_THE_BODY = "body|(?:^|_)(?:twist_twist|lin_?x|vf)"
+
+_GOAL = "(?:ref|reference|goal|des|desired|target|setpoint|sp)"
+
+_REFERENCE = {axis: f"{_GOAL}_?{axis}|{axis}_?{_GOAL}" for axis in AXES}
+
+_WINDOWS = (
+    ("vehicle_control_mode:flag_control_velocity_enabled", ""),
+    ("vehicle_land_detected:landed", "equals = 0"),
+    ("EV:Id", "opens = 28\ncloses = [11, 17, 18]"),
+    ("/mavros/state:armed", ""),
+    ("/mavros/extended_state:landed_state", "equals = 2"),
+    ("/ardrone/navdata:state", "equals = [3, 4, 7]"),
+    ("/dji_sdk/flight_status:data", "equals = [2, 3]"),
+)
+
+_FLYING = "(?:is_?)?(?:armed|flying|in_?air|airborne|offboard|in_velocity_mode|control_(?:on|active|enabled))"
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """What was recognised of the commands or of the pose.
+
+    Attributes:
+        channels: Quantity to channel.
+        time: Its clock; None where nothing looks like one.
+        table: Its table; None where nothing was recognised.
+    """
+
+    channels: Mapping[str, Channel]
+    time: Channel | None
+    table: str | None = None
+
+
+def commands_in(log: Log) -> Recognised:
+    """Axis to column of the commands, by their names."""
+    return _recognised(log, _commands)
+
+
+def pose_in(log: Log) -> Recognised:
+    """Quantity to column of the pose, by their names; the heading may come from another table of a log of several."""
+    if log.format in ("motive", "vicon"):
+        body = _recognised(log, lambda _, table: _named(table, _BODY))
+        return _z_up(body) if log.format == "motive" else body
+    pose = _recognised(log, _pose)
+    if not pose.channels.keys() & {"x", "y", "z"} or pose.channels.keys() & {"yaw", "qw"} or len(log.tables) == 1:
+        return pose
+    heading = _recognised(log, _attitude)
+    if not pose.channels:
+        return heading  # all that there is of a pose where only velocities are logged
+    return replace(pose, channels={**pose.channels, **heading.channels})
+
+
+def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
+    """Axis to column of the vehicle's own velocity, by their names: of the pose's table where that has one."""
+    taken = {channel.source for channel in commands.channels.values()}
+
+    def names_in(log: Log, table: Table) -> dict[str, str]:
+        known = () if _asked(log, table) or _is_twist_of(commands, table) else _VELOCITIES
+        found = max((_named(table, family) for family in known), key=len, default={})
+        free = {axis: name for axis, name in found.items() if source_of(log, table, name) not in taken}
+        return free if {"x", "y"} <= free.keys() or "z" in free else {}
+
+    beside = log.tables.get(pose.table or "")
+    if beside is not None and {"x", "y"} <= names_in(log, beside).keys():
+        return _recognised(log, lambda log, table: names_in(log, table) if table is beside else {})
+    found = _recognised(log, names_in)
+    return found if found.channels else Recognised({}, None)
+
+
+def is_of_the_body(velocity: Recognised) -> bool:
+    """Whether the names say that a velocity is forward and left: that of an odometry is of the child's frame.
+
+    Source: nav_msgs/Odometry.msg.
+    """
+    names = (velocity.table or "", *(str(channel.source) for channel in velocity.channels.values()))
+    return any(re.search(_OF_THE_BODY, plain_name(name.rpartition(":")[2])) for name in names)
+
+
+def is_of_tello(log: Log, velocity: Recognised) -> bool:
+    """Whether velocities are those of the state packets of a Tello, whose z is down and whose velocities are in dm/s.
+
+    Source: the names of its SDK; the unit is what flights show.
+    """
+    table = log.tables.get(velocity.table or "")
+    named = any(re.search(r"\bvg[xyz]$", str(channel.source)) for channel in velocity.channels.values())
+    return named or (table is not None and "tof" in table.columns)
+
+
+def reference_in(log: Log, commands: Recognised) -> dict[str, Channel]:
+    """What a position controller was told: columns of that name beside the commands, or in the one table of a log."""
+    table = log.tables.get(commands.table or "")
+    if table is None:
+        return {}
+    named = _named(table, {axis: axis for axis in AXES} if _asked(log, table) else _REFERENCE)
+    taken = {channel.source for channel in commands.channels.values()}
+    sources = {axis: source_of(log, table, name) for axis, name in named.items()}
+    return {axis: Channel(source) for axis, source in sources.items() if source not in taken}
+
+
+def windows_in(log: Log) -> list[tuple[str, str]]:
+    """Columns that say when commands count, and what else a card must say of them."""
+    known = [(source, says) for source, says in _WINDOWS if _has(log, source)]
+    if known:
+        return known
+    found = [
+        source_of(log, table, name)
+        for table in log.tables.values()
+        for name, values in table.columns.items()
+        if values.ndim == 1 and re.fullmatch(_FLYING, name_without_unit(name)) and values.dtype.kind in "biuf"
+        if 0 < np.mean(np.nan_to_num(values.astype(np.float64)) != 0) < 1
+    ]
+    return [(source, "") for source in found[:1]]
+
+
+def lacking(log: Log) -> str:
+    """What a log without a card lacks for a fit, by its names, as a clause; empty where nothing is missed."""
+    commands, pose = commands_in(log), pose_in(log)
+    there = [axis for axis in "xyz" if axis in pose.channels]
+    if not commands.channels and there:
+        return "it holds poses but nothing that looks like commands: the log of the commands is needed, too"
+    if commands.channels and velocity_in(log, commands, pose).channels and not {"x", "y"} <= pose.channels.keys():
+        return "it holds commands and velocities but no position: it can be fitted in its velocities"
+    if commands.channels and not there:
+        return "it holds commands but nothing that looks like a position x, y, z or a velocity"
+    return ""
+
+
+def _has(log: Log, source: str) -> bool:
+    table, _, name = source.partition(":")
+    return table in log.tables and name in log.tables[table].columns
+
+
+def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> Recognised:
+    """The stream of the table that is named as a command, in which most is recognised, and that has most samples.
+
+    Only commands are looked for in tables of such names: a Twist may also be what a motion capture has measured.
+    """
+    best: tuple[Table, dict[str, str], int] | None = None
+    most = (False, 0, 0)
+    for table in log.tables.values():
+        names = names_in(log, table)
+        count = series_of(table)[next(iter(names.values()))] if names else 0
+        if names and (rank := (_asked(log, table), len(names), count)) > most:
+            best, most = (table, names, count), rank
+    if best is None:  # a file of matrices: at least its clock
+        only = list(log.tables.values())[:1] if len(log.tables) == 1 else []
+        return Recognised({}, clock_of(log, only[0], sample_count(only[0])) if only else None)
+    table, names, count = best
+    time = clock_of(log, table, count)
+    channels = {
+        what: Channel(source_of(log, table, name), unit=_unit(log, table, name)) for what, name in names.items()
+    }
+    if time is not None and "yaw" in channels and names_in in (_pose, _attitude) and channels["yaw"].unit is None:
+        stamps, yaw = stamps_of(log, time), column(log, channels["yaw"])
+        clean = increasing(stamps)[: len(yaw)] & np.isfinite(yaw[: len(stamps)])
+        if degrees_for_radians(stamps[: len(yaw)][clean], yaw[: len(stamps)][clean]):
+            channels["yaw"] = replace(channels["yaw"], unit="deg")
+    return Recognised(channels, time, table.name)
+
+
+def _unit(log: Log, table: Table, name: str) -> str | None:
+    """A unit that the name says, or the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
+    if log.format.startswith("dataflash") and table.name == "NTUN":
+        return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
+    return unit_of_name(name)
+
+
+def _commands(log: Log, table: Table) -> dict[str, str]:
+    """Axis to column of the family of names (cmd_x, ux, vx_ref ...) that covers most axes, or of a Twist."""
+    twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
+    twist |= {"yaw": "(?:twist_)?angular_z"}
+    families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
+    families.append(_named(table, _TOLD))
+    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are angles of the loops below
+        families = families[-1:]
+    if _asked(log, table):
+        families.append(_named(table, _SETPOINT))
+    if (len(log.tables) > 1 or _asked(log, table)) and not _named(table, _POSE).keys() & {"x", "y", "z"}:
+        families.append(_named(table, twist))
+    return max(families, key=len)
+
+
+def _family(word: str, speed: str) -> dict[str, str]:
+    """Patterns of the axes' names before or after a word that says command."""
+    axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
+    return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
+
+
+def _pose(log: Log, table: Table) -> dict[str, str]:
+    """Quantity to column of a pose; none from a topic that is named as a command or a set-point."""
+    found = {} if _asked(log, table) else _named(table, _POSE)
+    return found if len(log.tables) == 1 or found.keys() & {"x", "y", "z"} else {}
+
+
+def _attitude(log: Log, table: Table) -> dict[str, str]:
+    """A heading alone, of a table that is no set-point: the quaternion where it is whole."""
+    found = {} if _asked(log, table) else _named(table, _HEADING)
+    whole = {name: found[name] for name in found if name != "yaw"}
+    return whole if len(whole) == 4 else {name: found[name] for name in ("yaw",) if name in found}
+
+
+def _is_twist_of(commands: Recognised, table: Table) -> bool:
+    """Whether the commands were recognised in a table: a Twist holds nothing else."""
+    return commands.table == table.name and any("linear" in str(one.source) for one in commands.channels.values())
+
+
+def _asked(log: Log, table: Table) -> bool:
+    """Whether a table of a log of several, or a topic, is named as a command or a set-point."""
+    return (len(log.tables) > 1 or table.name.startswith("/")) and re.search(_ASKED, table.name.lower()) is not None
+
+
+def _z_up(body: Recognised) -> Recognised:
+    """A pose of Motive, which has y up: the three axes are turned in a ring, so no sign changes."""
+    return replace(body, channels={axis: body.channels[own] for axis, own in _Y_UP.items() if own in body.channels})
+
+
+def _named(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:
+    """Quantity to the shortest name that fits its pattern; columns as long as a clock go before others."""
+    found: dict[str, str] = {}
+    series = series_of(table)
+    for name in sorted(series, key=lambda name: (not clocks_of(table, series[name]), len(name))):
+        plain = name_without_unit(name)
+        for quantity, pattern in patterns.items():
+            if quantity not in found and re.fullmatch(pattern, plain):
+                found[quantity] = name
+    return found

@@ -1,0 +1,313 @@
+"""Survey: what is in a log, which card fits, what the flight excites."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError, FlightError
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight, Note
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.log import Log, Table
+from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
+from rotorfit.diagnosis.command_checks import spectrum
+from rotorfit.diagnosis.doctor import damage_findings, findings_of_flight
+from rotorfit.diagnosis.recognition import commands_in, pose_in, velocity_in
+from rotorfit.files.cards import load_card
+from rotorfit.files.log_span import WHOLE, Span, parse_log
+from rotorfit.files.logs import read
+from rotorfit.files.logs.content import one_line
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import clock_of, fitting_cards, sample_count, shape_text, split_source, tables_of
+from rotorfit.flights.other_tables import sample_rows
+from rotorfit.flights.several_files import bound, flights_of
+from rotorfit.flights.stamps import ClockDrift, ClockRelation, Rate, increasing, rate, relation, stamps_of
+from rotorfit.flights.streams import recorder_clock
+
+
+@dataclass(frozen=True)
+class TableSurvey:
+    """One table of a log.
+
+    Attributes:
+        name: As in the log.
+        columns: Names, with the shape behind matrices: `SS (6 x 19780)`.
+        count: Samples.
+        time: Column taken for its clock; None where nothing looks like one.
+        rate: Of that clock.
+        used: Whether the card reads it; without a card, whether its names look like commands, a pose or a velocity.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    count: int
+    time: str | None
+    rate: Rate | None
+    used: bool = True
+
+
+@dataclass(frozen=True)
+class CommandActivity:
+    """How one command moves, weighted by how long each value is held, in the unit that the card leaves it in.
+
+    Attributes:
+        axis: One of `AXES`.
+        nonzero_share: Share of time in which it is not 0.
+        rms: Root mean square.
+        low: Smallest value.
+        high: Largest value.
+        levels: Distinct values.
+        extreme_share: Share of time at the smallest or the largest value, but 0: saturation, where levels are many.
+        bandwidth: Frequency below which 95 % of its power about the mean lies [Hz]; None for a constant.
+    """
+
+    axis: str
+    nonzero_share: float
+    rms: float
+    low: float
+    high: float
+    levels: int
+    extreme_share: float
+    bandwidth: float | None
+
+
+@dataclass(frozen=True)
+class FlightSurvey:
+    """What a card makes of a log.
+
+    Attributes:
+        duration: Length of the segments together [s].
+        segments: Start and end of each [s].
+        command: Rate of the commands as recorded, of the rows that hold one.
+        pose: Rate of the poses as recorded, of the rows that hold one.
+        fresh: Rate of the fresh poses in the flight.
+        stale_share: Share of the recorded poses that repeat the one before.
+        clocks: The poses' clock against the commands'.
+        recorder: `command` and `pose` to the recorder's `log_time` against the `header.stamp`, where both exist.
+        axes: Excitation of each commanded axis.
+        notes: Repairs.
+        findings: What the data doctor says before any fit.
+    """
+
+    duration: float
+    segments: tuple[tuple[float, float], ...]
+    command: Rate
+    pose: Rate
+    fresh: Rate
+    stale_share: float
+    clocks: ClockRelation
+    recorder: Mapping[str, ClockDrift]
+    axes: tuple[CommandActivity, ...]
+    notes: tuple[Note, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is in a log.
+
+    Attributes:
+        path: As given.
+        format: Name of the format.
+        tables: In the order of the log.
+        skipped: Tables that were not decoded, with the reason.
+        notes: What was recovered or left out on reading.
+        fitting: Names of the built-in cards whose columns are all there.
+        card: What the card that was applied calls itself; None where none was given and not exactly one fits.
+        flight: What it makes of the log; None where no card fits or there is no usable flight.
+        problem: Why there is no card or no flight, one line.
+        why: What speaks for that card; None where it was given.
+        recording: Of a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
+        events: What it noted: seconds since the first one, and the text.
+        damage: What is lost of a damaged log.
+    """
+
+    path: str
+    format: str
+    tables: tuple[TableSurvey, ...]
+    skipped: Mapping[str, str]
+    notes: tuple[str, ...]
+    fitting: tuple[str, ...]
+    card: str | None
+    flight: FlightSurvey | None
+    problem: str | None
+    why: str | None = None
+    recording: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[tuple[float, str], ...] = ()
+    damage: Finding | None = None
+
+
+def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
+    """Looks through a log.
+
+    Args:
+        log: As recorded.
+        card: To apply; None for the log's own, or the built-in card that fits, if there is one.
+        span: Part of the flight [s], from the start of its common window.
+
+    Raises:
+        CardError: The card that was given does not fit.
+    """
+    flight, problem, why = None, None, None
+    try:
+        if card is None:
+            proposed = proposal(log)
+            card, why = proposed.card, proposed.why
+    except CardError as err:
+        problem = str(err)
+    if card is not None:
+        card = bound(card, log)
+        try:
+            flight = _flight_survey(log, card, flight_from_log(log, card, span))
+        except FlightError as err:
+            problem = str(err)
+    used = _used(log, card)
+    return Survey(
+        path=str(log.path),
+        format=log.format,
+        tables=tuple(_table_survey(log, table, card, used) for table in log.tables.values()),
+        skipped=log.skipped,
+        notes=log.notes,
+        fitting=tuple(fitting_cards(log)),
+        card=None if card is None else card.name,
+        flight=flight,
+        problem=problem,
+        why=why,
+        recording=_recording(log),
+        events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
+        damage=next(iter(damage_findings(log)), None),
+    )
+
+
+def _recording(log: Log) -> dict[str, str]:
+    """What is attached to a log, the plan by its name; the card is told by `Survey.card`."""
+    told = {key: text for key, text in log.attached.items() if key not in ("plan", "card")}
+    if "plan" not in log.attached:
+        return told
+    try:
+        name = tomllib.loads(log.attached["plan"]).get("name", "without a name")
+    except tomllib.TOMLDecodeError as error:
+        name = f"damaged: {one_line(error)}"
+    return {"plan": str(name), **told}
+
+
+def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:
+    """Reads logs and looks through them; logs that only together hold what the card names are one flight.
+
+    Args:
+        paths: Of the logs, each as `LOG` or `LOG@T0:T1`.
+        card: Name or file of the card to apply; None for the built-in card that fits, if there is one.
+
+    Raises:
+        LogError: A log cannot be read.
+        CardError: The card that was given is none, or does not fit.
+    """
+    chosen = None if card is None else load_card(card)
+    asked = [parse_log(path) for path in paths]
+    logs = [read(one.path) for one in asked]
+    found = [survey(log, chosen, asked[place].span) for place, log in flights_of(logs, chosen)]
+    apart = joined_by_plus(logs) if chosen is None else ""
+    return tuple(replace(one, problem=apart) if apart and not one.flight else one for one in found)
+
+
+def survey_draft(path: str, draft: Path) -> Survey:
+    """Reads a log and looks through it by the card that was drafted for it.
+
+    Args:
+        path: Of the log, as `LOG` or `LOG@T0:T1`.
+        draft: The card; as drafted it need not be complete.
+
+    Raises:
+        LogError: The log cannot be read.
+    """
+    asked = parse_log(path)
+    log = read(asked.path)
+    try:
+        return survey(log, load_card(str(draft)), asked.span)
+    except CardError:
+        found = survey(log, span=asked.span)
+    if found.flight:
+        return found
+    return replace(found, problem=f"the card drafted in {draft} is not complete: fill in the lines marked EDIT")
+
+
+def excitation(flight: Flight) -> tuple[CommandActivity, ...]:
+    """How each commanded axis of a flight is excited."""
+    starts, ends = (np.array([getattr(part, end) for part in flight.segments]) for end in ("start", "end"))
+    time = flight.command_time
+    until = np.minimum(np.append(time[1:], np.inf), ends[np.searchsorted(starts, time, side="right") - 1])
+    columns = {axis: flight.command[:, AXES.index(axis)] for axis in flight.axes}
+    return tuple(_excitation(axis, values, until - time, time) for axis, values in columns.items())
+
+
+def _excitation(axis: str, values: Array, weight: Array, time: Array) -> CommandActivity:
+    low, high = float(np.min(values)), float(np.max(values))
+    at_end = ((values == low) | (values == high)) & (values != 0) & (low < high)
+    return CommandActivity(
+        axis=axis,
+        nonzero_share=float(np.sum(weight[values != 0]) / np.sum(weight)),
+        rms=float(np.sqrt(np.sum(weight * values**2) / np.sum(weight))),
+        low=low,
+        high=high,
+        levels=len(np.unique(values)),
+        extreme_share=float(np.sum(weight[at_end]) / np.sum(weight)),
+        bandwidth=_bandwidth(time, values),
+    )
+
+
+def _bandwidth(time: Array, values: Array) -> float | None:
+    """Frequency below which 95 % of the power of held values lies [Hz]."""
+    if len(time) < 8 or np.ptp(values) == 0:
+        return None
+    frequency, power = spectrum(time, values)
+    total = np.cumsum(power)
+    return None if total[-1] == 0 else float(frequency[np.searchsorted(total, 0.95 * total[-1])])
+
+
+def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
+    streams = {"command": (card.command_time, card.command), "pose": (card.pose_time, card.pose)}
+    command, pose = (stamps_of(log, time)[sample_rows(log, time, parts)] for time, parts in streams.values())
+    stale = sum(note.count for note in flight.notes if note.code == "stale_poses")
+    recorder = {name: recorder_clock(log, time, parts) for name, (time, parts) in streams.items()}
+    return FlightSurvey(
+        duration=flight.duration,
+        segments=tuple((part.start, part.end) for part in flight.segments),
+        command=rate(command),
+        pose=rate(pose),
+        fresh=rate(np.round(flight.pose_time * 1e9).astype(np.int64)),
+        stale_share=stale / len(pose),
+        clocks=relation(command[increasing(command)], pose[increasing(pose)]),
+        recorder={name: value for name, value in recorder.items() if value is not None},
+        axes=excitation(flight),
+        notes=flight.notes,
+        findings=findings_of_flight(log, card, flight),
+    )
+
+
+def _used(log: Log, card: Card | None) -> frozenset[str]:
+    """Names of the tables that matter for a flight."""
+    if card is not None:
+        return tables_of(card) or frozenset(log.tables)
+    commands, pose = commands_in(log), pose_in(log)
+    told = (commands, pose, velocity_in(log, commands, pose))
+    return frozenset(split_source(one.source)[0] for stream in told for one in stream.channels.values())
+
+
+def _table_survey(log: Log, table: Table, card: Card | None, used: frozenset[str]) -> TableSurvey:
+    time = clock_of(log, table, sample_count(table))
+    for own in (card.command_time, card.pose_time) if card is not None else ():
+        if len(log.tables) == 1 or str(own.source).startswith(f"{table.name}:"):
+            time = own
+    stamps = stamps_of(log, time) if time is not None else None
+    return TableSurvey(
+        name=table.name,
+        columns=tuple(name + shape_text(values) for name, values in table.columns.items()),
+        count=sample_count(table) if stamps is None else len(stamps),
+        time=None if time is None else str(time.source).removeprefix(f"{table.name}:"),
+        rate=None if stamps is None else rate(stamps),
+        used=len(log.tables) == 1 or table.name in used,
+    )

@@ -1,0 +1,347 @@
+"""The slow disturbance and the pose noise: a Kalman filter that whitens.
+
+What the commands do not explain is, on each axis of the heading frame,
+
+    n' = s,   s'' = -alpha s' - kappa alpha^2 / 4 s + sqrt(q) xi,   y = n + e,   e ~ N(0, r)
+
+a velocity coloured by two real poles: wind with a memory that acts through drag. The poles sum to -alpha, and they are
+equal where the overlap kappa is 1 and far apart where it is small, so that neither has a name to swap with the other.
+They are the disturbance's own (the Box-Jenkins form), so its four levels share no parameter with the response and the
+information matrix falls into two blocks. The position starts unknown, s and s' start in their stationary state.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array, Indices
+
+LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
+"""q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
+
+STEP_GRAIN = 1e-5
+"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
+to the commands is not rounded."""
+
+LARGEST_SPEED = 10.0
+"""Bound on the standard deviation of s at a start [m/s]: poles near 0 would lose the filter's precision."""
+
+START_POSITION_VARIANCE = 1.0
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+_NODE = 0.5 * (_NODES + 1)
+
+_NODE_WEIGHT = 0.5 * _WEIGHTS
+
+_TERMS = 14
+
+_INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 3)])
+
+
+@numba.njit(cache=True)
+def _impulse_response(series: Array, t: float) -> Any:
+    """n, s and s' at time t after a unit impulse into s'; `series` holds the derivatives of s' at 0."""
+    n = s = d = 0.0
+    for i in range(_TERMS - 1, -1, -1):
+        n = n * t + series[i] * _INVERSE_FACTORIAL[i + 2]
+        s = s * t + series[i] * _INVERSE_FACTORIAL[i + 1]
+        d = d * t + series[i] * _INVERSE_FACTORIAL[i]
+    return n * t * t, s * t, d
+
+
+@numba.njit(cache=True)
+def discretize(damping: float, stiffness: float, dt: float, F: Array, Q: Array) -> None:
+    """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, s') over dt for a unit q.
+
+    A power series in dt, which knows no singular case (equal poles, poles at 0, complex poles), on a step short enough,
+    then doubled.
+    """
+    doublings, step = 0, dt
+    while step * max(damping, np.sqrt(stiffness)) > 1.0:
+        step *= 0.5
+        doublings += 1
+    series = np.empty(_TERMS)
+    series[0], series[1] = 1.0, -damping
+    for i in range(2, _TERMS):
+        series[i] = -damping * series[i - 1] - stiffness * series[i - 2]
+    n, s, d = _impulse_response(series, step)
+    F[0, 0], F[0, 1], F[0, 2] = 1.0, s + damping * n, n
+    F[1, 0], F[1, 1], F[1, 2] = 0.0, d + damping * s, s
+    F[2, 0], F[2, 1], F[2, 2] = 0.0, -stiffness * s, d
+    Q[:] = 0.0
+    for i in range(4):
+        n, s, d = _impulse_response(series, _NODE[i] * step)
+        scale = _NODE_WEIGHT[i] * step
+        Q[0, 0] += scale * n * n
+        Q[0, 1] += scale * n * s
+        Q[0, 2] += scale * n * d
+        Q[1, 1] += scale * s * s
+        Q[1, 2] += scale * s * d
+        Q[2, 2] += scale * d * d
+    Q[1, 0], Q[2, 0], Q[2, 1] = Q[0, 1], Q[0, 2], Q[1, 2]
+    for _ in range(doublings):
+        before = F.copy()
+        Q += before @ Q @ before.T
+        F[:] = before @ before
+
+
+def distinct_steps(time: Array) -> tuple[Array, Indices]:
+    """Steps between stamps, rounded to `STEP_GRAIN` so that few are distinct.
+
+    Args:
+        time: Increasing, shape (B,) [s].
+
+    Returns:
+        The distinct steps, shape (U,) [s], and which of them leads to each stamp, shape (B,).
+    """
+    grains = np.rint(np.diff(time, prepend=time[:1]) / STEP_GRAIN)
+    values, index = np.unique(grains, return_inverse=True)
+    return values * STEP_GRAIN, index.astype(np.int64)
+
+
+@numba.njit(cache=True)
+def step_tables(steps: Array, damping: float, overlap: float) -> Any:
+    """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3)."""
+    F, Q = np.zeros((steps.size, 3, 3)), np.zeros((steps.size, 3, 3))
+    for i in range(steps.size):
+        discretize(damping, 0.25 * overlap * damping * damping, steps[i], F[i], Q[i])
+    return F, Q
+
+
+@numba.njit(cache=True)
+def stationary(levels: Array) -> Any:
+    """Variances of s, never beyond what flies, and of s', uncorrelated, in the stationary state of levels (4,)."""
+    variance = levels[0] / (2 * levels[2])
+    return min(variance / (0.25 * levels[3] * levels[2] * levels[2]), LARGEST_SPEED**2), variance
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
+    """Passes columns of one axis through the filter's gains.
+
+    Args:
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
+        count: Poses in each block, shape (B,): the noise of a block is r / count.
+        fresh: True where a segment starts and the filter starts anew, shape (B,).
+        columns: Data and sensitivities, shape (B, C).
+        levels: q, r, alpha, kappa, shape (4,).
+
+    Returns:
+        Innovations over their standard deviation, shape (B, C), and the innovation variance, shape (B,).
+    """
+    B, C = columns.shape
+    out = np.empty((B, C))
+    variance = np.empty(B)
+    q, r = levels[0], levels[1]
+    F, Q = step_tables(steps, levels[2], levels[3])
+    state = np.zeros((C, 3))
+    p00 = p01 = p02 = p11 = p12 = p22 = 0.0
+    for i in range(B):
+        if fresh[i]:
+            state[:] = 0.0
+            p01 = p02 = p12 = 0.0
+            p00 = START_POSITION_VARIANCE
+            p11, p22 = stationary(levels)
+        else:
+            f, d = F[step[i]], Q[step[i]]
+            f01, f02, f11, f12, f21, f22 = f[0, 1], f[0, 2], f[1, 1], f[1, 2], f[2, 1], f[2, 2]
+            a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
+            a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            a21, a22 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
+            p00 = a00 + a01 * f01 + a02 * f02 + q * d[0, 0]
+            p01 = a01 * f11 + a02 * f12 + q * d[0, 1]
+            p02 = a01 * f21 + a02 * f22 + q * d[0, 2]
+            p11 = a11 * f11 + a12 * f12 + q * d[1, 1]
+            p12 = a11 * f21 + a12 * f22 + q * d[1, 2]
+            p22 = a21 * f21 + a22 * f22 + q * d[2, 2]
+            for j in range(C):
+                n, s, w = state[j, 0], state[j, 1], state[j, 2]
+                state[j, 0] = n + f01 * s + f02 * w
+                state[j, 1] = f11 * s + f12 * w
+                state[j, 2] = f21 * s + f22 * w
+        S = p00 + r / count[i]
+        g0, g1, g2 = p00 / S, p01 / S, p02 / S
+        root = 1.0 / np.sqrt(S)
+        variance[i] = S
+        for j in range(C):
+            e = columns[i, j] - state[j, 0]
+            out[i, j] = e * root
+            state[j, 0] += g0 * e
+            state[j, 1] += g1 * e
+            state[j, 2] += g2 * e
+        p22 -= g2 * p02
+        p12 -= g1 * p02
+        p11 -= g1 * p01
+        p02 -= g0 * p02
+        p01 -= g0 * p01
+        p00 -= g0 * p00
+    return out, variance
+
+
+@numba.njit(cache=True)
+def rotate(vector: Array, c: float, s: float) -> None:
+    """Turns the frame of a (6,) state (n, s, s' of x, then of y) by the angle of cosine c and sine s, in place."""
+    for k in range(3):
+        x, y = vector[k], vector[3 + k]
+        vector[k] = c * x + s * y
+        vector[3 + k] = c * y - s * x
+
+
+@numba.njit(cache=True)
+def propagate(vector: Array, fx: Array, fy: Array) -> None:
+    """Moves a (6,) state one step by the transitions (3, 3) of x and y, in place."""
+    for a in range(2):
+        F = fx if a == 0 else fy
+        n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
+        vector[3 * a] = n + F[0, 1] * s + F[0, 2] * w
+        vector[3 * a + 1] = F[1, 1] * s + F[1, 2] * w
+        vector[3 * a + 2] = F[2, 1] * s + F[2, 2] * w
+
+
+@numba.njit(cache=True)
+def _turn_covariance(P: Array, c: float, s: float) -> None:
+    """Turns the frame of a covariance held as blocks: P[0] of x, P[1] of y, P[2] of x with y, each (3, 3), in place."""
+    cc, ss, cs = c * c, s * s, c * s
+    for i in range(3):
+        for j in range(i, 3):
+            a, b, m, n = P[0, i, j], P[1, i, j], P[2, i, j], P[2, j, i]
+            P[0, i, j] = P[0, j, i] = cc * a + ss * b + cs * (m + n)
+            P[1, i, j] = P[1, j, i] = ss * a + cc * b - cs * (m + n)
+            P[2, i, j] = cc * m - ss * n + cs * (b - a)
+            P[2, j, i] = cc * n - ss * m + cs * (b - a)
+
+
+@numba.njit(cache=True)
+def _step_block(P: Array, F: Array, G: Array) -> None:
+    """P <- F P G^T for the transitions F and G of (n, s, s'), in place."""
+    for j in range(3):
+        s, d = P[1, j], P[2, j]
+        P[0, j] += F[0, 1] * s + F[0, 2] * d
+        P[1, j] = F[1, 1] * s + F[1, 2] * d
+        P[2, j] = F[2, 1] * s + F[2, 2] * d
+    for i in range(3):
+        s, d = P[i, 1], P[i, 2]
+        P[i, 0] += G[0, 1] * s + G[0, 2] * d
+        P[i, 1] = G[1, 1] * s + G[1, 2] * d
+        P[i, 2] = G[2, 1] * s + G[2, 2] * d
+
+
+@numba.njit(cache=True)
+def axis_start(P: Array, levels: Array) -> None:
+    """Fills the covariance P (3, 3) of one axis with what is known before the first pose; levels have shape (4,)."""
+    P[:] = 0.0
+    P[0, 0] = START_POSITION_VARIANCE
+    P[1, 1], P[2, 2] = stationary(levels)
+
+
+@numba.njit(cache=True)
+def start_covariance(P: Array, levels: Array) -> None:
+    """Fills the blocks P (3, 3, 3) with what is known before the first pose."""
+    P[:] = 0.0
+    for a in range(2):
+        axis_start(P[a], levels[a])
+
+
+@numba.njit(cache=True)
+def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float) -> None:
+    """Moves the blocks P (3, 3, 3) one step: half the turn, the step with its driving noise, the other half; in place.
+
+    fx, fy are the transitions and qx, qy the covariances for a unit power, (3, 3); c and s belong to half the turn.
+    """
+    _turn_covariance(P, c, s)
+    for a in range(2):
+        F, Q = (fx, qx) if a == 0 else (fy, qy)
+        _step_block(P[a], F, F)
+        for i in range(3):
+            for j in range(i, 3):
+                P[a, i, j] += levels[a, 0] * Q[i, j]
+                P[a, j, i] = P[a, i, j]
+    _step_block(P[2], fx, fy)
+    _turn_covariance(P, c, s)
+
+
+@numba.njit(cache=True)
+def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
+    """Takes a measured position of one axis into the blocks P (3, 3, 3); fills the gain (6,), returns the variance."""
+    own, other = P[axis], P[1 - axis]
+    S = own[0, 0] + noise
+    for i in range(3):
+        gain[3 * axis + i] = own[i, 0] / S
+        gain[3 * (1 - axis) + i] = (P[2, 0, i] if axis == 0 else P[2, i, 0]) / S
+    for i in range(3):
+        for j in range(3):
+            own[i, j] -= gain[3 * axis + i] * gain[3 * axis + j] * S
+            other[i, j] -= gain[3 * (1 - axis) + i] * gain[3 * (1 - axis) + j] * S
+            P[2, i, j] -= gain[i] * gain[3 + j] * S
+    return S
+
+
+@numba.njit(cache=True)
+def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
+    """The same of a measured velocity s of one axis."""
+    own = P[axis]
+    S = own[1, 1] + noise
+    for i in range(3):
+        gain[3 * axis + i] = own[1, i] / S
+        gain[3 * (1 - axis) + i] = (P[2, 1, i] if axis == 0 else P[2, i, 1]) / S
+    for i in range(3):
+        for j in range(3):
+            P[0, i, j] -= gain[i] * gain[j] * S
+            P[1, i, j] -= gain[3 + i] * gain[3 + j] * S
+            P[2, i, j] -= gain[i] * gain[3 + j] * S
+    return S
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
+    """Passes horizontal columns through one six-state filter that turns with the heading.
+
+    Args:
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
+        count: Poses in each block, shape (B,).
+        fresh: True where a segment starts, shape (B,).
+        yaw: Heading at the blocks, shape (B,) [rad].
+        columns: Data and sensitivities in the world frame, shape (B, C, 2).
+        levels: q, r, alpha, kappa of x and y of the heading frame, shape (2, 4).
+
+    Returns:
+        Innovations over their standard deviation, forward then left, shape (B, C, 2), and the innovation
+        variances, shape (B, 2).
+    """
+    B, C, _ = columns.shape
+    out = np.empty((B, C, 2))
+    variance = np.empty((B, 2))
+    Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
+    Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
+    P = np.zeros((3, 3, 3))
+    state = np.zeros((C, 6))
+    gain = np.empty(6)
+    for i in range(B):
+        if fresh[i]:
+            state[:] = 0.0
+            start_covariance(P, levels)
+        else:
+            fx, fy = Fx[step[i]], Fy[step[i]]
+            half = 0.5 * (yaw[i] - yaw[i - 1])
+            c, s = np.cos(half), np.sin(half)
+            predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, s)
+            for j in range(C):
+                rotate(state[j], c, s)
+                propagate(state[j], fx, fy)
+                rotate(state[j], c, s)
+        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        for a in range(2):
+            S = update_covariance(P, a, levels[a, 1] / count[i], gain)
+            root = 1.0 / np.sqrt(S)
+            variance[i, a] = S
+            for j in range(C):
+                x, y = columns[i, j, 0], columns[i, j, 1]
+                e = (c * x + s * y if a == 0 else c * y - s * x) - state[j, 3 * a]
+                out[i, j, a] = e * root
+                for k in range(6):
+                    state[j, k] += gain[k] * e
+    return out, variance

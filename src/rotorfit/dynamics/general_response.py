@@ -1,0 +1,251 @@
+"""The motion under the general law of `structure`, with every sensitivity that the likelihood needs.
+
+Between two events (a switch of the delayed command, a pose) the command is constant, and `motion_step` leads from one
+to the next, all columns at once. The derivative by the delay enters at the switches: an impulse into the velocity, or
+into the lagged input where there is a lag.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM
+from rotorfit.dynamics.general_step import MEAN, START, demand, demand_slope, lag_series, linear_step, move
+
+WARM_UP = 0.6
+"""Time before the first scored pose over which the lagged input is followed [s]: the longest delay that is searched."""
+
+_DRAG_STEP = 0.005
+
+_CROSS_STEP = 0.01
+
+_SERIES_REACH = 0.5
+
+
+@numba.njit(cache=True)
+def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
+    """Fills what the commands u (K,) demand of every column, shape (K, C)."""
+    K, C = drive.shape
+    for a in range(K):
+        other = u[1 - a] if K == 2 else 0.0
+        for j in range(C):
+            if what[j] == MEAN:
+                drive[a, j] = demand(law, a, u[a], other)
+            elif whose[j] == a and what[j] >= 0:
+                drive[a, j] = demand_slope(law, a, what[j], u[a], other)
+            else:
+                drive[a, j] = 0.0
+
+
+@numba.njit(cache=True)
+def _switch(
+    law: Array, what: Any, whose: Any, v: Array, q: Array, drive: Array, u: Array, at: int, new: float, psi: float
+) -> None:
+    """The delayed command of axis `at` becomes `new`; the derivative by its delay gets its impulse."""
+    K, C = drive.shape
+    before0, before1 = drive[0, 0], drive[K - 1, 0]
+    u[at] = new
+    demands(law, what, whose, u, drive)
+    for j in range(1, C):
+        if what[j] != DELAY or whose[j] != at:
+            continue
+        for a in range(K):
+            impulse = (before0 if a == 0 else before1) - drive[a, 0]
+            if law[a, ORDER] > 0:
+                q[a, j] += impulse / law[a, LAG]
+            elif K == 1:
+                v[0, j] += impulse
+            elif a == 0:
+                v[0, j] += np.cos(psi) * impulse
+                v[1, j] += np.sin(psi) * impulse
+            else:
+                v[0, j] -= np.sin(psi) * impulse
+                v[1, j] += np.cos(psi) * impulse
+
+
+@numba.njit(cache=True)
+def longest_step(law: Array) -> float:
+    """Length of the steps into which a longer stretch is cut [s]."""
+    longest = np.inf
+    for a in range(law.shape[0]):
+        if law[a, ORDER] > 0:
+            rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
+            longest = min(longest, _SERIES_REACH / max(rate + slow, np.sqrt(rate * slow)))
+        if int(law[a, KICKS]) % 2 == 1:
+            longest = min(longest, _DRAG_STEP)
+        if law[a, KICKS] >= 2:
+            longest = min(longest, _CROSS_STEP)
+    return longest
+
+
+@numba.njit(cache=True)
+def advance(
+    t: float, t_end: float, yaw: float, yaw_end: float, k: Any, last: int, command_time: Array, command: Array,
+    law: Array, series: Array, longest: float, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array,
+    trim: Array, u: Array, S: Array, step: Array,
+) -> None:  # fmt: skip
+    """Moves all columns from t to t_end through every switch on the way, in place.
+
+    Args:
+        t: Start [s].
+        t_end: End [s].
+        yaw: Heading at t [rad]; linear in between.
+        yaw_end: Heading at t_end [rad].
+        k: Command in force of each axis, shape (K,).
+        last: One past the last command that may come into force.
+        command_time: Shape (M,) [s].
+        command: Shape (M, K).
+        law: Numbers of the law by axis, shape (K, LAW_SIZE).
+        series: Of `lag_series`.
+        longest: Of `longest_step`.
+        what: Place of the law by which each column is the derivative, or `MEAN`, `START`, `NOTHING`, shape (C,); the
+            mean comes first.
+        whose: Axis of that parameter, shape (C,).
+        p: World positions, shape (K, C).
+        v: World velocities, shape (K, C).
+        q: Lagged demand (second order: acceleration) in the heading frame, shape (K, C).
+        drive: Demand in the heading frame, shape (K, C).
+        trim: Trim acceleration in the heading frame, shape (K, C).
+        u: Command in force, shape (K,).
+        S: Work space, shape (K, 3, 12).
+        step: Work space, shape (K, C).
+    """
+    K = law.shape[0]
+    begin, span = t, max(t_end - t, 1e-12)
+    kicked = law[0, KICKS] + law[K - 1, KICKS] > 0
+    while t < t_end:
+        t_next, switch = t_end, -1
+        for j in range(K):
+            if k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t_next:
+                t_next, switch = command_time[k[j] + 1] + law[j, DELAY], j
+        if t_next > t:
+            pieces = int(np.ceil((t_next - t) / longest - 1e-9)) if longest < t_next - t else 1
+            dt = (t_next - t) / pieces
+            psi = yaw + (yaw_end - yaw) * (0.5 * (t + t_next) - begin) / span
+            c, s = (np.cos(psi), np.sin(psi)) if K == 2 else (1.0, 0.0)
+            for a in range(K):
+                linear_step(law, series, a, dt, S)
+            for _ in range(pieces):
+                move(law, what, whose, p, v, q, drive, trim, S, step, c, s, dt, kicked)
+            t = t_next
+        if switch >= 0:
+            psi = yaw + (yaw_end - yaw) * (t - begin) / span
+            _switch(law, what, whose, v, q, drive, u, switch, command[k[switch] + 1, switch], psi)
+            k[switch] += 1
+
+
+@numba.njit(cache=True)
+def command_in_force(
+    t: float, first: int, last: int, command_time: Array, command: Array, law: Array, k: Any, u: Array
+) -> None:
+    """Fills which command of each axis is in force at t, and its value, both shape (K,)."""
+    for j in range(law.shape[0]):
+        k[j] = first
+        while k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t:
+            k[j] += 1
+        u[j] = command[k[j], j]
+
+
+@numba.njit(cache=True)
+def motion_response(
+    starts: Array,
+    pose_range: Any,
+    command_range: Any,
+    pose_time: Array,
+    block: Any,
+    command_time: Array,
+    command: Array,
+    weight: Array,
+    yaw: Array,
+    law: Array,
+    what: Any,
+    whose: Any,
+    velocity: Array,
+) -> Array:
+    """Block means of the position under the general law, and its sensitivities.
+
+    Args:
+        starts: Start of each segment, shape (S,) [s].
+        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        command_range: The same for the commands, shape (S, 2).
+        pose_time: Shape (N,) [s].
+        block: Block of each pose, shape (N,).
+        command_time: Shape (M,) [s].
+        command: Shape (M, K); two axes are forward and left.
+        weight: One over the number of poses of each block, shape (B,).
+        yaw: Heading at the poses, shape (N,) [rad]; linear in between; one axis does not look at it.
+        law: Numbers of the law by axis, shape (K, LAW_SIZE).
+        what: Of each column, see `advance`, shape (C,).
+        whose: Axis of that parameter, shape (C,); of a velocity at the start, its world component.
+        velocity: World, at the start of each segment, shape (S, K).
+
+    Returns:
+        Shape (B, C, K), world components where K is 2.
+    """
+    C, K = what.size, law.shape[0]
+    out = np.zeros((weight.size, C, K))
+    p, v, q, drive, trim, step = (
+        np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)),
+    )  # fmt: skip
+    u, S, k = np.zeros(K), np.zeros((K, 3, 12)), np.zeros(K, np.int64)
+    series, longest = lag_series(law), longest_step(law)
+    lagged = law[:, ORDER].max() > 0
+    for s in range(starts.size):
+        first, last = command_range[s, 0], command_range[s, 1]
+        t = starts[s] - WARM_UP if lagged else starts[s]
+        command_in_force(t, first, last, command_time, command, law, k, u)
+        demands(law, what, whose, u, drive)
+        v[:] = 0.0
+        trim[:] = 0.0
+        q[:] = drive
+        i0 = pose_range[s, 0]
+        heading = yaw[i0]
+        if lagged:
+            advance(
+                t, starts[s], heading, heading, k, last, command_time, command, law, series, longest, what, whose, p,
+                v, q, drive, trim, u, S, step,
+            )  # fmt: skip
+            t = starts[s]
+        _begin(law, what, whose, v, q, trim, velocity[s], heading)
+        p[:] = 0.0
+        for i in range(i0, pose_range[s, 1]):
+            if t < pose_time[i]:
+                advance(
+                    t, pose_time[i], heading, yaw[i], k, last, command_time, command, law, series, longest, what,
+                    whose, p, v, q, drive, trim, u, S, step,
+                )  # fmt: skip
+                t = pose_time[i]
+            heading = yaw[i]
+            w = weight[block[i]]
+            for a in range(K):
+                for j in range(C):
+                    out[block[i], j, a] += w * p[a, j]
+    return out
+
+
+@numba.njit(cache=True)
+def _begin(law: Array, what: Any, whose: Any, v: Array, q: Array, trim: Array, velocity: Array, yaw: float) -> None:
+    """Sets the trims, and the world velocity of a start in the place of that of the warm-up.
+
+    The acceleration of a second order answers to the change of velocity and to the trim as it would after its lag.
+    """
+    K, C = v.shape
+    c, s = (np.cos(yaw), np.sin(yaw)) if K == 2 else (1.0, 0.0)
+    for j in range(C):
+        x, y = -v[0, j], -v[K - 1, j]
+        for a in range(K):
+            mine = whose[j] == a
+            trim[a, j] = law[a, TRIM] if what[j] == MEAN else (1.0 if what[j] == TRIM and mine else 0.0)
+            v[a, j] = velocity[a] if what[j] == MEAN else (1.0 if what[j] == START and mine else 0.0)
+        x, y = x + v[0, j], y + v[K - 1, j]
+        for a in range(K):
+            if law[a, ORDER] < 2:
+                continue
+            change = x if K == 1 else (c * x + s * y if a == 0 else c * y - s * x)
+            q[a, j] += trim[a, j] - law[a, DAMPING] * change
+            if what[j] == MEAN:
+                for i in range(C):
+                    if what[i] == DAMPING and whose[i] == a:
+                        q[a, i] -= change

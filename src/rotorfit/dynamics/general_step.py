@@ -1,0 +1,231 @@
+"""One step of the motion under the general law of `structure`: the demand, the linear step, the kicks.
+
+The linear part of the law, lag included, is stepped in closed form. Quadratic drag and the damping across the axes act
+as kicks on the velocity, half before and half after each linear step (Strang splitting, error of second order in a step
+of a few milliseconds). A column is the motion itself or its derivative by one parameter; all columns pass through the
+same steps.
+
+Source: G. Strang, SIAM J. Numer. Anal. 5 (1968), pp. 506-517, for the splitting.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import (
+    ASYMMETRY,
+    CROSS_DAMPING,
+    CROSS_INPUT,
+    DAMPING,
+    DEAD,
+    GAIN,
+    KICKS,
+    LAG,
+    LEVEL,
+    ORDER,
+    SHARE,
+    SPEED,
+)
+from rotorfit.dynamics.response import transition
+
+MEAN, START, NOTHING = -1, -2, -3
+"""What a column is besides the derivative by a place of the law: the motion, the derivative by the velocity at the
+start, or nothing."""
+
+_TERMS = 12
+
+_INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 4)])
+
+
+@numba.njit(cache=True)
+def demand(law: Array, a: int, u: float, other: float) -> float:
+    """The acceleration w that a command of axis a and one of the other axis demand."""
+    size = min(max(abs(u) - law[a, DEAD], 0.0), law[a, LEVEL])
+    signed = size if u >= 0 else -size
+    return law[a, GAIN] * (signed + law[a, ASYMMETRY] * size) + law[a, CROSS_INPUT] * other  # type: ignore[no-any-return]
+
+
+@numba.njit(cache=True)
+def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> float:
+    """Derivative of the demand by a place of the law."""
+    over = abs(u) - law[a, DEAD]
+    size = min(max(over, 0.0), law[a, LEVEL])
+    sign = 1.0 if u >= 0 else -1.0
+    if place == GAIN:
+        return size * (sign + law[a, ASYMMETRY])  # type: ignore[no-any-return]
+    if place == ASYMMETRY:
+        return law[a, GAIN] * size  # type: ignore[no-any-return]
+    if place == LEVEL and over > law[a, LEVEL]:
+        return law[a, GAIN] * (sign + law[a, ASYMMETRY])  # type: ignore[no-any-return]
+    if place == DEAD and 0.0 < over < law[a, LEVEL]:
+        return -law[a, GAIN] * (sign + law[a, ASYMMETRY])  # type: ignore[no-any-return]
+    return other if place == CROSS_INPUT else 0.0
+
+
+@numba.njit(cache=True)
+def lag_series(law: Array) -> Array:
+    """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 4, 3, terms).
+
+    The answer's derivative, itself, its integral and its second integral; each with its derivatives by A and B.
+    """
+    K = law.shape[0]
+    out = np.zeros((K, 4, 3, _TERMS))
+    for a in range(K):
+        if law[a, ORDER] == 0:
+            continue
+        rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
+        A, B = (rate + slow if law[a, ORDER] == 1 else rate), rate * slow
+        raw = np.zeros((3, _TERMS))
+        raw[0, 0], raw[0, 1], raw[1, 1] = 1.0, -A, -1.0
+        for i in range(2, _TERMS):
+            raw[0, i] = -A * raw[0, i - 1] - B * raw[0, i - 2]
+            raw[1, i] = -raw[0, i - 1] - A * raw[1, i - 1] - B * raw[1, i - 2]
+            raw[2, i] = -raw[0, i - 2] - A * raw[2, i - 1] - B * raw[2, i - 2]
+        for order in range(4):
+            for i in range(_TERMS):
+                for d in range(3):
+                    out[a, order, d, i] = raw[d, i] * _INVERSE_FACTORIAL[i + order]
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def _horner(series: Array, a: int, n: int, d: int, t: float) -> float:
+    value = 0.0
+    for i in range(_TERMS - 1, -1, -1):
+        value = value * t + series[a, n, d, i]
+    return value
+
+
+@numba.njit(cache=True, inline="always")
+def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
+    """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
+
+    S[a] has shape (3, 12): in each row what p gains, v and q become (four each) from v, q, the demand and the trim.
+    """
+    order, beta = law[a, ORDER], law[a, DAMPING] * (1.0 - law[a, SHARE])
+    if order < 2:
+        f, k, h, df, dk, dh = transition(beta, dt)
+        S[a, 0, 0], S[a, 0, 2], S[a, 0, 3], S[a, 0, 4], S[a, 0, 6], S[a, 0, 7] = k, h, h, f, k, k
+        S[a, 1, 0], S[a, 1, 2], S[a, 1, 3], S[a, 1, 4], S[a, 1, 6], S[a, 1, 7] = dk, dh, dh, df, dk, dk
+    if order == 0:
+        return
+    rate = 1.0 / law[a, LAG]
+    G, J = _horner(series, a, 1, 0, dt) * dt, _horner(series, a, 2, 0, dt) * dt * dt
+    GA, GB = _horner(series, a, 1, 1, dt) * dt, _horner(series, a, 1, 2, dt) * dt
+    JA, JB = _horner(series, a, 2, 1, dt) * dt * dt, _horner(series, a, 2, 2, dt) * dt * dt
+    if order == 1:
+        S[a, 0, 1], S[a, 0, 5] = J, G
+        S[a, 1, 1], S[a, 1, 5] = JA + rate * JB, GA + rate * GB
+        S[a, 2, 1], S[a, 2, 5] = JA + beta * JB, GA + beta * GB
+        fade = np.exp(-rate * dt)
+        S[a, 0, 9], S[a, 0, 10] = fade, 1.0 - fade
+        S[a, 2, 2], S[a, 2, 6], S[a, 2, 9], S[a, 2, 10] = 0.0, 0.0, -dt * fade, dt * fade
+        for d in range(3):
+            S[a, d, 2] -= S[a, d, 1]
+            S[a, d, 6] -= S[a, d, 5]
+        return
+    D, DA, DB = _horner(series, a, 0, 0, dt), _horner(series, a, 0, 1, dt), _horner(series, a, 0, 2, dt)
+    cube = dt * dt * dt
+    H, HA, HB = (
+        _horner(series, a, 3, 0, dt) * cube,
+        _horner(series, a, 3, 1, dt) * cube,
+        _horner(series, a, 3, 2, dt) * cube,
+    )
+    B = rate * beta
+    S[a, 0, 0], S[a, 0, 1], S[a, 0, 2] = G + rate * J, J, rate * H
+    S[a, 0, 4], S[a, 0, 5], S[a, 0, 6] = D + rate * G, G, rate * J
+    S[a, 0, 8], S[a, 0, 9], S[a, 0, 10] = -B * G, D, rate * G
+    for d, dA, dB in ((1, 0.0, rate), (2, 1.0, beta)):
+        D1, G1, J1, H1 = dA * DA + dB * DB, dA * GA + dB * GB, dA * JA + dB * JB, dA * HA + dB * HB
+        S[a, d, 0], S[a, d, 1], S[a, d, 2] = G1 + rate * J1 + dA * J, J1, rate * H1 + dA * H
+        S[a, d, 4], S[a, d, 5], S[a, d, 6] = D1 + rate * G1 + dA * G, G1, rate * J1 + dA * J
+        S[a, d, 8], S[a, d, 9], S[a, d, 10] = -B * G1 - dB * G, D1, rate * G1 + dA * G
+    for d in range(3):
+        S[a, d, 3], S[a, d, 7], S[a, d, 11] = S[a, d, 2], S[a, d, 6], S[a, d, 10]
+
+
+@numba.njit(cache=True)
+def _kick(law: Array, what: Any, whose: Any, v: Array, dt: float) -> None:
+    """Quadratic drag and the damping across act for dt on the velocities (K, C) in the heading frame."""
+    K, C = v.shape
+    for a in range(K):
+        if int(law[a, KICKS]) % 2 == 0:
+            continue
+        b, share, speed = law[a, DAMPING], law[a, SHARE], law[a, SPEED]
+        before = v[a, 0]
+        spent = dt * abs(before)
+        left = 1.0 / (1.0 + b * share / speed * spent)
+        v[a, 0] = before * left
+        for j in range(1, C):
+            v[a, j] *= left * left
+            if whose[j] == a and (what[j] == DAMPING or what[j] == SHARE):
+                v[a, j] -= spent * before * left * left * (share if what[j] == DAMPING else b) / speed
+    if K == 2 and law[0, KICKS] + law[1, KICKS] >= 2:
+        first, second = law[0, CROSS_DAMPING] * dt, law[1, CROSS_DAMPING] * dt
+        x, y = v[0, 0], v[1, 0]
+        for j in range(C):
+            vx, vy = v[0, j], v[1, j]
+            v[0, j] = vx - first * vy + 0.5 * first * second * vx
+            v[1, j] = vy - second * vx + 0.5 * first * second * vy
+            if what[j] == CROSS_DAMPING and whose[j] == 0:
+                v[0, j] += dt * (0.5 * second * x - y)
+                v[1, j] += dt * 0.5 * second * y
+            elif what[j] == CROSS_DAMPING and whose[j] == 1:
+                v[0, j] += dt * 0.5 * first * x
+                v[1, j] += dt * (0.5 * first * y - x)
+
+
+@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+def move(
+    law: Array, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array, trim: Array, S: Array, step: Array,
+    c: float, s: float, dt: float, kicked: bool,
+) -> None:  # fmt: skip
+    """Moves all columns by dt; `S` (K, 3, 12) holds the linear step, the heading has cosine c and sine s.
+
+    The way of each column (K, C) is gathered in `step`.
+    """
+    K, C = p.shape
+    if K == 2:
+        for j in range(C):
+            v[0, j], v[1, j] = c * v[0, j] + s * v[1, j], c * v[1, j] - s * v[0, j]
+    if kicked:
+        _kick(law, what, whose, v, 0.5 * dt)
+    for a in range(K):
+        v0, q0, w0, c0 = v[a, 0], q[a, 0], drive[a, 0], trim[a, 0]
+        pv, pq, pw, pc = S[a, 0, 0], S[a, 0, 1], S[a, 0, 2], S[a, 0, 3]
+        vv, vq, vw, vc = S[a, 0, 4], S[a, 0, 5], S[a, 0, 6], S[a, 0, 7]
+        if law[a, ORDER] == 0:
+            for j in range(C):
+                vj, wj, cj = v[a, j], drive[a, j], trim[a, j]
+                step[a, j] = pv * vj + pw * wj + pc * cj
+                v[a, j] = vv * vj + vw * wj + vc * cj
+        else:
+            qv, qq, qw, qc = S[a, 0, 8], S[a, 0, 9], S[a, 0, 10], S[a, 0, 11]
+            for j in range(C):
+                vj, qj, wj, cj = v[a, j], q[a, j], drive[a, j], trim[a, j]
+                step[a, j] = pv * vj + pq * qj + pw * wj + pc * cj
+                v[a, j] = vv * vj + vq * qj + vw * wj + vc * cj
+                q[a, j] = qv * vj + qq * qj + qw * wj + qc * cj
+        for j in range(1, C):
+            if whose[j] != a or not (what[j] == DAMPING or what[j] == SHARE or what[j] == LAG):
+                continue
+            d, scale = 1, 1.0 - law[a, SHARE]
+            if what[j] == SHARE:
+                scale = -law[a, DAMPING]
+            elif what[j] == LAG:
+                d, scale = 2, -1.0 / law[a, LAG] ** 2
+            step[a, j] += scale * (S[a, d, 0] * v0 + S[a, d, 1] * q0 + S[a, d, 2] * w0 + S[a, d, 3] * c0)
+            v[a, j] += scale * (S[a, d, 4] * v0 + S[a, d, 5] * q0 + S[a, d, 6] * w0 + S[a, d, 7] * c0)
+            q[a, j] += scale * (S[a, d, 8] * v0 + S[a, d, 9] * q0 + S[a, d, 10] * w0 + S[a, d, 11] * c0)
+    if kicked:
+        _kick(law, what, whose, v, 0.5 * dt)
+    if K == 1:
+        for j in range(C):
+            p[0, j] += step[0, j]
+        return
+    for j in range(C):
+        p[0, j] += c * step[0, j] - s * step[1, j]
+        p[1, j] += s * step[0, j] + c * step[1, j]
+        v[0, j], v[1, j] = c * v[0, j] - s * v[1, j], s * v[0, j] + c * v[1, j]

@@ -1,0 +1,175 @@
+"""Convert: the same drone under other tilt, climb and rotation limits.
+
+Gains are per command. Where a command is a fraction of a limit, another limit makes another gain of the same vehicle;
+damping, delay, disturbance and trim are the vehicle's and the air's, and stay.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import ModelError
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.limits import Conversion, Meaning, gain_factor, limit_text, meaning_of
+from rotorfit.core.model import Model, with_findings
+from rotorfit.dynamics.physics import with_physics
+from rotorfit.files.cards import card_from_mapping
+
+PER_COMMAND: Mapping[str, int] = {
+    "input": 1,
+    "steady_gain": 1,
+    "input_up": 1,
+    "input_down": 1,
+    "cross_input": 1,
+    "level": -1,
+    "dead_zone": -1,
+}
+"""Name of a parameter or combination to the power of the factor that it is multiplied by: 1 for what is per command,
+-1 for what is in commands. What is not named goes with the noun that holds it; outside of any it stays.
+
+Whoever adds a parameter in the unit of the command to a structure adds its line here: coefficients, errors, intervals,
+combinations, optima, predictor and covariance all go by this table. `cross_input` is per command of the other
+horizontal axis, which has the same limit.
+"""
+
+
+def convert(model: Model, limits: Mapping[str, Any]) -> Model:
+    """The same vehicle under other limits.
+
+    Gains of axes whose commands are fractions of a changed limit are multiplied by tan(t') / tan(t) for the tilt, and
+    by the ratio for speeds and rates: input gains, steady gains, their errors and intervals, optima, the covariance and
+    the paper's coefficients. Everything else stays. Commands u of the old setting are u divided by that factor under
+    the new one; then both models predict the same motion.
+
+    Args:
+        model: Its card says what the commands mean and what the limits were.
+        limits: The new settings in the form of a card's `[limits]`, as `settings.limits_from_text` gives them; those
+            that are not named stay.
+
+    Returns:
+        The model with the new limits in its card and the old ones in `conversion`; back under its first limits it is
+        the first model again.
+
+    Raises:
+        CardError: A limit, unit or size that no card may have.
+        ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits are
+            those of the model.
+
+    Source: at constant height a tilt t accelerates by 9.81 tan(t).
+    """
+    card = _card_under(model, limits)
+    factors = dict.fromkeys(AXES, 1.0)
+    for limit in limits:
+        for axis in _axes_of(model, limit):
+            factors[axis] = gain_factor(limit, model.card.limits[limit], card.limits[limit])
+    if card.limits == model.card.limits:
+        raise ModelError(f"the model already has this {' and '.join(limits)}: nothing to convert")
+    converted = replace(
+        model,
+        card=card,
+        axes={name: scaled(axis, factors[name]) for name, axis in model.axes.items()},
+        covariance=_covariance(model, factors),
+        paper=tuple(
+            None if value is None else value * (factors[AXES[k // 2]] if k % 2 == 0 else 1.0)
+            for k, value in enumerate(model.paper)
+        ),
+        conversion=_conversion(model, card, factors),
+        uncertainty=None,  # these two are of the flights as they were flown
+        leave_one_out=None,
+    )
+    return with_physics(with_findings(converted, _findings(converted)))
+
+
+def _card_under(model: Model, limits: Mapping[str, Any]) -> Card:
+    """The model's card with these limits; that of its flights again where these are theirs."""
+    raw = {**model.card.raw, "limits": {**model.card.raw.get("limits", {}), **limits}}
+    card = card_from_mapping(raw, "under the new limits")
+    if model.conversion is None or card.limits != _flown_under(model, model.conversion).limits:
+        return card
+    return _flown_under(model, model.conversion)
+
+
+def _flown_under(model: Model, conversion: Conversion) -> Card:
+    """The card of the flights that the model was fitted to."""
+    return card_from_mapping({**model.card.raw, "limits": conversion.limits}, "of the fit")
+
+
+def _axes_of(model: Model, limit: str) -> list[str]:
+    """The axes whose commands are fractions of a limit."""
+    meanings = {axis: meaning_of(model.card, axis) for axis in model.card.command}
+    concerned = [axis for axis, meaning in meanings.items() if meaning.limit == limit]
+    if not concerned:
+        said = [meaning.reason or f"{axis} is {_fraction(meaning)}" for axis, meaning in meanings.items()]
+        raise ModelError(
+            f"no command of the model's card is a fraction of {limit}, so nothing converts: {'; '.join(said)}"
+        )
+    if limit not in model.card.limits:
+        raise ModelError(
+            f"the model's card does not say what {limit} was set in its flights: add it to [limits] of the card, "
+            "fit again, then convert"
+        )
+    return concerned
+
+
+def _fraction(meaning: Meaning) -> str:
+    return f"a fraction of {meaning.limit}" if meaning.limit else f"{meaning.asked} in SI units"
+
+
+def scaled(value: Any, factor: float, power: int = 0) -> Any:
+    """A noun, mapping or tuple of numbers with all that is per command multiplied by a factor, by `PER_COMMAND`.
+
+    Args:
+        value: What it is; texts, None and truth values stay as they are.
+        factor: Of the gains.
+        power: Of the factor, for numbers that no name inside decides.
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value * factor**power if power else value
+    if isinstance(value, tuple):
+        return tuple(scaled(part, factor, power) for part in value)
+    if isinstance(value, Mapping):
+        return {name: scaled(part, factor, PER_COMMAND.get(name, power)) for name, part in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {each.name: getattr(value, each.name) for each in fields(value)}
+        return replace(value, **scaled(parts, factor, power))
+    return value
+
+
+def _covariance(model: Model, factors: Mapping[str, float]) -> Array:
+    parts = (name.split(".", 1) for name in model.covariance_names)
+    scale = np.array([factors[axis] ** PER_COMMAND.get(name, 0) for axis, name in parts])
+    return model.covariance * np.outer(scale, scale)
+
+
+def _conversion(model: Model, card: Card, factors: Mapping[str, float]) -> Conversion | None:
+    """What was done since the fit; None where the limits of the flights are back."""
+    before = model.conversion or Conversion(dict(model.card.raw["limits"]), dict.fromkeys(AXES, 1.0))
+    if card.raw["limits"] == before.limits:
+        return None
+    return Conversion(before.limits, {axis: before.factor[axis] * factors[axis] for axis in AXES})
+
+
+def _findings(model: Model) -> list[Finding]:
+    """The findings of the fit, and that their figures are those of the old limits."""
+    kept = [finding for finding in model.findings if finding.code != "converted"]
+    if model.conversion is None:
+        return kept
+    old = _flown_under(model, model.conversion).limits
+    changes = [
+        f"{name} {limit_text(name, value)} to {limit_text(name, model.card.limits[name])}"
+        for name, value in old.items()
+        if model.card.limits[name] != value
+    ]
+    factors = [f"{axis} {factor:.4g}" for axis, factor in model.conversion.factor.items() if factor != 1]
+    told = Finding(
+        "converted",
+        "info",
+        f"the flights were flown under other limits: {', '.join(changes)}; gains times {', '.join(factors)}",
+        "coefficients, intervals and covariance are those of the new limits; figures in other findings are of the old",
+        "validate on a flight under the new limits before you rely on large commands",
+    )
+    return [*kept, told]

@@ -1,0 +1,195 @@
+"""Physics of a model: accelerations, speeds and times beside what the card makes one expect of them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import PEOPLE, Figure, Meaning, Quantity, expectation, limit_that_gives, meaning_of
+from rotorfit.core.model import Axis, Model
+
+QUANTITIES = ("acceleration", "steady_speed", "time_constant", "total_lag")
+"""What is said of every axis, in this order."""
+
+_PER = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+
+
+def physics(model: Model) -> dict[str, dict[str, Quantity]]:
+    """Physical quantities of every axis, each with the model's own 95 % interval carried over.
+
+    `acceleration` is the input gain, `steady_speed` the steady gain: at full command where commands are fractions of a
+    limit, per unit of command where they are SI. `time_constant` is 1 / damping, `total_lag` delay + 1 / damping.
+    A tilt has an expected acceleration, a commanded speed or rate an expected steady speed; see `settings`.
+
+    Args:
+        model: Of any method.
+
+    Returns:
+        Axis name to `QUANTITIES`. What the card or the data do not tell is None, with a reason.
+    """
+    return {axis: _quantities(model, axis) for axis in AXES}
+
+
+def with_physics(model: Model) -> Model:
+    """The model with its physics, for the model file."""
+    return replace(model, physics=physics(model))
+
+
+def compared(model: Model, axis: str) -> Quantity:
+    """The quantity of an axis that its card says something about: of a tilt the acceleration, else the steady speed."""
+    asked = meaning_of(model.card, axis).asked
+    return _quantities(model, axis)["acceleration" if asked == "tilt" else "steady_speed"]
+
+
+def _quantities(model: Model, axis: str) -> dict[str, Quantity]:
+    known, meaning = model.axes[axis], meaning_of(model.card, axis)
+    length = "rad" if axis == "yaw" else "m"
+    per = f" per {_PER[meaning.asked]}" if meaning.asked and not meaning.limit else ""
+    tilt, no_gain = meaning.asked == "tilt", _why_not(known, "steady_gain")
+    return {
+        "acceleration": _quantity(_input(known), f"{length}/s^2{per}", meaning, tilt, _why(known, "input")),
+        "steady_speed": _quantity(_steady(known), f"{length}/s{per}", meaning, not tilt, no_gain),
+        "time_constant": _time(_time_constant(known), _why(known, "damping")),
+        "total_lag": _time(_combination(known, "total_lag"), _why_not(known, "total_lag")),
+    }
+
+
+def _quantity(measured: Figure | None, unit: str, meaning: Meaning, expects: bool, why: str | None) -> Quantity:
+    """A quantity per command, compared with the card's expectation where there is one of it."""
+    if meaning.asked is None:
+        return Quantity(None, f"{unit} per unit of command", reason=meaning.reason)
+    if not expects:
+        return Quantity(measured, unit, reason=why)
+    expected = expectation(meaning)
+    implied = None
+    if measured and meaning.limit:
+        implied = mapped(measured, lambda reached: limit_that_gives(meaning, reached))
+    if expected is None:
+        reasons = [why, f"[limits] of the card does not say what {meaning.limit} was set"]
+        return Quantity(measured, unit, None, None, implied, "; ".join(reason for reason in reasons if reason))
+    ratio = mapped(measured, lambda reached: reached / expected) if measured else None
+    return Quantity(measured, unit, expected, ratio, implied, why)
+
+
+def _time(measured: Figure | None, why: str | None) -> Quantity:
+    return Quantity(measured, "s", reason=why)
+
+
+def mapped(figure: Figure, rising: Callable[[float], float]) -> Figure:
+    """A rising function of a figure, its ends carried over; what is None stays so."""
+    value, low, high = (None if part is None else rising(part) for part in (figure.value, *figure.ci95))
+    return Figure(value, (low, high))
+
+
+def _input(axis: Axis) -> Figure | None:
+    return Figure(axis.input, axis.ci95["input"]) if axis.predictor else None
+
+
+def _steady(axis: Axis) -> Figure | None:
+    """The steady gain; of the paper's method, which has no interval of it, the bare number."""
+    known = _combination(axis, "steady_gain")
+    if known is None and axis.input is not None and axis.damping is not None and axis.damping > 0:
+        return Figure(axis.input / axis.damping)
+    return known
+
+
+def _combination(axis: Axis, name: str) -> Figure | None:
+    part = axis.combinations.get(name)
+    return None if part is None or part.ci95 == (None, None) else Figure(part.value, part.ci95)
+
+
+def _time_constant(axis: Axis) -> Figure | None:
+    """1 / b; an end of the damping at or below 0 leaves the upper end open."""
+    if not axis.predictor or (axis.damping is not None and axis.damping <= 0):
+        return None
+    low, high = (None if end is None or end <= 0 else 1 / end for end in axis.ci95["damping"])
+    return Figure(None if axis.damping is None else 1 / axis.damping, (high, low))
+
+
+def _why(axis: Axis, name: str) -> str | None:
+    """Why a coefficient has no number."""
+    if name == "damping" and axis.damping is not None and axis.damping <= 0:
+        return "the damping is not positive"
+    return None if axis.status[name] == "ok" else f"{name}: {axis.status[name]}"
+
+
+def _why_not(axis: Axis, name: str) -> str | None:
+    """Why a combination has no interval."""
+    if not axis.predictor:
+        return _why(axis, "input")
+    part = axis.combinations.get(name)
+    if part is None:
+        return f"{name}: this method gives no interval of it"
+    return f"{name}: its interval is open" if None in part.ci95 else None
+
+
+@dataclass(frozen=True)
+class PhysicsRow:
+    """One row of the table of physics, in units for people: angles in degrees.
+
+    Attributes:
+        axis: Name.
+        name: One of `QUANTITIES`.
+        unit: As text.
+        measured: With its interval.
+        expected: None where the card has no expectation.
+        ratio: Measured over expected; None with it.
+    """
+
+    axis: str
+    name: str
+    unit: str
+    measured: Figure
+    expected: float | None
+    ratio: Figure | None
+
+
+def physics_rows(model: Model) -> tuple[PhysicsRow, ...]:
+    """What is worth a table: what the card has a word on, and time constants; only axes whose commands have a meaning.
+
+    What the table of coefficients shows already (steady gain without expectation, total lag) is left out.
+    """
+    rows = []
+    for axis, quantities in physics(model).items():
+        meaning = meaning_of(model.card, axis)
+        compares = "acceleration" if meaning.asked == "tilt" else "steady_speed"
+        for name in (compares, "time_constant") if meaning.asked else ():
+            part = quantities[name]
+            if part.measured is None or part.measured == Figure(None):
+                continue
+            unit, factor = _for_people(part.unit)
+            expected = None if part.expected is None else factor * part.expected
+            measured = _scaled(part.measured, factor)
+            rows.append(PhysicsRow(axis, name, unit, measured, expected, part.ratio))
+    return tuple(rows)
+
+
+def _for_people(unit: str) -> tuple[str, float]:
+    """A shorter unit, rates of yaw in degrees, speeds per speed without one; and the factor."""
+    if unit == "rad/s":
+        return "deg/s", 180 / math.pi
+    over, per, under = unit.partition(" per ")
+    return ("" if over == under else f"{over}/{under}" if per else unit), 1.0
+
+
+def _scaled(figure: Figure, factor: float) -> Figure:
+    return mapped(figure, lambda value: factor * value)
+
+
+def implied_limits(model: Model) -> tuple[str, ...]:
+    """For each axis whose card names a limit without its setting: which setting the gain would mean, a line each."""
+    lines = []
+    for axis in AXES:
+        meaning, implied = meaning_of(model.card, axis), compared(model, axis).implied_limit
+        if meaning.limit and meaning.setting is None and implied and implied.value and implied.value > 0:
+            word = meaning.limit.replace("_", " ")
+            lines.append(f"{axis}: equals a {word} limit of {people(implied, meaning.limit)}; the card gives none")
+    return tuple(lines)
+
+
+def people(figure: Figure, limit: str) -> str:
+    """A setting of a limit with its interval, for people: `20.7 deg (20.1 to 21.3)`."""
+    unit, factor = PEOPLE[limit]
+    value, low, high = (None if v is None else f"{factor * v:.3g}" for v in (figure.value, *figure.ci95))
+    interval = f" ({low or 'open'} to {high or 'open'})" if low or high else ""
+    return f"{value} {unit}{interval}"

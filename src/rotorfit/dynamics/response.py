@@ -1,0 +1,249 @@
+"""The exact response of eq. (5) to held, delayed commands, with every sensitivity that the likelihood needs.
+
+Between two switching times the input is constant and the motion is known in closed form, so nothing is integrated by
+steps and the response is continuous in the delay. With f, k, h the transition of velocity and position over dt,
+
+    v(t + dt) = f v + k a,   p(t + dt) = p + k v + h a,   f = exp(-b dt), k = (1 - f) / b, h = (dt - k) / b,
+
+the sensitivities with respect to the damping b pass through df/db, dk/db, dh/db, and the one with respect to the delay
+is a velocity impulse (u_old - u_new) at every switch. At the start of a segment the velocity is a parameter of its own;
+the position belongs to the disturbance filter, which leaves it free.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array
+
+
+@numba.njit(cache=True, inline="always")
+def transition(b: float, dt: float) -> Any:
+    """Transition over dt at damping b and its derivative with respect to b: f, k, h, df, dk, dh."""
+    x = b * dt
+    if abs(x) < 0.02:
+        h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x / 720)))
+        dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 - x / 1008)))
+        h *= dt * dt
+        dh *= dt * dt * dt
+        k = dt - b * h
+        f = 1.0 - b * k
+    elif abs(x) < 0.5:
+        h = 0.5 + x * (-1 / 6 + x * (1 / 24 + x * (-1 / 120 + x * (1 / 720 + x * (-1 / 5040 + x / 40320)))))
+        dh = -1 / 6 + x * (1 / 12 + x * (-1 / 40 + x * (1 / 180 + x * (-1 / 1008 + x * (1 / 6720 - x / 51840)))))
+        h *= dt * dt
+        dh *= dt * dt * dt
+        k = dt - b * h
+        f = 1.0 - b * k
+    else:
+        f = np.exp(-x)
+        k = (1.0 - f) / b
+        h = (dt - k) / b
+        dh = -((dt * f - k) / b + h) / b
+    dk = -h - b * dh
+    df = -k - b * dk
+    return f, k, h, df, dk, dh
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def axis_response(
+    starts: Array,
+    pose_range: Any,
+    command_range: Any,
+    pose_time: Array,
+    block: Any,
+    command_time: Array,
+    command: Array,
+    weight: Array,
+    gain: float,
+    trim: float,
+    damping: float,
+    delay: float,
+    velocity: Array,
+) -> Array:
+    """Block means of the position response of one axis, and its sensitivities.
+
+    Args:
+        starts: Start of each segment, shape (S,) [s].
+        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        command_range: The same for the commands, shape (S, 2).
+        pose_time: Shape (N,) [s].
+        block: Block of each pose, shape (N,).
+        command_time: Shape (M,) [s].
+        command: Shape (M,).
+        weight: One over the number of poses of each block, shape (B,).
+        gain: g.
+        trim: Constant acceleration c [unit/s^2].
+        damping: b [1/s], positive.
+        delay: tau [s].
+        velocity: At the start of each segment, shape (S,) [unit/s].
+
+    Returns:
+        Shape (B, 5, 1): d/dg (the response to a gain of one), d/dc, d/db, d/dtau and d/dv0 of the position, v0 being
+        the velocity at the start of the block's own segment. The position itself is g, c, v0 times first, second, last.
+
+    Source: paper, eq. (4), with u(t - tau) and a constant added.
+    """
+    out = np.zeros((weight.size, 5, 1))
+    for s in range(starts.size):
+        t = starts[s]
+        k, last = command_range[s, 0], command_range[s, 1]
+        while k + 1 < last and command_time[k + 1] + delay <= t:
+            k += 1
+        u = command[k]
+        gp = gv = cp = cv = bp = bv = tp = tv = sp = 0.0
+        sv = 1.0
+        for i in range(pose_range[s, 0], pose_range[s, 1]):
+            while t < pose_time[i]:
+                switch = k + 1 < last and command_time[k + 1] + delay <= pose_time[i]
+                t_next = command_time[k + 1] + delay if switch else pose_time[i]
+                f, kk, h, df, dk, dh = transition(damping, t_next - t)
+                v, a = gain * gv + trim * cv + velocity[s] * sv, gain * u + trim
+                bp += kk * bv + dk * v + dh * a
+                bv = f * bv + df * v + dk * a
+                gp += kk * gv + h * u
+                gv = f * gv + kk * u
+                cp += kk * cv + h
+                cv = f * cv + kk
+                tp += kk * tv
+                tv *= f
+                sp += kk * sv
+                sv *= f
+                t = t_next
+                if switch:
+                    tv += gain * (u - command[k + 1])
+                    k += 1
+                    u = command[k]
+            w = weight[block[i]]
+            out[block[i], 0, 0] += w * gp
+            out[block[i], 1, 0] += w * cp
+            out[block[i], 2, 0] += w * bp
+            out[block[i], 3, 0] += w * tp
+            out[block[i], 4, 0] += w * sp
+    return out
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def plane_response(
+    starts: Array,
+    pose_range: Any,
+    command_range: Any,
+    pose_time: Array,
+    block: Any,
+    command_time: Array,
+    command: Array,
+    weight: Array,
+    yaw: Array,
+    gain: Array,
+    trim: Array,
+    damping: Array,
+    delay: Array,
+    velocity: Array,
+) -> Array:
+    """Block means of the horizontal world response, coupled through the measured yaw, and its sensitivities.
+
+    Args:
+        starts: Start of each segment, shape (S,) [s].
+        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        command_range: The same for the commands, shape (S, 2).
+        pose_time: Shape (N,) [s].
+        block: Block of each pose, shape (N,).
+        command_time: Shape (M,) [s].
+        command: Forward and left, shape (M, 2).
+        weight: One over the number of poses of each block, shape (B,).
+        yaw: Heading at the poses, shape (N,) [rad]; linear in between.
+        gain: g of x and y, shape (2,).
+        trim: Constant acceleration in the heading frame, shape (2,) [m/s^2].
+        damping: b of x and y, shape (2,) [1/s], positive.
+        delay: tau of x and y, shape (2,) [s].
+        velocity: World, at the start of each segment, shape (S, 2) [m/s].
+
+    Returns:
+        Shape (B, 10, 2), world components: d/dg, d/dc, d/db, d/dtau of x and y in turn, and d/dv0, v0 being the world
+        velocity at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
+
+    Source: paper, eq. (5), with u(t - tau) and a constant added; exact for a heading that is constant between events.
+    """
+    out = np.zeros((weight.size, 10, 2))
+    p = np.zeros((10, 2))
+    v = np.zeros((10, 2))
+    drive = np.zeros((10, 2))
+    k = np.zeros(2, np.int64)
+    for s in range(starts.size):
+        t = starts[s]
+        p[:] = 0.0
+        v[:] = 0.0
+        v[8, 0] = v[9, 1] = 1.0
+        last = command_range[s, 1]
+        for j in range(2):
+            k[j] = command_range[s, 0]
+            while k[j] + 1 < last and command_time[k[j] + 1] + delay[j] <= t:
+                k[j] += 1
+            drive[j, j] = command[k[j], j]
+            drive[2 + j, j] = 1.0
+        first = pose_range[s, 0]
+        for i in range(first, pose_range[s, 1]):
+            before = max(i - 1, first)
+            rate = 0.0 if i == first else (yaw[i] - yaw[before]) / (pose_time[i] - pose_time[before])
+            while t < pose_time[i]:
+                t_next, switch = pose_time[i], -1
+                for j in range(2):
+                    if k[j] + 1 < last and command_time[k[j] + 1] + delay[j] <= t_next:
+                        t_next, switch = command_time[k[j] + 1] + delay[j], j
+                dt = t_next - t
+                psi = yaw[i] + rate * (0.5 * (t + t_next) - pose_time[i])
+                c, sn = np.cos(psi), np.sin(psi)
+                f0, k0, h0, df0, dk0, dh0 = transition(damping[0], dt)
+                f1, k1, h1, df1, dk1, dh1 = transition(damping[1], dt)
+                mx = my = ax = ay = 0.0
+                for j in range(4):
+                    scale = gain[j] if j < 2 else trim[j - 2]
+                    mx += scale * (c * v[j, 0] + sn * v[j, 1])
+                    my += scale * (c * v[j, 1] - sn * v[j, 0])
+                    ax += scale * drive[j, 0]
+                    ay += scale * drive[j, 1]
+                for j in range(2):
+                    mx += velocity[s, j] * (c * v[8 + j, 0] + sn * v[8 + j, 1])
+                    my += velocity[s, j] * (c * v[8 + j, 1] - sn * v[8 + j, 0])
+                for j in range(10):
+                    vx = c * v[j, 0] + sn * v[j, 1]
+                    vy = c * v[j, 1] - sn * v[j, 0]
+                    px = k0 * vx
+                    py = k1 * vy
+                    vx *= f0
+                    vy *= f1
+                    if j < 4:
+                        px += h0 * drive[j, 0]
+                        py += h1 * drive[j, 1]
+                        vx += k0 * drive[j, 0]
+                        vy += k1 * drive[j, 1]
+                    elif j == 4:
+                        px += dk0 * mx + dh0 * ax
+                        vx += df0 * mx + dk0 * ax
+                    elif j == 5:
+                        py += dk1 * my + dh1 * ay
+                        vy += df1 * my + dk1 * ay
+                    p[j, 0] += c * px - sn * py
+                    p[j, 1] += sn * px + c * py
+                    v[j, 0] = c * vx - sn * vy
+                    v[j, 1] = sn * vx + c * vy
+                t = t_next
+                if switch >= 0:
+                    new = command[k[switch] + 1, switch]
+                    impulse = gain[switch] * (drive[switch, switch] - new)
+                    psi = yaw[i] + rate * (t - pose_time[i])
+                    c, sn = np.cos(psi), np.sin(psi)
+                    if switch == 0:
+                        v[6, 0] += c * impulse
+                        v[6, 1] += sn * impulse
+                    else:
+                        v[7, 0] -= sn * impulse
+                        v[7, 1] += c * impulse
+                    drive[switch, switch] = new
+                    k[switch] += 1
+            w = weight[block[i]]
+            for j in range(10):
+                out[block[i], j, 0] += w * p[j, 0]
+                out[block[i], j, 1] += w * p[j, 1]
+    return out

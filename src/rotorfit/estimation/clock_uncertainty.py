@@ -1,0 +1,133 @@
+"""Fit -> Fit: what is not known of the clocks of two files goes into the delay's interval."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.errors import FlightError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import Axis, Combination, Interval, Model
+from rotorfit.estimation.identifiability import WIDEST_DELAY
+from rotorfit.flights.clocks.two_clocks import NORMAL
+
+_WITH_DELAY = ("total_lag", "delay_plus_lag")
+
+
+def check_clocks(flights: Sequence[Flight]) -> None:
+    """Refuses flights of which some hold the delay and others do not: a fit has one delay an axis.
+
+    Raises:
+        FlightError: If they are mixed.
+    """
+    without = [flight.path for flight in flights if flight.clocks and flight.clocks.includes_delay]
+    if without and len(without) < len(flights):
+        raise FlightError(
+            f"{without[0]}: only its answer to the commands tells its clocks, so it cannot share a delay with the "
+            "others: fit it apart, or give it the vehicle's own velocity"
+        )
+
+
+def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
+    """Half the 95 % interval that the clocks alone leave to the delay of an axis [s].
+
+    The delay of a fit is taken for the mean of what its flights say, weighted by their length; the errors of their
+    clocks are independent.
+    """
+    k = AXES.index(axis)
+    moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
+    length = sum(f.duration for f in moving)
+    known = [(f.duration, f.clocks.half_width) for f in moving if f.clocks is not None]
+    return float(np.sqrt(sum((share / length * half) ** 2 for share, half in known))) if known else 0.0
+
+
+def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
+    """The model with delays as the clocks of its flights allow.
+
+    Where an offset between two clocks was measured, its error is added to that of the delay, in quadrature, and to
+    those of delay plus lag. Where it was told by the answer to the commands, there is no delay to publish.
+
+    Args:
+        model: As fitted to the stamps on one clock.
+        flights: That it was fitted to.
+    """
+    wider = with_delay_error(model, {axis: clock_half_width(flights, axis) for axis in AXES}, (AXES,))
+    held = [flight.clocks for flight in flights if flight.clocks and flight.clocks.includes_delay]
+    if not held:
+        return wider
+    offset = held[0].offset if len(flights) == 1 else None
+    return replace(wider, axes={name: _without_delay(axis, offset) for name, axis in model.axes.items()})
+
+
+def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:
+    """The model with a further, independent error of its delays, in quadrature.
+
+    Args:
+        model: As fitted.
+        half: Axis to half the 95 % interval of that error [s].
+        shared: Groups of axes whose delays it moves alike.
+    """
+    if not any(half.values()):
+        return model
+    axes = {name: _widened(axis, half.get(name, 0.0)) for name, axis in model.axes.items()}
+    covariance = model.covariance.copy()
+    delays = [(i, name.split(".")[0]) for i, name in enumerate(model.covariance_names) if name.endswith(".delay")]
+    for i, one in delays:
+        for j, other in delays:
+            if any(one in group and other in group for group in shared):
+                covariance[i, j] += half.get(one, 0.0) * half.get(other, 0.0) / NORMAL**2
+    return replace(model, axes=axes, covariance=covariance)
+
+
+def _without_delay(axis: Axis, offset: float | None) -> Axis:
+    """An axis whose delay is not its own; of a single flight with what was measured, the sum of offset and delay."""
+    if axis.predictor is None:
+        return axis
+    kept = {name: one for name, one in axis.combinations.items() if name not in _WITH_DELAY}
+    if offset is not None:
+        low, high = (None if end is None else offset + end for end in axis.ci95["delay"])
+        kept["offset_plus_delay"] = Combination(offset + axis.predictor.delay, (low, high))
+    return replace(
+        axis,
+        delay=None,
+        stderr={**axis.stderr, "delay": None},
+        ci95={**axis.ci95, "delay": (None, None)},
+        status={**axis.status, "delay": "not_identifiable"},
+        combinations=kept,
+    )
+
+
+def _widened(axis: Axis, half: float) -> Axis:
+    """An axis with the error of the clocks in its delay."""
+    center = axis.predictor.delay if axis.predictor else None
+    if center is None or not half or axis.ci95["delay"] == (None, None):
+        return axis
+    low, high = ends = _wider(axis.ci95["delay"], center, half)
+    error = axis.stderr["delay"]
+    wide = low is None or high is None or high - low >= WIDEST_DELAY
+    lost = wide or axis.status["delay"] != "ok"
+    return replace(
+        axis,
+        delay=None if lost else axis.delay,
+        stderr={**axis.stderr, "delay": None if lost or error is None else float(np.hypot(error, half / NORMAL))},
+        ci95={**axis.ci95, "delay": ends},
+        status={**axis.status, "delay": "not_identifiable"} if wide else axis.status,
+        combinations=_combined(axis.combinations, half),
+    )
+
+
+def _combined(combinations: Mapping[str, Combination], half: float) -> dict[str, Combination]:
+    return {
+        name: replace(one, ci95=_wider(one.ci95, one.value, half)) if name in _WITH_DELAY else one
+        for name, one in combinations.items()
+    }
+
+
+def _wider(ends: Interval, center: float, half: float) -> Interval:
+    """An interval with another, independent error of its centre added to each side."""
+    low, high = ends
+    return (
+        None if low is None else center - float(np.hypot(center - low, half)),
+        None if high is None else center + float(np.hypot(high - center, half)),
+    )

@@ -1,0 +1,344 @@
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or a lower rung."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rotorfit.core.card import Prior
+from rotorfit.core.errors import CardError, FlightError, ModelError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
+from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, unknown_axis
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import LIKELIHOOD, Fit, Method, Outliers, PaperFit
+from rotorfit.dynamics.physics import with_physics
+from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
+from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
+from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, estimate_axis, estimate_plane
+from rotorfit.estimation.likelihood.blocks import record
+from rotorfit.estimation.likelihood.coefficients import (
+    Blocks,
+    axis_of_estimate,
+    block_diagonal,
+    covariances,
+    holds_zero,
+)
+from rotorfit.estimation.likelihood.extra_parameters import structure_at, told_apart
+from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, delay_error
+from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
+from rotorfit.estimation.likelihood.noise_levels import with_levels
+from rotorfit.estimation.likelihood.outliers import without_outliers
+from rotorfit.estimation.likelihood.prior import gaussian_prior
+from rotorfit.estimation.likelihood.profile import height, hold
+from rotorfit.estimation.likelihood.richer_laws import estimate_laws
+from rotorfit.estimation.regression.axes_by_method import axes_by_method
+from rotorfit.estimation.regression.paper import paper_regression
+
+Priors = Mapping[str, Mapping[str, Prior]]
+
+PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
+"""Delays at which the profile is drawn besides those that the interval needed [s]."""
+
+
+def fit(
+    flights: Sequence[Flight],
+    method: Method = "ml",
+    axes: Sequence[str] = AXES,
+    progress: Progress | None = None,
+    structure: str = STRUCTURE,
+    prior: bool = False,
+) -> Fit:
+    """Estimates the coefficients of the axes from one or several flights.
+
+    Args:
+        flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held`.
+        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was;
+            `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`, the rungs between.
+        axes: Which axes are wanted.
+        progress: Called with a fraction and a text; raising in it cancels.
+        structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis. `coupled` is of x and y
+            together and leaves the default to every other axis.
+        prior: Use the priors of the card.
+
+    Returns:
+        The fit. What the data cannot tell is a status, never a number.
+
+    Raises:
+        FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+        CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
+        ModelError: No such structure, or one other than the default with a method other than the likelihood.
+    """
+    _check(flights, method, structure, prior)
+    flights = without_held_axes(flights)
+    flights = [align_velocity(f, axes) for f in flights] if method == "ml" else _of_poses(flights, method, axes)
+    priors = flights[0].card.prior if prior else {}
+    wanted = [axis for axis in AXES if axis in axes]
+    report = progress or (lambda _fraction, _text: None)
+    outliers: Outliers = ()
+    if method == "robust":
+        report(0.0, "looking for outliers")
+        flights, outliers = without_outliers(flights, lambda some: _estimates(some, wanted))
+    report(0.0, "the paper's regression")
+    paper = paper_regression(flights, wanted)
+    found = _found(flights, wanted, method, structure, priors, paper, report)
+    report(1.0, "done")
+    model = with_clock_error(_model(flights, method, paper, found), flights)
+    late = {axis: delay_error(serving_flights(flights, e.records[0].axes), e) for axis, e in found.estimates.items()}
+    model = with_physics(with_delay_error(model, late, GROUPS))
+    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is found of some axes; estimates and remarks as in `Fit`."""
+
+    axes: Mapping[str, Axis]
+    covariance: Blocks
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
+
+
+def _found(
+    flights: Sequence[Flight],
+    wanted: Sequence[str],
+    method: Method,
+    structure: str,
+    priors: Priors,
+    paper: PaperFit,
+    report: Progress,
+) -> _Found:
+    """The axes that are wanted, group by group."""
+    groups, parts = groups_of(flights, wanted), []
+    for number, group in enumerate(groups):
+        report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
+        if method in LIKELIHOOD:
+            parts.append(_likelihood_group(flights, group, priors, structure))
+        elif method == "paper":
+            parts.append(_paper_group(flights, group, paper))
+        else:
+            parts.append(_rung_group(flights, group, method))
+    return _Found(  # x may be fitted with y where only one of them is wanted
+        {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
+        {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
+        {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
+        {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
+    )
+
+
+def _model(flights: Sequence[Flight], method: Method, paper: PaperFit, found: _Found) -> Model:
+    """The model of what was found; axes that were not wanted or do not move are unknown in it."""
+    names, matrix = block_diagonal(found.covariance)
+    return Model(
+        card=flights[0].card,
+        structure=_common_structure(found.axes),
+        method=method,
+        axes={axis: found.axes.get(axis, unknown_axis("not_excited")) for axis in AXES},
+        covariance_names=names,
+        covariance=matrix,
+        paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
+        findings=(),
+        flights=tuple(
+            Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if commands_axis(f, axis)))
+            for f in flights
+        ),
+    )
+
+
+def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
+    """Refuses what does not go together; see `fit`."""
+    if structure != AUTO:
+        structure_named(structure)
+    if method != "ml" and structure != STRUCTURE:
+        raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
+    if prior and structure != STRUCTURE:
+        raise ModelError("priors are for the default structure: leave --prior or --structure out")
+    if not flights:
+        raise FlightError("no flight to fit: give at least one log")
+    if any(f.card.raw != flights[0].card.raw for f in flights):
+        raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
+    check_clocks(flights)
+    if prior and method not in LIKELIHOOD:
+        raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
+    if prior and not flights[0].card.prior:
+        raise CardError(
+            "the card has no [prior] to use: leave --prior out, or write x = { input = { mean, sd } } there"
+        )
+
+
+def _of_poses(flights: Sequence[Flight], method: Method, axes: Sequence[str]) -> list[Flight]:
+    """The flights without velocities that stand beside poses: only the likelihood can use them.
+
+    Raises:
+        FlightError: The method needs positions of an axis that has none.
+    """
+    lost = [axis for axis in AXES if axis in axes and any(axis in f.velocity_only for f in flights)]
+    if lost and method != "paper":  # the paper's regression needs derivatives only: those of the summed-up velocity
+        raise FlightError(
+            f"{flights[0].path}: the method {method} needs positions, of {', '.join(lost)} there is only a velocity: "
+            "use --method ml, or other --axes"
+        )
+    return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
+
+
+def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
+    """The axes of one group by the likelihood, under the structure that is asked for."""
+    estimates = _estimate_group(flights, group, priors)
+    axes, covariance = _group_axes(flights, group, estimates)
+    if structure == STRUCTURE or not estimates:
+        return _Found(axes, covariance, estimates)
+    return _other_structures(flights, group, estimates, axes, covariance, structure)
+
+
+def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
+    """The likelihood of every axis, without intervals."""
+    return {a: e for group in groups_of(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
+
+
+def _common_structure(axes: Mapping[str, Axis]) -> str:
+    """The name that all axes with numbers share."""
+    names = {axis.structure for axis in axes.values() if axis.predictor}
+    return "mixed" if len(names) > 1 else next(iter(names), STRUCTURE)
+
+
+def _other_structures(
+    flights: Sequence[Flight],
+    group: Sequence[str],
+    estimates: dict[str, Estimate],
+    plain: dict[str, Axis],
+    covariance: Blocks,
+    structure: str,
+) -> _Found:
+    """The axes of a group under another structure or the one that the data earn, with the default's numbers beside."""
+    serving = serving_flights(flights, group)
+    known = [axis for axis in group if plain[axis].predictor]
+    wanted = dict.fromkeys(group, FIRST_ORDER_DELAY)
+    choices: dict[str, Choice] = {}
+    if structure == AUTO:
+        choices = select_laws(serving, estimates, known)
+        wanted |= {axis: choice.structure for axis, choice in choices.items()}
+    else:
+        wanted |= dict.fromkeys(known, structure_named(structure))
+    found = estimate_laws(serving, estimates, wanted)
+    lost = [axis for axis, e in found.items() if not told_apart(e.optimum, e.place)]
+    if lost:
+        found = estimate_laws(serving, estimates, wanted | dict.fromkeys(lost, FIRST_ORDER_DELAY))
+    if any(structure_at(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):
+        axes, covariance = _group_axes(flights, group, found)
+    else:
+        found, axes = estimates, plain
+    for axis in known:
+        if axes[axis].structure != STRUCTURE:
+            one = plain[axis]
+            beside = Plain(one.input, one.damping, one.delay, one.stderr, one.ci95, one.status)
+            axes[axis] = replace(axes[axis], plain=beside)
+        if axis in lost:
+            axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(structure),))
+        if axis in choices:
+            choice = choices[axis]
+            combined = {"delay_plus_lag": choice.delay_plus_lag, **axes[axis].combinations}
+            axes[axis] = replace(
+                axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
+            )
+    return _Found(axes, covariance, found)
+
+
+def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
+    """The likelihood of the axes of one group; none where the flights are too short."""
+    serving = serving_flights(flights, group)
+    records = [rec for f in serving if (rec := record(f, group))]
+    if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
+        return {}
+    moving = [any(commands_axis(f, axis) for f in serving) for axis in group]
+    if all(rec.held for rec in records):
+        estimates = [
+            estimate_axis(serving, a, moves, gaussian_prior(priors, [a]))
+            for a, moves in zip(group, moving, strict=True)
+        ]
+        if len(group) == 2:
+            estimates = couple_axes(records, estimates)
+    else:
+        estimates = estimate_plane(serving, records, group, moving, gaussian_prior(priors, group))
+    return dict(zip(group, estimates, strict=True))
+
+
+def _group_axes(
+    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate]
+) -> tuple[dict[str, Axis], Blocks]:
+    """What is said of the axes of one group, and their covariance."""
+    if not estimates:
+        return {axis: unknown_axis("too_short") for axis in group}, {}
+    serving = serving_flights(flights, group)
+    places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
+    results = {axis: axis_of_estimate(estimates[axis], places) for axis in group}
+    return results, covariances(group, [estimates[axis] for axis in group], results)
+
+
+def with_delay_profiles(fit: Fit) -> Fit:
+    """Draws the profile over the whole searched range of delays, besides what the intervals needed of it.
+
+    Everything else is re-maximised at each delay, walking outwards from the top.
+    """
+    axes = dict(fit.model.axes)
+    for name, estimate in fit.estimates.items():
+        if axes[name].predictor is None or not structure_at(estimate.optimum, estimate.place).delayed:
+            continue
+        index = 2 * estimate.optimum.point.gain.size + estimate.place
+        best = float(estimate.optimum.point.flat()[index])
+        drawn = list(axes[name].profile)
+        for side in (-1.0, 1.0):
+            here = estimate.optimum
+            beyond = PROFILE_DELAYS[side * (PROFILE_DELAYS - best) > 0]
+            for target in beyond[np.argsort(side * beyond)]:
+                here = hold(estimate.records, here, index, float(target))
+                drawn.append((float(target), height(here) - height(estimate.optimum)))
+        axes[name] = replace(axes[name], profile=tuple(sorted(drawn)))
+    return replace(fit, model=replace(fit.model, axes=axes))
+
+
+def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> _Found:
+    """Axes by the paper's regression; the disturbance levels that prediction needs are settled at its coefficients."""
+    results: dict[str, Axis] = {}
+    covariance: Blocks = {}
+    for axis in group:
+        i = AXES.index(axis)
+        if paper.status.get(axis) != "ok":
+            results[axis] = unknown_axis(paper.status.get(axis, "not_excited"))
+            continue
+        g, b = paper.gamma[2 * i : 2 * i + 2]
+        error = paper.stderr[2 * i : 2 * i + 2]
+        names = ("input", "damping")
+        value = dict(zip(names, (float(g), float(b)), strict=True))
+        spread = dict(zip(names, (float(e) for e in error), strict=True))
+        ends = {name: (value[name] - NORMAL * spread[name], value[name] + NORMAL * spread[name]) for name in names}
+        excited = not holds_zero(ends["input"])
+        if not excited:
+            results[axis] = unknown_axis("not_excited")
+            continue
+        results[axis] = Axis(
+            input=value["input"],
+            damping=value["damping"],
+            delay=None,
+            stderr={**spread, "delay": None},
+            ci95={**ends, "delay": (None, None)},
+            status={"input": "ok", "damping": "ok", "delay": "not_identifiable"},
+            trim=(None,) * len(flights),
+            predictor=Predictor(value["input"], value["damping"], 0.0),
+        )
+        covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+    serving = [f for f in flights if any(commands_axis(f, axis) for axis in results if results[axis].predictor)]
+    return _Found(with_levels(serving, results), covariance)
+
+
+def _rung_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
+    """Axes by a rung between the paper and the likelihood, their covariance, and what it says of its numbers."""
+    serving = [f for f in flights if any(commands_axis(f, axis) for axis in group)]
+    found, covariance, remarks = axes_by_method(serving, group, method)
+    places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
+    results = {
+        axis: replace(known, trim=tuple(None if place is None else known.trim[place] for place in places))
+        for axis, known in found.items()
+    }
+    return _Found(results, covariance, remarks=remarks)

@@ -1,0 +1,289 @@
+"""Flight -> Record: one axis, or x with y, in blocks, as the likelihood needs it.
+
+Everything that is measured is linear in the position at some times. A pose is the position at its stamp; a velocity is
+the difference of the positions shortly after and before its stamp, over the time between: so one kernel answers for
+both, and what it gives for these samples is put together block by block (`observed`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
+from rotorfit.core.laws import DELAY_RANGE, Measured
+from rotorfit.dynamics.disturbance import distinct_steps
+
+BLOCK_RATE = 30.0
+"""Poses are averaged over blocks to this rate [1/s], with their modelled response alike. At the full rate of a mocap
+system the likelihood of real flights can prefer a false delay of a few milliseconds."""
+
+HELD_HEADING = np.radians(10.0)
+"""Up to this deviation from its mean the heading counts as held in the filter (never in the response)."""
+
+HALF_STEP = 1e-3
+"""Half of the time over which a velocity is a difference of positions [s]: off by 1e-6 of what it changes in a second,
+and by a part of one change of acceleration where a command switches inside."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One flight, one axis or the pair x, y, in blocks. M commands, N samples, B blocks, K axes (1 or 2), S segments.
+
+    Samples are poses. Where velocities are measured they are also the two ends of each velocity's difference, and what
+    the response gives comes in G groups of samples, one a block of poses, two a block of velocities.
+
+    Attributes:
+        axes: Names of the K axes.
+        starts: Where scoring starts in each segment, shape (S,) [s]: late enough for every delay in the range.
+        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        command_range: The same for the commands, shape (S, 2).
+        pose_time: Shape (N,) [s].
+        yaw: Heading at the poses, shape (N,) [rad].
+        block: Block of each pose, shape (N,); the group of each sample where velocities are measured.
+        count: Poses or velocities of each block, shape (B,).
+        block_time: Mean stamp of each block, shape (B,) [s].
+        steps: Distinct steps between the blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
+        block_yaw: Mean heading of each block, shape (B,) [rad].
+        position: Mean pose of each block less the first of its segment, world, shape (B, K) [m or rad]; the mean
+            velocity of a block of velocities [m/s or rad/s].
+        fresh: True for the first block of a segment, shape (B,).
+        command_time: Shape (M,) [s].
+        command: Shape (M, K).
+        held: Whether the filter may take the heading as constant.
+        heading: Mean heading [rad].
+        rate: True for blocks of velocities, shape (B,); None where there are none.
+        groups: Groups of each block: of its poses, or of the ends and the beginnings of its velocities, shape (B, 2);
+            None likewise.
+        size: Samples of each group, shape (G,); None likewise.
+        rounding: Variance that the rounding adds to a velocity, shape (K,); None likewise.
+    """
+
+    axes: tuple[str, ...]
+    starts: Array
+    pose_range: Indices
+    command_range: Indices
+    pose_time: Array
+    yaw: Array
+    block: Indices
+    count: Array
+    block_time: Array
+    steps: Array
+    step: Indices
+    block_yaw: Array
+    position: Array
+    fresh: Mask
+    command_time: Array
+    command: Array
+    held: bool
+    heading: float
+    rate: Mask | None = None
+    groups: Indices | None = None
+    size: Array | None = None
+    rounding: Array | None = None
+
+    @property
+    def measured(self) -> Measured:
+        """What the blocks hold."""
+        if self.rate is None:
+            return "position"
+        return "velocity" if self.rate.all() else "both"
+
+    @property
+    def weight(self) -> Array:
+        """One over the samples of each block or group of the response, shape (B,) or (G,)."""
+        return 1.0 / (self.count if self.size is None else self.size)
+
+    def observed(self, groups: Array) -> Array:
+        """What the blocks measure of a response: shape (G, ...) to (B, ...)."""
+        if self.rate is None or self.groups is None:
+            return groups
+        out = groups[self.groups[:, 0]]
+        out[self.rate] = (out[self.rate] - groups[self.groups[self.rate, 1]]) / (2 * HALF_STEP)
+        return out
+
+    def only(self, k: int) -> "Record":
+        """The record with one axis of its commands; what it measured is left as it is."""
+        return replace(self, axes=self.axes[k : k + 1], command=np.ascontiguousarray(self.command[:, k : k + 1]))
+
+
+def measured_by(records: Sequence[Record]) -> Measured:
+    """What the records hold together; all are of one card."""
+    kinds = {rec.measured for rec in records}
+    return "both" if len(kinds) > 1 else next(iter(kinds), "position")
+
+
+def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Record | None:
+    """Cuts a flight into what the likelihood of these axes needs; None where no segment is long enough.
+
+    x or y alone is the position along the mean heading: right where the heading is held, else take both.
+
+    Args:
+        flight: What was flown.
+        axes: Names of one axis, or of x and y.
+        rate: Blocks per second [1/s], by default `BLOCK_RATE`; infinite gives every pose a block of its own.
+    """
+    rate = BLOCK_RATE if rate is None else rate
+    if flight.velocity is not None and flight.velocity.of(tuple(axes)):
+        return _with_velocity(flight, axes, rate)
+    column = [AXES.index(axis) for axis in axes]
+    pose = np.column_stack([flight.position, flight.yaw])
+    heading = float(np.mean(flight.yaw))
+    if len(axes) == 1 and axes[0] in ("x", "y"):
+        pose[:, :2] = heading_from_world(pose[:, :2], np.full(len(pose), heading))
+    pose = pose[:, column]
+    t, command_time = flight.pose_time, flight.command_time
+    starts, pose_range, command_range, times, index = [], [], [], [], []
+    block_count = n = 0
+    for segment in flight.segments:
+        first, last = np.searchsorted(t, [segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]])
+        if last - first < 4:
+            continue
+        bins = np.arange(last - first)
+        if np.isfinite(rate):
+            _, bins = np.unique(np.floor((t[first:last] - t[first]) * rate + 1e-6), return_inverse=True)
+        starts.append(segment.start + DELAY_RANGE[1])
+        pose_range.append((n, n + last - first))
+        command_range.append(np.searchsorted(command_time, [segment.start, segment.end]))
+        times.append(bins + block_count)
+        index.append(np.arange(first, last))
+        n += last - first
+        block_count += bins[-1] + 1
+    if not starts:
+        return None
+    keep, block = np.concatenate(index), np.concatenate(times)
+    count = np.bincount(block).astype(float)
+    fresh = np.zeros(block_count, bool)
+    fresh[block[[i for i, _ in pose_range]]] = True
+    mean = np.column_stack([np.bincount(block, q) / count for q in pose[keep].T])
+    mean -= mean[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
+    yaw = flight.yaw[keep]
+    block_yaw = np.bincount(block, yaw) / count
+    block_time = np.bincount(block, t[keep]) / count
+    steps, step = distinct_steps(block_time)
+    return Record(
+        axes=tuple(axes),
+        starts=np.array(starts),
+        pose_range=np.array(pose_range),
+        command_range=np.array(command_range),
+        pose_time=t[keep],
+        yaw=yaw,
+        block=block,
+        count=count,
+        block_time=block_time,
+        steps=steps,
+        step=step,
+        block_yaw=block_yaw,
+        position=mean,
+        fresh=fresh,
+        command_time=command_time,
+        command=np.ascontiguousarray(flight.command[:, column]),
+        held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
+        heading=heading,
+    )
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of one segment and of one kind. N samples, B blocks, K axes.
+
+    Attributes:
+        time: Of the samples, shape (N,) [s].
+        block: Of each sample, shape (N,).
+        value: Mean of each block, shape (B, K).
+    """
+
+    time: Array
+    block: Indices
+    value: Array
+
+    @property
+    def count(self) -> Array:
+        """Samples of each block, shape (B,)."""
+        return np.bincount(self.block).astype(float)
+
+
+def _blocks(time: Array, value: Array, low: float, high: float, rate: float) -> _Blocks:
+    """Samples between two times, in blocks."""
+    first, last = np.searchsorted(time, [low, high])
+    time, value = time[first:last], value[first:last]
+    block = np.arange(time.size)
+    if np.isfinite(rate) and time.size:
+        _, block = np.unique(np.floor((time - time[0]) * rate + 1e-6), return_inverse=True)
+    count = np.bincount(block)
+    mean = [np.bincount(block, part) / count for part in value.T]
+    return _Blocks(time, block, np.column_stack(mean) if time.size else np.empty((0, value.shape[1])))
+
+
+def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record | None:
+    """The record of axes of which the vehicle's own velocity is measured, with the poses where there are any."""
+    assert flight.velocity is not None
+    column, heading = [AXES.index(axis) for axis in axes], float(np.mean(flight.yaw))
+    pose, velocity = np.column_stack([flight.position, flight.yaw]), flight.velocity.value
+    if len(axes) == 1 and axes[0] in ("x", "y"):
+        pose, velocity = (
+            np.column_stack([heading_from_world(part[:, :2], np.full(len(part), heading)), part[:, 2:]])
+            for part in (pose, velocity)
+        )
+    pose, velocity = pose[:, column], velocity[:, column]
+    alone, rate_time = axes[0] in flight.velocity.alone, flight.velocity.true_time(axes[0])
+    starts, ranges, commands, fresh = [], [], [], []
+    times, groups_of, sizes, pairs, counts, kinds, stamps, values = [], [], [], [], [], [], [], []
+    samples = groups = 0
+    for segment in flight.segments:
+        low, high = segment.start + DELAY_RANGE[1], segment.end + DELAY_RANGE[0]
+        poses = _blocks(flight.pose_time, pose, low, low if alone else high, rate)
+        rates = _blocks(rate_time, velocity, low + HALF_STEP, high - HALF_STEP, rate)
+        B, V = len(poses.value), len(rates.value)
+        if B + V < 4 or not V:
+            continue
+        time = np.concatenate([poses.time, rates.time + HALF_STEP, rates.time - HALF_STEP])
+        group = np.concatenate([poses.block, B + rates.block, B + V + rates.block])
+        order = np.argsort(time, kind="stable")
+        pair = np.column_stack([np.arange(B + V), np.concatenate([np.full(B, -1), B + V + np.arange(V)])])
+        stamp = np.concatenate([np.bincount(b.block, b.time) / b.count for b in (poses, rates)])
+        turn = np.argsort(stamp, kind="stable")
+        times.append(time[order])
+        groups_of.append(group[order] + groups)
+        sizes.append(np.concatenate([poses.count, rates.count, rates.count]))
+        pairs.append(pair[turn] + groups)
+        counts.append(np.concatenate([poses.count, rates.count])[turn])
+        kinds.append((np.arange(B + V) >= B)[turn])
+        stamps.append(stamp[turn])
+        values.append(np.concatenate([poses.value - poses.value[:1], rates.value])[turn])
+        fresh.append(np.arange(B + V) == 0)
+        starts.append(low)
+        ranges.append((samples, samples + time.size))
+        commands.append(np.searchsorted(flight.command_time, [segment.start, segment.end]))
+        samples, groups = samples + time.size, groups + B + 2 * V
+    if not starts:
+        return None
+    block_time, pose_time = np.concatenate(stamps), np.concatenate(times)
+    block_yaw = np.interp(block_time, flight.pose_time, flight.yaw)
+    steps, step = distinct_steps(block_time)
+    return Record(
+        axes=tuple(axes),
+        starts=np.array(starts),
+        pose_range=np.array(ranges),
+        command_range=np.array(commands),
+        pose_time=pose_time,
+        yaw=np.interp(pose_time, flight.pose_time, flight.yaw),
+        block=np.concatenate(groups_of),
+        count=np.concatenate(counts),
+        block_time=block_time,
+        steps=steps,
+        step=step,
+        block_yaw=block_yaw,
+        position=np.concatenate(values),
+        fresh=np.concatenate(fresh),
+        command_time=flight.command_time,
+        command=np.ascontiguousarray(flight.command[:, column]),
+        held=("x" not in axes and "y" not in axes) or bool(np.ptp(block_yaw) < 2 * HELD_HEADING),
+        heading=heading,
+        rate=np.concatenate(kinds),
+        groups=np.concatenate(pairs),
+        size=np.concatenate(sizes),
+        rounding=flight.velocity.rounding[column],
+    )

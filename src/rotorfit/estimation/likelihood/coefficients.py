@@ -1,0 +1,230 @@
+"""Estimate -> Axis: coefficients with intervals, statuses, combinations and optima, as the model says them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Mode, Predictor, unknown_axis
+from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, answers_motion
+from rotorfit.estimation.likelihood.extra_parameters import (
+    estimated_extras,
+    further,
+    further_combinations,
+    structure_at,
+)
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.noise_levels import noise_of
+from rotorfit.estimation.likelihood.optima import SAME_DELAY, SAME_LOG_DAMPING
+from rotorfit.estimation.likelihood.profile import profile, quantile
+
+Blocks = dict[tuple[str, ...], Array]
+"""Names of coefficients, such as `x.input`, to their covariance: one block a likelihood."""
+
+WIDEST_DAMPING = 6.0
+"""Ratio of the ends of the damping's interval beyond which it is not identifiable."""
+
+AT_BOUND = 1e-4
+"""How close to an end of its range a delay is at it [s]."""
+
+DIVERGED = 0.5
+"""Expected gain in log-likelihood of one more step above which the climb has not ended."""
+
+
+def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
+    """Everything that is said of one axis.
+
+    Args:
+        estimate: After the climb.
+        places: For each flight of the fit its row among the trims; None where it did not serve.
+    """
+    records, optimum, k = estimate.records, estimate.optimum, estimate.place
+    nothing = replace(
+        unknown_axis("not_excited" if not estimate.excited else "diverged"),
+        noise=noise_of(optimum, k),
+        modes=_modes(estimate),
+        trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
+        structure=structure_at(optimum, k).name,
+    )
+    if not estimate.excited or _unfinished(optimum, k):
+        return nothing
+    structure, extras = structure_at(optimum, k), estimated_extras(optimum, k)
+    variance = np.diag(inverted(optimum.score.information, optimum.free))
+    index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
+    profiles = {n: profile(records, optimum, i) for n, i in index.items() if structure.delayed or n != "delay"}
+    ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
+    more = further(optimum, k, ends)
+    raw = dict(ends)
+    ends["damping"] = _exponential(ends["damping"])
+    ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
+    if holds_zero(ends["input"]):
+        return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
+    status = _status(ends)
+    if status["delay"] != "ok" and (_at_bound(optimum, k) or answers_motion(records, optimum, k)):
+        status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
+    point = Predictor(
+        input=float(optimum.point.gain[k]),
+        damping=float(np.exp(optimum.point.log_damping[k])),
+        delay=float(optimum.point.delay[k]),
+        extra=optimum.point.extra_values(k),
+    )
+    error = {n: float(np.sqrt(variance[index[n]])) * (point.damping if n == "damping" else 1.0) for n in COEFFICIENTS}
+    published = {name: getattr(point, name) if status[name] == "ok" else None for name in COEFFICIENTS}
+    return replace(
+        nothing,
+        input=published["input"],
+        damping=published["damping"],
+        delay=published["delay"],
+        stderr={name: error[name] if status[name] == "ok" else None for name in COEFFICIENTS} | dict(more.stderr),
+        ci95={name: ends[name] for name in COEFFICIENTS} | dict(more.ci95),
+        status=status | dict(more.status),
+        predictor=point,
+        combinations=_combinations(optimum, k) | further_combinations(records, optimum, k, raw),
+        profile=profiles["delay"].points if structure.delayed else (),
+        profile_fall=profiles["delay"].fall if structure.delayed else None,
+        extra=more.extra,
+    )
+
+
+def _unfinished(optimum: Optimum, k: int) -> bool:
+    """Whether one more step would still gain, and by moving the coefficients of an axis by more than a thousandth."""
+    K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
+    moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
+    return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
+
+
+def _at_bound(optimum: Optimum, k: int) -> bool:
+    """Whether the delay ended at an end of its range. There, or unknown in a feedback loop, it takes the rest with it:
+    what such a loop leaves is a slow answer to old commands, whatever the vehicle is."""
+    return bool(min(abs(optimum.point.delay[k] - end) for end in DELAY_RANGE) < AT_BOUND)
+
+
+def _uncut(gain: Interval, damping: Interval, value: float) -> Interval:
+    """The input gain's interval, open where it only ends because the searched range of the damping does.
+
+    Gain and damping of a fast vehicle grow together, so an open upper end of the one opens the other.
+    """
+    low, high = gain
+    if damping[1] is not None:
+        return gain
+    return (low, None) if value > 0 else (None, high)
+
+
+def _exponential(ends: Interval) -> Interval:
+    low, high = (None if end is None else float(np.exp(end)) for end in ends)
+    return low, high
+
+
+def holds_zero(ends: Interval) -> bool:
+    """Whether an interval, an open end being infinite, holds 0."""
+    low, high = ends
+    return (low is None or low <= 0) and (high is None or high >= 0)
+
+
+def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
+    """Per coefficient, `ok` or `not_identifiable`, from the intervals alone.
+
+    Where the searched range cuts the delay off it cuts the damping off too, and the damping's interval is not its own.
+    """
+    early, late = ends["delay"]
+    delay = early is not None and late is not None and late - early < WIDEST_DELAY
+    low, high = ends["damping"]
+    damping = None not in ends["delay"] and low is not None and high is not None and high / low < WIDEST_DAMPING
+    least, most = ends["input"]
+    gain = least is not None and most is not None and max(least / most, most / least) < WIDEST_INPUT
+    return {
+        name: "ok" if good else "not_identifiable"
+        for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
+    }
+
+
+def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
+    """Steady gain and total lag, with intervals by the delta method (the gain's in its logarithm)."""
+    K = optimum.point.gain.size
+    C = inverted(optimum.score.information, optimum.free)
+    g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
+
+    def half_width(gradient: tuple[float, float, float]) -> float:
+        c = np.zeros(optimum.point.n)
+        c[[k, K + k, 2 * K + k]] = gradient
+        return quantile(optimum, c) * float(np.sqrt(c @ C[: c.size, : c.size] @ c))
+
+    spread, half = half_width((1 / g, -1.0, 0.0)), half_width((0.0, -1 / b, 1.0))
+    low, high = sorted((g / b * float(np.exp(-spread)), g / b * float(np.exp(spread)))) if spread < 2 else (None, None)
+    lag = tau + 1 / b
+    return {
+        "steady_gain": Combination(g / b, (low, high)),
+        "total_lag": Combination(lag, (lag - half, lag + half) if half < 2 * lag else (None, None)),
+    }
+
+
+def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Mapping[str, Axis]) -> Blocks:
+    """Covariance of what is estimated of the axes with a predictor, a block for each likelihood."""
+    blocks: dict[int, list[int]] = {}
+    names = [
+        (*COEFFICIENTS, *(extra.name for extra in estimated_extras(estimate.optimum, estimate.place)))
+        for estimate in estimates
+    ]
+    for number, (axis, estimate) in enumerate(zip(group, estimates, strict=True)):
+        if results[axis].predictor:
+            blocks.setdefault(id(estimate.optimum), []).append(number)
+    out = {}
+    for numbers in blocks.values():
+        optimum, places = estimates[numbers[0]].optimum, [estimates[n].place for n in numbers]
+        at = [optimum.point.place(name, k) for n, k in zip(numbers, places, strict=True) for name in names[n]]
+        scale = np.concatenate([_natural(optimum, k) for k in places])
+        C = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]
+        out[tuple(f"{group[n]}.{name}" for n in numbers for name in names[n])] = C * np.outer(scale, scale)
+    return out
+
+
+def _natural(optimum: Optimum, k: int) -> Array:
+    """Slopes of the coefficients and further parameters of axis k by what the estimator moves."""
+    values = optimum.point.extra_values(k)
+    further = [values[extra.name] if extra.logarithmic else 1.0 for extra in estimated_extras(optimum, k)]
+    return np.array([1.0, np.exp(optimum.point.log_damping[k]), 1.0, *further])
+
+
+def block_diagonal(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
+    """Block diagonal of the groups' covariances."""
+    names = tuple(name for block in blocks for name in block)
+    matrix = np.zeros((len(names), len(names)))
+    at = 0
+    for block in blocks.values():
+        matrix[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    return names, matrix
+
+
+def _modes(estimate: Estimate) -> tuple[Mode, ...]:
+    """The optima as this axis sees them; where two axes were searched together, those alike on this one are one."""
+    k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
+    modes: list[Mode] = []
+    for number, f in enumerate(estimate.found):
+        final = number == 0 and estimate.excited
+        point = (estimate.optimum if final else f.optimum).point
+        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other
+        rmse = float(f.prediction[min(k, f.prediction.size - 1)])
+        mode = Mode(
+            delay=float(point.delay[at]),
+            damping=float(np.exp(point.log_damping[at])),
+            input=float(point.gain[at]),
+            log_likelihood=f.optimum.score.log_likelihood - best,
+            starts=f.starts,
+            prediction=rmse if np.isfinite(rmse) else None,
+            chosen=number == 0,
+        )
+        alike = next((i for i, other in enumerate(modes) if _alike(mode, other)), None)
+        if alike is None:
+            modes.append(mode)
+        else:
+            modes[alike] = replace(modes[alike], starts=modes[alike].starts + mode.starts)
+    return tuple(modes)
+
+
+def _alike(one: Mode, other: Mode) -> bool:
+    return abs(one.delay - other.delay) < SAME_DELAY and abs(np.log(one.damping / other.damping)) < SAME_LOG_DAMPING

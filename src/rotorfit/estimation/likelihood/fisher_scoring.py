@@ -1,0 +1,183 @@
+"""Climbing the likelihood: Fisher scoring with a secant correction, inside the searched ranges."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array, Mask
+from rotorfit.core.laws import START_LEVELS, level_range
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.likelihood import LikelihoodScore, Restriction, inverted, restriction, score
+from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
+
+LEVEL_DAMPING = 0.1
+"""Added to the information of each level for the step: where levels together make no difference it stays small."""
+
+EDGE = 1e-9
+"""How close to a bound counts as at it."""
+
+FLAT_OVERLAP = np.log(0.05)
+"""Logarithm of the overlap below which the likelihood hardly depends on it."""
+
+FAST_DISTURBANCE = np.log(50.0)
+"""Logarithm of the disturbance's damping beyond which blocks of 1/30 s do not resolve it, and a climb can be stuck."""
+
+SECANT_BELOW = 20.0
+"""Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A maximum of the likelihood over the parameters that were free.
+
+    Attributes:
+        point: Where.
+        score: What it is worth.
+        free: True for the parameters that could move, shape (n + L K,).
+        restricted: What the levels account for; None where levels were held.
+        inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
+        gain: Expected gain in log-likelihood of one more step: how far from the top.
+        passes: Passes over the flights that it took.
+        prior: What was believed before, where that was asked for; it is in the score.
+    """
+
+    point: Point
+    score: LikelihoodScore
+    free: Mask
+    restricted: Restriction | None
+    inverse: Array
+    gain: float
+    passes: int
+    prior: GaussianPrior | None = None
+
+
+def maximise(
+    records: Sequence[Record],
+    point: Point,
+    free: Mask,
+    inverse: Array | None = None,
+    restricted: Restriction | None = None,
+    tolerance: float = 1e-3,
+    most: int = 80,
+    prior: GaussianPrior | None = None,
+) -> Optimum:
+    """Maximises the likelihood: Fisher scoring, with a secant (BFGS) correction of the information near the top.
+
+    Args:
+        records: The flights.
+        point: Where to start.
+        free: True for the parameters that may move, shape (n + L K,).
+        inverse: Inverse information to start with, where one is known.
+        restricted: What the levels account for; by default what is free, with the start as reference.
+        tolerance: Expected gain in log-likelihood below which to stop.
+        most: Largest number of passes.
+        prior: Added to what is maximised.
+    """
+    if restricted is None and free[-1]:
+        restricted = restriction(records, point, free)
+    best = with_prior(score(records, point, restricted), point, prior)
+    passes, active, fresh = 1, free & ~at_bound(point, best.gradient), inverse is None
+    while True:
+        movable = free & ~at_bound(point, best.gradient)
+        if inverse is None or fresh or not np.array_equal(movable, active):
+            inverse, active, fresh = inverted(_damped(best.information, point.n), movable), movable, True
+        step = inverse @ best.gradient
+        stuck = at_bound(point, step) & active
+        if stuck.any():  # at a bound, pushed outwards not by the gradient but by the others
+            active = active & ~stuck
+            inverse, fresh = inverted(_damped(best.information, point.n), active), True
+            step = inverse @ best.gradient
+        gain = 0.5 * float(step @ best.gradient)
+        if gain < tolerance or passes >= most:
+            break
+        step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
+        step = point.reach(step) * step
+        trial, result, tried = _line_search(records, point, best, step, restricted, prior)
+        passes += tried
+        if result.objective <= best.objective:
+            if fresh:
+                break
+            fresh = True
+            continue
+        fall = np.where(active, best.gradient - result.gradient, 0.0)
+        fresh = gain > SECANT_BELOW or passes < 3
+        inverse = _secant(inverse, trial.flat() - point.flat(), fall)
+        point, best = trial, result
+    return Optimum(point, best, free, restricted, inverse, gain, passes, prior)
+
+
+def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float = 1e-3, most: int = 80) -> Optimum:
+    """Maximises, and again from middling poles of the disturbance where the first climb ended at remote ones.
+
+    Far below one the overlap leaves no trace in the likelihood, and neither do poles faster than the blocks: a climb
+    that was thrown there stays. The second start keeps the disturbance's velocity as large as it was found.
+    """
+    first = maximise(records, point, free, tolerance=tolerance, most=most)
+    fast, flat = first.point.levels[:, 2] > FAST_DISTURBANCE, first.point.levels[:, 3] < FLAT_OVERLAP
+    if not (fast | flat).any() or not free[-1]:
+        return first
+    levels = first.point.levels.copy()
+    levels[fast | flat, 3] = START_LEVELS[3]
+    levels[fast, 2] = START_LEVELS[2]
+    change = (levels - first.point.levels)[fast]
+    levels[fast, 0] += 3 * change[:, 2] + change[:, 3]  # the velocity's variance is 2 q / (kappa alpha^3)
+    again = maximise(
+        records,
+        replace(first.point, levels=np.maximum(levels, level_range(first.point.measured)[:, 0])),
+        free,
+        tolerance=tolerance,
+        most=most,
+    )
+    return again if again.score.log_likelihood > first.score.log_likelihood else first
+
+
+def _line_search(
+    records: Sequence[Record],
+    point: Point,
+    here: LikelihoodScore,
+    step: Array,
+    restricted: Restriction | None,
+    prior: GaussianPrior | None,
+) -> tuple[Point, LikelihoodScore, int]:
+    """Shortens a step until the objective rises; gives up after eight."""
+    tried = 0
+    while True:
+        trial = point.moved(step)
+        result = with_prior(score(records, trial, restricted), trial, prior)
+        tried += 1
+        if result.objective > here.objective or tried == 8:
+            return trial, result, tried
+        step = 0.3 * step
+
+
+def _damped(information: Array, n: int) -> Array:
+    """The information with a little more of every level."""
+    out = information.copy()
+    out[np.arange(n, len(out)), np.arange(n, len(out))] += LEVEL_DAMPING
+    return out
+
+
+def _secant(inverse: Array, step: Array, change: Array) -> Array:
+    """BFGS update of an inverse information by a step and the fall of the gradient along it."""
+    curvature = float(step @ change)
+    if curvature <= 1e-12:
+        return inverse
+    left = np.eye(step.size) - np.outer(step, change) / curvature
+    return left @ inverse @ left.T + np.outer(step, step) / curvature
+
+
+def at_bound(point: Point, gradient: Array) -> Mask:
+    """True where a parameter stands at a bound of its range and the gradient pushes it outwards."""
+    value, (low, high) = point.flat(), point.bounds()
+    return ((value <= low + EDGE) & (gradient < 0)) | ((value >= high - EDGE) & (gradient > 0))
+
+
+def limit_step(step: Array, K: int, extra: int = 0, levels: int = 4) -> Array:
+    """Shortens a step that moves log b or a further one by more than 1.5, the delay by 0.08 s, or a level by more
+    than e^2; so many of `step` are levels.
+    """
+    further = step[3 * K : 3 * K + extra]
+    parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (further, 1.5), (step[-levels:], 2.0))
+    return step / max(*(float(np.abs(part).max(initial=0.0)) / most for part, most in parts), 1.0)

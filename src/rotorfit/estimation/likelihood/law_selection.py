@@ -1,0 +1,375 @@
+"""Which structure the data earn: by the information criterion and by predictions of what was not fitted, axis by axis.
+
+The simplest structure stays unless a richer one is better by both. Held out is each flight in turn, or each half of the
+only one. Squared prediction errors of two structures are compared start by start, because the same gusts disturb both;
+starts 0.5 s apart share most of what they predict, so standard errors are those of blocks longer than the horizon. To
+be better is to be better block by block (the logarithm of the ratio), where a few large errors do not rule; not to be
+worse is asked of the sum, too. Residuals of real flights are not quite white: the criterion counts the log-likelihood
+as that of as many innovations as are independent.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import FIRST_ORDER_DELAY, STRUCTURES, Structure
+from rotorfit.core.model import Candidate, Combination
+from rotorfit.dynamics.protocol import predict_flight, start_errors
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, free_of
+from rotorfit.estimation.likelihood.blocks import Record, record
+from rotorfit.estimation.likelihood.extra_parameters import delay_plus_lag, told_apart
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.optima import between, dynamics_of, start_point, thinned
+from rotorfit.estimation.likelihood.richer_laws import applicable_structure, single
+
+AUTO = "auto"
+"""Asks for the choice."""
+
+NEAR, FAR = 1.0, 5.0
+"""Horizons of the velocity and of the end point that judge [s]."""
+
+BLOCK = {NEAR: 5.0, FAR: 10.0}
+"""Length of the blocks over which errors of starts are averaged [s]."""
+
+NEGLIGIBLE_DELAY = 0.03
+"""A structure without a delay is chosen only where the delay is known to be shorter [s]; else damping would pay."""
+
+LEAST_BLOCKS = 4
+"""Fewer blocks give no standard error, and nothing richer is chosen."""
+
+VERY_STRONG = 10.0
+"""Fall of the criterion that counts as very strong evidence, where too little is held out for a test.
+
+Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 3.2.
+"""
+
+LAGS = 20
+"""Lags of the autocorrelation of the innovations that are looked at."""
+
+SAME = "not identifiable: what it adds cannot be told from its other parameters with these commands"
+"""Verdict on a structure that the commands do not tell from a simpler one."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for an axis, and from what.
+
+    Attributes:
+        structure: The chosen one.
+        candidates: All that were tried, the default first.
+        samples: Effective number of independent innovations.
+        delay_plus_lag: The sum that stays known whether it is a delay, a lag or both; of `first_order_delay_lag`.
+    """
+
+    structure: Structure
+    candidates: tuple[Candidate, ...]
+    samples: float
+    delay_plus_lag: Combination
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Squared errors of predictions of what was not fitted, one a start.
+
+    Attributes:
+        block: Which block each start is in, by horizon, each of shape (n,).
+        squares: Squared errors by horizon: mean over the steps of the velocity (near), end point (far), shape (n,).
+    """
+
+    block: Mapping[float, Array]
+    squares: Mapping[float, Array]
+
+    def rmse(self, horizon: float) -> float | None:
+        """Root of the mean square; None without predictions."""
+        values = self.squares[horizon]
+        return float(np.sqrt(values.mean())) if values.size else None
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One structure on one axis.
+
+    Attributes:
+        structure: Which.
+        log_likelihood: Less the default's.
+        bic: Less the default's.
+        held_out: What it predicts.
+        told_apart: Whether the commands tell what it adds from its other parameters.
+        neglected: Longest delay that the data allow and it does without [s].
+        estimate: On all data.
+    """
+
+    structure: Structure
+    log_likelihood: float
+    bic: float
+    held_out: HeldOut
+    told_apart: bool
+    neglected: float
+    estimate: Estimate
+
+
+def select_laws(serving: Sequence[Flight], estimates: Mapping[str, Estimate], axes: Sequence[str]) -> dict[str, Choice]:
+    """The structure that the data earn, for each axis of a group while the others keep the default.
+
+    Args:
+        serving: The flights of the group.
+        estimates: Of the default structure, by axis.
+        axes: Those to choose for.
+    """
+    folds = _folds(serving)
+    return {axis: _choice(serving, folds, estimates, axis) for axis in axes}
+
+
+def _folds(serving: Sequence[Flight]) -> list[tuple[list[Flight], Flight]]:
+    """What is fitted and what is held out: each flight in turn, or the halves of the only one."""
+    parts = list(serving)
+    if len(parts) == 1:
+        start, end = parts[0].segments[0].start, parts[0].segments[-1].end
+        middle = 0.5 * (start + end)
+        parts = [between(parts[0], start, middle), between(parts[0], middle, end)]
+    return [([other for other in parts if other is not part], part) for part in parts]
+
+
+def _choice(
+    serving: Sequence[Flight],
+    folds: Sequence[tuple[Sequence[Flight], Flight]],
+    estimates: Mapping[str, Estimate],
+    axis: str,
+) -> Choice:
+    group = tuple(estimates)
+    names = [s for s in STRUCTURES.values() if axis in s.tried and applicable_structure(s, group) == s]
+    samples, share = effective_samples(estimates[axis])
+    trials = [_trial(serving, folds, estimates, axis, structure, samples, share) for structure in names]
+    trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size))  # else as in the table
+    best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the default, to be beaten")]
+    for trial in trials[1:]:
+        verdicts.append(_verdict(trial, best, len(trials) - 1))
+        best = trial if verdicts[-1].passed else best
+    both = next(trial.estimate for trial in trials if trial.structure.name == "first_order_delay_lag")
+    total = delay_plus_lag(both.records, both.optimum, both.place)
+    return Choice(best.structure, tuple(_candidate(one, best) for one in verdicts), samples, total)
+
+
+def effective_samples(estimate: Estimate) -> tuple[float, float]:
+    """Number of independent innovations of an axis, and their share of all.
+
+    Source: M. S. Bartlett, J. R. Statist. Soc. 8 (1946), pp. 27-41: sums of products of a series with autocorrelation r
+    vary 1 + 2 sum r^2 times as much as those of a white one.
+    """
+    k, total, products = estimate.place, 0, np.zeros(LAGS + 1)
+    for innovation in estimate.optimum.score.innovations:
+        e = innovation[:, k] - innovation[:, k].mean()
+        total += e.size
+        products += [float(e[: e.size - lag] @ e[lag:]) for lag in range(LAGS + 1)]
+    correlation = products[1:] / products[0]
+    correlation[np.abs(correlation) < 2 / np.sqrt(total)] = 0.0
+    share = 1 / (1 + 2 * float(correlation @ correlation))
+    return share * total, share
+
+
+def _trial(
+    serving: Sequence[Flight],
+    folds: Sequence[tuple[Sequence[Flight], Flight]],
+    estimates: Mapping[str, Estimate],
+    axis: str,
+    structure: Structure,
+    samples: float,
+    share: float,
+) -> _Trial:
+    """One structure fitted to everything and to each fold."""
+    before, after = single(serving, estimates, axis, structure)
+    gained = after.optimum.score.log_likelihood - before.optimum.score.log_likelihood
+    size = structure.size - FIRST_ORDER_DELAY.size
+    held_out = _held_out(folds, after, axis)
+    criterion = -2 * share * gained + size * float(np.log(samples))
+    neglected = _longest_delay(before) if structure.size < FIRST_ORDER_DELAY.size else 0.0
+    return _Trial(structure, gained, criterion, held_out, told_apart(after.optimum, after.place), neglected, after)
+
+
+def _longest_delay(estimate: Estimate) -> float:
+    """Largest delay, of either sign, within two standard errors of the default's [s]."""
+    optimum, k = estimate.optimum, estimate.place
+    place = 2 * optimum.point.gain.size + k
+    variance = inverted(optimum.score.information, optimum.free)[place, place]
+    return float(abs(optimum.point.delay[k]) + 2 * np.sqrt(variance))
+
+
+def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estimate, axis: str) -> HeldOut:
+    """Errors of what each fold holds out, predicted by what it fits."""
+    axes, k = estimate.records[0].axes, AXES.index(axis)
+    block: dict[float, list[Array]] = {NEAR: [], FAR: []}
+    squares: dict[float, list[Array]] = {NEAR: [], FAR: []}
+    for number, (fitted, held) in enumerate(folds):
+        records = [rec for flight in fitted if (rec := record(flight, axes))]
+        if not records or record(held, axes) is None:
+            continue
+        dynamics = dynamics_of(axes, _refitted(records, estimate.optimum))
+        parts = predict_flight(thinned(held), dynamics, FAR, axes)
+        for horizon in (NEAR, FAR):
+            errors = start_errors(parts, [part.predicted for part in parts], horizon)
+            with np.errstate(invalid="ignore"):
+                values = (errors.velocity / errors.steps if horizon == NEAR else errors.position)[:, k]
+            good = np.isfinite(values)
+            squares[horizon].append(values[good])
+            block[horizon].append(np.floor(errors.start[good] / BLOCK[horizon]) + 1e6 * number)
+    joined = {
+        h: (np.concatenate(block[h] or [np.empty(0)]), np.concatenate(squares[h] or [np.empty(0)])) for h in BLOCK
+    }
+    return HeldOut({h: one for h, (one, _) in joined.items()}, {h: one for h, (_, one) in joined.items()})
+
+
+def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
+    """The optimum on other records, climbed from its own coefficients and levels."""
+    point = optimum.point
+    fresh = start_point(records, 0.0, 1.0, point.levels)
+    start = replace(point, trim=fresh.trim, start=fresh.start)
+    K = point.gain.size
+    moving = [bool(optimum.free[k]) for k in range(K)]
+    free = free_of(records, moving, point.structures or (FIRST_ORDER_DELAY,) * K)
+    return maximise(records, start, free, tolerance=0.05)
+
+
+@dataclass(frozen=True)
+class Change:
+    """How squared errors differ from a rival's.
+
+    Attributes:
+        total: Mean difference, as a share of the rival's mean.
+        total_error: Standard error of that.
+        typical: Mean over the blocks of the logarithm of the ratio of both means: what a few large errors do not rule.
+        typical_error: Standard error of that.
+        reach: How many standard errors make sure.
+    """
+
+    total: float
+    total_error: float
+    typical: float
+    typical_error: float
+    reach: float
+
+    @property
+    def better(self) -> bool:
+        """Whether they are smaller beyond the uncertainty."""
+        return self.typical + self.reach * self.typical_error < 0 and self.total < 0
+
+    @property
+    def no_worse(self) -> bool:
+        """Whether they are not larger by more than a standard error, typically and in all."""
+        return self.typical <= self.typical_error and self.total <= self.total_error
+
+    @property
+    def words(self) -> str:
+        """Both in per cent."""
+        typical, error = float(np.expm1(self.typical)), self.typical_error * float(np.exp(self.typical))
+        return (
+            f"typically {100 * typical:+.1f} +- {100 * error:.1f} %, "
+            f"in all {100 * self.total:+.1f} +- {100 * self.total_error:.1f} %"
+        )
+
+
+def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> Change | None:
+    """How the squared errors of one differ from those of a rival among so many tries; None with too few blocks."""
+    from scipy.special import stdtrit
+
+    a, b = one.squares[horizon], rival.squares[horizon]
+    if a.size != b.size or not a.size:
+        return None
+    _, place, starts = np.unique(one.block[horizon], return_inverse=True, return_counts=True)
+    blocks = starts.size
+    if blocks < LEAST_BLOCKS:
+        return None
+    difference, scale = a - b, float(b.mean())
+    mean = float(difference.mean())
+    sums = np.bincount(place, difference - mean)
+    error = float(np.sqrt(sums @ sums * blocks / (blocks - 1))) / difference.size
+    ratio = np.log(np.maximum(np.bincount(place, a), 1e-30) / np.maximum(np.bincount(place, b), 1e-30))
+    spread = float(ratio.std(ddof=1)) / float(np.sqrt(blocks))
+    reach = float(stdtrit(blocks - 1, 1 - 0.025 / tries))
+    return Change(mean / scale, error / scale, float(ratio.mean()), spread, reach)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """A trial, the rival it met, whether it takes its place, and why in words."""
+
+    trial: _Trial
+    rival: _Trial
+    passed: bool
+    words: str
+
+
+def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
+    """Whether a trial takes the place of its rival.
+
+    A richer structure, or another of the same size, must be better by the criterion and beyond the uncertainty in one
+    kind of prediction, and no worse in the other. A simpler one must be better by the criterion and no worse in both,
+    and what it does without must be known to be small.
+    Many are tried, so each must be sure enough that all together are mistaken in 2.5 % (Bonferroni).
+    """
+    near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
+    name, cheaper = rival.structure.name, trial.bic < rival.bic
+    if not trial.told_apart:
+        return _Verdict(trial, rival, False, SAME)
+    if near is None or far is None:
+        return _on_little(trial, rival)
+    simpler = trial.structure.size < rival.structure.size
+    better = near.better or far.better
+    kept = near.no_worse and far.no_worse
+    numbers = f"squared errors at 1 s {near.words}; at 5 s {far.words}"
+    if cheaper and kept and (simpler or better) and trial.neglected <= NEGLIGIBLE_DELAY:
+        return _Verdict(trial, rival, True, f"earned over {name}: {numbers}")
+    if trial.neglected > NEGLIGIBLE_DELAY:
+        why = f"the delay may be as long as {trial.neglected:.2f} s"
+    elif simpler and not cheaper:
+        why = "the likelihood falls by more than a parameter is worth"
+    elif not cheaper:
+        why = "its likelihood does not pay for its parameters"
+    elif not kept:
+        why = "it predicts worse"
+    else:
+        why = "its predictions are not better beyond their uncertainty"
+    return _Verdict(trial, rival, False, f"not earned: {why} ({numbers})")
+
+
+def _candidate(verdict: _Verdict, best: _Trial) -> Candidate:
+    trial, rival = verdict.trial, verdict.rival
+    changes = [change_of(trial.held_out, rival.held_out, horizon) for horizon in (NEAR, FAR)]
+    first = trial is rival
+    velocity, position = (None if first or change is None else (change.total, change.total_error) for change in changes)
+    return Candidate(
+        structure=trial.structure.name,
+        parameters=2 + trial.structure.size,
+        log_likelihood=trial.log_likelihood,
+        bic=trial.bic,
+        velocity=trial.held_out.rmse(NEAR),
+        position=trial.held_out.rmse(FAR),
+        rival="" if first else rival.structure.name,
+        velocity_change=velocity,
+        position_change=position,
+        verdict=verdict.words,
+        chosen=trial is best,
+    )
+
+
+def unidentifiable_candidate(structure: str) -> Candidate:
+    """The row of a structure that was asked for and cannot be told from the default."""
+    size = 2 + STRUCTURES[structure].size
+    return Candidate(structure, size, 0.0, 0.0, None, None, FIRST_ORDER_DELAY.name, None, None, SAME, False)
+
+
+def _on_little(trial: _Trial, rival: _Trial) -> _Verdict:
+    """The verdict on a flight too short to test predictions: very strong evidence of the criterion, and no denial."""
+    error, other = trial.held_out.rmse(NEAR), rival.held_out.rmse(NEAR)
+    if error is None or other is None:
+        return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")
+    numbers = (
+        f"criterion {trial.bic - rival.bic:+.0f}, errors at 1 s {error / other:.2f} times as large, too few to test"
+    )
+    passed = trial.structure.size >= rival.structure.size and trial.bic < rival.bic - VERY_STRONG and error < other
+    if passed:
+        return _Verdict(trial, rival, True, f"earned over {rival.structure.name} on little: {numbers}")
+    return _Verdict(trial, rival, False, f"not earned: little is held out, and the evidence is not strong ({numbers})")

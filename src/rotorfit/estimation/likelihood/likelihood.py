@@ -1,0 +1,334 @@
+"""The grey-box likelihood: commands -> exact response -> residual -> whitening filter, with gradients and information.
+
+Source: the Kalman likelihood of the model (5) with delay, trim and a slow disturbance; the mean and all its
+sensitivities pass through the gains of one filter, so the gradient costs one pass. Coefficients enter as
+(g, log b, tau), so the damping is positive by construction.
+"""
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.frames import Array, Indices, Mask
+from rotorfit.core.laws import DAMPING, DELAY, GAIN, TRIM, Structure
+from rotorfit.dynamics.disturbance import whiten_axis, whiten_plane
+from rotorfit.dynamics.general_response import motion_response
+from rotorfit.dynamics.general_step import MEAN, NOTHING, START
+from rotorfit.dynamics.response import axis_response, plane_response
+from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.parameters import Point
+
+
+def segments(records: Sequence[Record]) -> list[slice]:
+    """Which rows of `Point.start` belong to each flight."""
+    ends = np.cumsum([0, *(rec.starts.size for rec in records)])
+    return [slice(int(low), int(high)) for low, high in itertools.pairwise(ends)]
+
+
+def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
+    """Position of the blocks as the commands explain it, and its sensitivities.
+
+    Args:
+        rec: The flight.
+        point: Coefficients and trims.
+        flight: Which row of the trims.
+        start: Velocity at the start of its segments, world where K is 2, shape (S, K).
+
+    Returns:
+        World position (B, K), and d/d(g, log b, tau, further ones, c, v0) in that order with K columns each,
+        (B, (5 + E) K, K); v0 is that of the block's own segment.
+    """
+    laws = point.laws
+    if laws is not None:
+        return _general_response(rec, point, laws, point.trim[flight], start)
+    common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
+    weight, segment = rec.weight, np.cumsum(rec.fresh) - 1
+    damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
+    if K == 1:
+        out = axis_response(
+            *common, rec.command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
+        )
+    else:
+        out = plane_response(*common, rec.command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
+    gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(rec.observed(out), 5, axis=1)
+    mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
+    mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
+    damping_columns = damping_columns * damping[None, :, None]
+    return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns, start_columns], axis=1)
+
+
+def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start: Array) -> tuple[Array, Array]:
+    """The same under the general law."""
+    laws[:, TRIM] = trim
+    what, whose, scale = _columns(point.structures, len(point.extra))
+    out = motion_response(
+        rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time, rec.command,
+        rec.weight, rec.yaw, laws, what, whose, start,
+    )  # fmt: skip
+    out = rec.observed(out)
+    values = np.ones(what.size - 1)
+    for j in np.flatnonzero(scale):
+        values[j - 1] = laws[whose[j], what[j]]
+    return out[:, 0], out[:, 1:] * values[:, None]
+
+
+@functools.cache
+def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indices, Mask]:
+    """What each column of the general response is, whose, and whether it is by a logarithm."""
+    K = len(structures)
+    what, whose = [MEAN], [0]
+    for place in (GAIN, DAMPING, DELAY):
+        what += [place] * K
+        whose += range(K)
+    scaled = [place == DAMPING for place in what]
+    for e in range(E):
+        for k, structure in enumerate(structures):
+            there = e < len(structure.extras) and structure.extras[e].estimated
+            what.append(structure.extras[e].place if there else NOTHING)
+            whose.append(k)
+            scaled.append(there and structure.extras[e].logarithmic)
+    for place in (TRIM, START):
+        what += [place] * K
+        whose += range(K)
+        scaled += [False] * K
+    return np.array(what), np.array(whose), np.array(scaled)
+
+
+def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
+    """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, variances (B, K)."""
+    values = np.exp(levels)
+    if rec.rate is not None:
+        return fused(rec, columns, values)
+    if len(rec.axes) == 2:
+        return whiten_plane(rec.steps, rec.step, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
+    rows, variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
+    return rows[:, :, None], variance[:, None]
+
+
+def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
+    """The filter of a record that holds velocities; see `whiten_fused`. `levels` (K, L) are no logarithms here."""
+    assert rec.rate is not None
+    assert rec.rounding is not None
+    noise = levels[:, [1, 1 if rec.measured == "velocity" else 4]]
+    noise[:, 1] += rec.rounding
+    bias = 0.0 if rec.measured == "velocity" else BIAS_VARIANCE
+    columns = np.ascontiguousarray(columns)
+    return whiten_fused(  # type: ignore[no-any-return]
+        rec.steps, rec.step, rec.count, rec.fresh, rec.rate, rec.block_yaw, columns, levels, noise, bias, coloured
+    )
+
+
+@dataclass(frozen=True)
+class LikelihoodScore:
+    """The likelihood at a point, over the n coefficients, trims and start velocities and the L K levels.
+
+    Attributes:
+        log_likelihood: Of all flights together.
+        adjustment: Of the restricted likelihood: less half the log determinant of the coefficients' information.
+        gradient: Shape (n + L K,); the levels' part is that of both together.
+        information: Expected; block diagonal between the coefficients with the trims and the levels.
+        slopes: Derivative of the coefficients' information, at the reference, by each level, shape (L K, n, n).
+        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each level, (n, L K).
+        innovations: Per flight, standardised, heading frame, shape (B, K).
+    """
+
+    log_likelihood: float
+    adjustment: float
+    gradient: Array
+    information: Array
+    slopes: Array
+    cross: Array
+    innovations: tuple[Array, ...]
+
+    @property
+    def objective(self) -> float:
+        """What is maximised."""
+        return self.log_likelihood + self.adjustment
+
+
+LEVEL_STEP = 1e-6
+"""Step of the differences by the logarithm of a level."""
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """What restricted likelihood projects out of the data before it looks at the levels.
+
+    Attributes:
+        active: Coefficients and trims that are being fitted, shape (n,).
+        sensitivities: Per flight, of the response at a fixed reference point near the top, (B, (5 + E) K, K). Fixed, so
+            that the coefficients themselves are judged by the plain likelihood.
+    """
+
+    active: Mask
+    sensitivities: tuple[Array, ...]
+
+
+def restriction(records: Sequence[Record], point: Point, free: Mask) -> Restriction:
+    """The restriction with a point as its reference; `free` covers all parameters, shape (n + L K,)."""
+    columns = (response(rec, point, j, point.start[at])[1] for j, (rec, at) in enumerate(_flights(records)))
+    return Restriction(free[: point.n], tuple(columns))
+
+
+def _flights(records: Sequence[Record]) -> list[tuple[Record, slice]]:
+    return list(zip(records, segments(records), strict=True))
+
+
+def score(records: Sequence[Record], point: Point, restricted: Restriction | None = None) -> LikelihoodScore:
+    """Log-likelihood with gradient and information in one pass over the flights.
+
+    The levels are those of the restricted likelihood: the coefficients that are fitted take up part of the disturbance,
+    and plain likelihood would take what is left for all of it.
+
+    Args:
+        records: The flights.
+        point: Where.
+        restricted: What the levels account for; None leaves out everything about the levels.
+
+    Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
+    B 49 (1987), pp. 1-39.
+    """
+    K, n, F, L = point.gain.size, point.n, len(records), point.levels.size
+    scaled = K == 1 and point.measured == "position"
+    first_trim = point.coefficients
+    width = first_trim + 2 * K
+    information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
+    projected, slopes, cross = np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L))
+    log_likelihood, innovations = 0.0, []
+    for j, (rec, at) in enumerate(_flights(records)):
+        mean, sensitivity = response(rec, point, j, point.start[at])
+        residual = (rec.position - mean)[:, None, :]
+        fixed = [] if restricted is None else [restricted.sensitivities[j]]
+        rows, log_variance = _rows(rec, np.concatenate([residual, sensitivity, *fixed], axis=1), point.levels)
+        parts = [
+            (np.r_[:first_trim, first_trim + j * K : first_trim + (j + 1) * K, first : first + K], part)
+            for first, part in zip(_start_places(first_trim, K, F, at), _segment_parts(rec, K), strict=True)
+        ]
+        products = [rows[part].T @ rows[part] for _, part in parts]
+        for (where, _), product in zip(parts, products, strict=True):
+            information[np.ix_(where, where)] += product[1 : 1 + width, 1 : 1 + width]
+            gradient[where] += product[1 : 1 + width, 0]
+            log_likelihood -= 0.5 * float(product[0, 0])
+        log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
+        e = rows[:, 0]
+        innovations.append(e.reshape(-1, K))
+        if restricted is None:
+            continue
+        columns = np.concatenate([residual, *fixed], axis=1)
+        d_innovation, d_log_variance = np.empty((L, e.size)), np.empty((L, e.size))
+        for i in range(L):
+            if scaled and i == 0:
+                continue
+            levels = point.levels.copy()
+            levels.ravel()[i] += LEVEL_STEP
+            moved, moved_log_variance = _rows(rec, columns, levels)
+            d_innovation[i], d_log_variance[i] = moved[:, 0] - e, moved_log_variance - log_variance
+            for (where, part), product in zip(parts, products, strict=True):
+                change = moved[part, 1:].T @ moved[part, 1:] - product[1 + width :, 1 + width :]
+                slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
+                turned = moved[part, 1:].T @ moved[part, 0] - product[1 + width :, 0]
+                cross[where, i] += turned / LEVEL_STEP
+        if scaled:
+            # q and r together only scale every variance but that of the unknown start: one filter pass saved.
+            later = ~rec.fresh
+            d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
+            d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
+        for (where, _), product in zip(parts, products, strict=True):
+            projected[np.ix_(where, where)] += product[1 + width :, 1 + width :]
+            if scaled:  # minus the gradient, of which the second level's share is taken off below
+                cross[where, 0] -= product[1 + width :, 0]
+        d_innovation /= LEVEL_STEP
+        d_log_variance /= LEVEL_STEP
+        raw = d_innovation + 0.5 * e * d_log_variance
+        information[n:, n:] += raw @ raw.T + 0.5 * d_log_variance @ d_log_variance.T
+        gradient[n:] -= d_innovation @ e + 0.5 * d_log_variance.sum(axis=1)
+    adjustment = 0.0
+    if restricted is not None:
+        if scaled:
+            slopes[0] = -projected - slopes[1]
+            cross[:, 0] -= cross[:, 1]
+        gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
+        adjustment = -0.5 * _log_determinant(projected, restricted.active)
+    return LikelihoodScore(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations))
+
+
+def _start_places(first_trim: int, K: int, F: int, at: slice) -> range:
+    """First place of the start velocity of each segment among all parameters."""
+    first = first_trim + F * K
+    return range(first + at.start * K, first + at.stop * K, K)
+
+
+def _segment_parts(rec: Record, K: int) -> list[slice]:
+    """Which entries of the flattened blocks (B K,) belong to each segment."""
+    ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
+    return [slice(low, high) for low, high in itertools.pairwise(ends)]
+
+
+def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
+    """Whitened columns (B K, C) and log variances (B K,)."""
+    rows, variance = whiten(rec, columns, levels)
+    return rows.transpose(0, 2, 1).reshape(-1, columns.shape[1]), np.log(variance).ravel()
+
+
+def _log_determinant(information: Array, active: Mask) -> float:
+    """Of the active block, with the ridge of `inverted`."""
+    block = information[np.ix_(active, active)]
+    size = np.sqrt(np.maximum(np.diag(block), 1e-12))
+    scaled = block / np.outer(size, size) + 1e-10 * np.eye(size.size)
+    return float(np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
+
+
+LEAST_FREEDOM = 3.0
+"""Degrees of freedom below which the approximation has no finite variance and says nothing."""
+
+
+def degrees_of_freedom(score_: LikelihoodScore, free: Mask, direction: Array) -> float:
+    """How many the levels leave for the variance of a combination of coefficients.
+
+    Args:
+        score_: With the levels' part.
+        free: True for the parameters that were fitted, shape (n + L K,).
+        direction: Of the combination, shape (n,).
+
+    Source: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114, as used for restricted likelihood by
+    M. G. Kenward and J. H. Roger, Biometrics 53 (1997), pp. 983-997.
+    """
+    n = direction.size
+    along = inverted(score_.information[:n, :n], free[:n]) @ direction
+    slope = -np.einsum("i,kij,j->k", along, score_.slopes, along) / float(direction @ along)
+    spread = float(slope @ inverted(score_.information[n:, n:], free[n:]) @ slope)
+    return max(2.0 / max(spread, 1e-9), LEAST_FREEDOM)
+
+
+def level_share(score_: LikelihoodScore, free: Mask, direction: Array) -> float:
+    """What not knowing the levels adds to the variance of a combination of coefficients, as a share of it.
+
+    The estimate moves with the levels as far as the data happen to pull; this is the square of that pull over the
+    levels' own uncertainty, from the observed cross derivatives.
+
+    Args:
+        score_: With the levels' part.
+        free: True for the parameters that were fitted, shape (n + L K,).
+        direction: Of the combination, shape (n,).
+
+    Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997: the term Phi (Q - P Phi P) Phi.
+    """
+    n = direction.size
+    along = inverted(score_.information[:n, :n], free[:n]) @ direction
+    pull = along @ score_.cross
+    return float(pull @ inverted(score_.information[n:, n:], free[n:]) @ pull) / float(direction @ along)
+
+
+def inverted(information: Array, active: Mask) -> Array:
+    """Inverse of the information over the active parameters, zero elsewhere."""
+    out = np.zeros_like(information)
+    index = np.flatnonzero(active)
+    block = information[np.ix_(index, index)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-12))
+    inverse = np.linalg.inv(block * np.outer(scale, scale) + 1e-10 * np.eye(index.size))
+    out[np.ix_(index, index)] = inverse * np.outer(scale, scale)
+    return out

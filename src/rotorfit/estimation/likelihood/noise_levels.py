@@ -1,0 +1,76 @@
+"""The disturbance levels that prediction needs, settled at coefficients that another estimator has found."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.laws import LEVELS_OF, start_levels
+from rotorfit.core.model import Axis, Predictor
+from rotorfit.estimation.likelihood.axis_estimate import free_of
+from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
+from rotorfit.estimation.likelihood.optima import start_point, trim_variance
+from rotorfit.estimation.likelihood.parameters import DAMPING_RANGE
+
+
+def settle_levels(
+    flights: Sequence[Flight], points: Mapping[str, Predictor]
+) -> list[tuple[tuple[str, ...], list[Record], Optimum]]:
+    """Levels, trims and starts at given coefficients, by the restricted likelihood.
+
+    x and y of a vehicle that turns are settled together, by the filter that turns with it; an axis of the two without
+    a point only coasts. A damping below the range of the likelihood is taken as its end.
+
+    Args:
+        flights: Those that serve these axes.
+        points: Axis to its coefficients: one axis, or x and y.
+
+    Returns:
+        Axes, records and optimum, of all axes together or one each; none where the flights are too short.
+    """
+    axes = ("x", "y") if {"x", "y"} & set(points) else tuple(points)
+    records = [rec for flight in flights if (rec := record(flight, axes))]
+    if not records:
+        return []
+    groups = [(axis,) for axis in points] if all(rec.held for rec in records) else [axes]
+    return [_settled(flights, group, points) for group in groups]
+
+
+def _settled(
+    flights: Sequence[Flight], group: tuple[str, ...], points: Mapping[str, Predictor]
+) -> tuple[tuple[str, ...], list[Record], Optimum]:
+    records = [rec for flight in flights if (rec := record(flight, group))]
+    chosen = [points.get(axis, Predictor(0.0, 1.0, 0.0)) for axis in group]
+    start = replace(
+        start_point(records, 0.0, 1.0, np.tile(start_levels(measured_by(records)), (len(group), 1))),
+        gain=np.array([point.input for point in chosen]),
+        log_damping=np.log(np.clip([point.damping for point in chosen], *DAMPING_RANGE)),
+        delay=np.array([point.delay for point in chosen]),
+    )
+    return group, records, maximise(records, start, free_of(records, [False] * len(group)))
+
+
+def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str, Axis]:
+    """Axes of one group with the disturbance levels settled at their predictors.
+
+    Args:
+        flights: Those that serve the axes with a predictor.
+        axes: Axis name to what is known of it.
+    """
+    out = dict(axes)
+    points = {axis: known.predictor for axis, known in axes.items() if known.predictor}
+    for group, _, optimum in settle_levels(flights, points) if points else []:
+        for k, axis in enumerate(group):
+            if axis in points:
+                out[axis] = replace(out[axis], noise=noise_of(optimum, k))
+    return out
+
+
+def noise_of(optimum: Optimum, k: int) -> dict[str, float]:
+    """Disturbance levels of an axis, by name, and the mean square of the flights' trims."""
+    levels = np.exp(optimum.point.levels[k])
+    return {name: float(v) for name, v in zip(LEVELS_OF[optimum.point.measured], levels, strict=True)} | {
+        "trim_variance": float(trim_variance(optimum)[k])
+    }

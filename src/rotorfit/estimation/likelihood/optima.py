@@ -1,0 +1,313 @@
+"""Starts and optima: where the likelihood is climbed from, what the climbs found, and which optimum is believed.
+
+In closed loop the likelihood of a wrong model can stand far above that of the right one: a controller's command tells
+how the vehicle moves, so a model that reads the command as a measurement (no delay, huge damping) explains every
+small motion and predicts nothing. The optimum that is believed is therefore the one that predicts the training flights
+best over 1 s; the likelihood decides between optima that predict alike.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frames import AXES, Array, Mask
+from rotorfit.core.laws import FIRST_ORDER_DELAY, start_levels
+from rotorfit.dynamics.protocol import AxisDynamics, hold_velocity, horizon_errors, predict_flight
+from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record, measured_by
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.parameters import Point
+
+STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
+"""Delay [s] and damping [1/s] of the starts."""
+
+SAME_DELAY = 0.01
+
+SAME_LOG_DAMPING = 0.3
+"""Optima closer than this in delay [s] and log damping are one."""
+
+START_BLOCKS = 6
+"""Blocks over which the velocity at a start is guessed."""
+
+FINISH = 15
+"""Passes that an optimum found from a later start gets for levels of its own: enough to judge it."""
+
+BACKWARDS = np.log(8.0)
+"""Logarithm of the damping beyond which a model has no memory: it reads the velocity off the command."""
+
+ALIKE = 0.05
+"""Optima whose prediction errors differ by less than this share predict alike."""
+
+EXCERPT = 60.0
+"""Length of the stretch of a flight in which optima are searched [s]; the chosen one is then climbed on all of it."""
+
+JUDGE_HORIZON = 1.0
+"""Horizon of the predictions that judge [s]."""
+
+
+@dataclass(frozen=True)
+class CandidateOptimum:
+    """An optimum and what speaks for it.
+
+    Attributes:
+        optimum: Of the likelihood.
+        starts: How many starts ended there.
+        prediction: RMSE of 1 s velocity predictions on the training flights, per axis, shape (K,).
+        held: The same of holding the velocity of the start.
+    """
+
+    optimum: Optimum
+    starts: int
+    prediction: Array
+    held: Array
+
+
+def start_point(records: Sequence[Record], delay: float, damping: float, levels: Array) -> Point:
+    """A point of the given delay and damping on every axis, with a gain of the right order and measured velocities."""
+    K = levels.shape[0]
+    return Point(
+        gain=np.full(K, 2.0 * max(damping, 1.0)),
+        log_damping=np.full(K, np.log(damping)),
+        delay=np.full(K, delay),
+        trim=np.zeros((len(records), K)),
+        start=np.concatenate([_start_velocity(rec) for rec in records]),
+        levels=levels,
+        measured=measured_by(records),
+    )
+
+
+def _start_velocity(rec: Record) -> Array:
+    """Mean velocity over the first blocks of each segment, shape (S, K)."""
+    first = np.flatnonzero(rec.fresh)
+    if rec.rate is not None:
+        rates = np.flatnonzero(rec.rate)
+        at = np.searchsorted(rates, first)[:, None] + np.arange(START_BLOCKS)
+        return rec.position[rates[np.minimum(at, rates.size - 1)]].mean(axis=1)  # type: ignore[no-any-return]
+    last = np.minimum(first + START_BLOCKS, np.append(first[1:], rec.count.size) - 1)
+    elapsed = np.maximum(rec.block_time[last] - rec.block_time[first], 1e-3)
+    return (rec.position[last] - rec.position[first]) / elapsed[:, None]  # type: ignore[no-any-return]
+
+
+def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[CandidateOptimum, ...]:
+    """Climbs from every start and gathers the distinct optima, best first.
+
+    The first start settles the disturbance levels too; the others climb at those levels and every new optimum is then
+    finished with levels of its own.
+
+    Args:
+        records: The flights as the likelihood needs them.
+        flights: The same flights, for the prediction that judges.
+        free: True for the parameters that may move.
+    """
+    K = len(records[0].axes)
+    levels = np.tile(start_levels(measured_by(records)), (K, 1))
+    held_levels = free.copy()
+    held_levels[-levels.size :] = False
+    optima: list[Optimum] = []
+    starts: list[int] = []
+    for number, (delay, damping) in enumerate(STARTS):
+        point = start_point(records, delay, damping, levels)
+        point = _still(point, free)
+        if number:
+            point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
+        same = _same(point, [optimum.point for optimum in optima])
+        if same is None:
+            rise = climb if number == 0 else maximise  # the levels of the first start have settled where poles are
+            climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
+            same = _same(climbed.point, [optimum.point for optimum in optima])
+        if same is None:
+            optima.append(climbed)
+            starts.append(1)
+        else:
+            starts[same] += 1
+        if number == 0:
+            levels = climbed.point.levels
+    predictions = [prediction_error(flights, records[0].axes, optimum) for optimum in optima]
+    found = [CandidateOptimum(o, n, *p) for o, n, p in zip(optima, starts, predictions, strict=True)]
+    return _ranked([*found, *_crossed(records, flights, free, found)])
+
+
+def _crossed(
+    records: Sequence[Record], flights: Sequence[Flight], free: Mask, found: Sequence[CandidateOptimum]
+) -> tuple[CandidateOptimum, ...]:
+    """The optimum that each axis of a pair finds best, put together and climbed, where no start ended there.
+
+    A start that is right for one axis can be wrong for the other, and then no climb is right for both.
+    """
+    best = [_best_on(found, k) for k in range(len(records[0].axes))]
+    if len(set(best)) < 2:
+        return ()
+    points = [found[i].optimum.point for i in best]
+    point = replace(
+        points[0],
+        gain=np.stack([p.gain[k] for k, p in enumerate(points)]),
+        log_damping=np.stack([p.log_damping[k] for k, p in enumerate(points)]),
+        delay=np.stack([p.delay[k] for k, p in enumerate(points)]),
+        levels=np.stack([p.levels[k] for k, p in enumerate(points)]),
+        trim=np.stack([p.trim[:, k] for k, p in enumerate(points)], axis=1),
+    )
+    climbed = climb(records, point, free, tolerance=0.3, most=FINISH)
+    if _same(climbed.point, [f.optimum.point for f in found]) is not None:
+        return ()
+    return (CandidateOptimum(climbed, 0, *prediction_error(flights, records[0].axes, climbed)),)
+
+
+def _best_on(found: Sequence[CandidateOptimum], k: int) -> int:
+    """Which optimum predicts an axis best, loops read backwards left out."""
+    error = np.array([np.inf if is_inverse_loop(f.optimum, k) else f.prediction[k] for f in found])
+    return int(np.argmin(np.where(np.isfinite(error), error, np.inf)))
+
+
+def _still(point: Point, free: Mask) -> Point:
+    """The point with no gain, damping 1 and no delay on the axes whose coefficients may not move."""
+    fixed = ~free[: point.gain.size]
+    return replace(
+        point,
+        gain=np.where(fixed, 0.0, point.gain),
+        log_damping=np.where(fixed, 0.0, point.log_damping),
+        delay=np.where(fixed, 0.0, point.delay),
+    )
+
+
+def _same(point: Point, others: Sequence[Point]) -> int | None:
+    for i, other in enumerate(others):
+        if (np.abs(point.delay - other.delay) < SAME_DELAY).all() and (
+            np.abs(point.log_damping - other.log_damping) < SAME_LOG_DAMPING
+        ).all():
+            return i
+    return None
+
+
+def is_inverse_loop(optimum: Optimum, k: int) -> bool:
+    """Whether an optimum is a feedback loop read backwards: no memory, sign turned, the command behind the motion.
+
+    Such a model knows the future from the commands that answer it, so it explains and even predicts; never believe it.
+    """
+    point = optimum.point
+    return bool(point.gain[k] < 0 and point.delay[k] < 0 and point.log_damping[k] > BACKWARDS)
+
+
+def _ranked(found: Sequence[CandidateOptimum]) -> tuple[CandidateOptimum, ...]:
+    """The believed optimum first: among those that predict alike, the likeliest; the others by prediction."""
+    error = np.array([np.sqrt(np.mean((f.prediction / np.maximum(found[0].prediction, 1e-12)) ** 2)) for f in found])
+    error[~np.isfinite(error)] = np.inf
+    backwards = np.array([any(is_inverse_loop(f.optimum, k) for k in range(f.prediction.size)) for f in found])
+    error[backwards] = np.inf
+    alike = error <= np.min(error) * (1 + ALIKE) if np.isfinite(error).any() else np.ones(len(found), bool)
+    likelihood = np.array([f.optimum.score.log_likelihood for f in found])
+    best = int(np.argmax(np.where(alike, likelihood, -np.inf)))
+    rest = sorted((i for i in range(len(found)) if i != best), key=lambda i: error[i])
+    return tuple(found[i] for i in (best, *rest))
+
+
+def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Optimum) -> tuple[Array, Array]:
+    """RMSE of 1 s velocity predictions of an optimum on its own flights, and that of holding the velocity of the start.
+
+    Returns:
+        Both per axis, shape (K,); NaN where the flights are too short.
+    """
+    dynamics = dynamics_of(axes, optimum)
+    squares, count = np.zeros((2, len(axes))), np.zeros(len(axes))
+    for flight in flights:
+        parts = predict_flight(thinned(flight), dynamics, JUDGE_HORIZON, axes)
+        for row, predicted in enumerate(([p.predicted for p in parts], [hold_velocity(p) for p in parts])):
+            errors = horizon_errors(parts, predicted, JUDGE_HORIZON)
+            for k, axis in enumerate(axes):
+                rmse = errors[axis].velocity_rmse
+                if rmse is not None:
+                    squares[row, k] += errors[axis].n * rmse**2
+                    count[k] += errors[axis].n if row == 0 else 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        own, held = np.sqrt(squares / count)
+    return own, held
+
+
+def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
+    """The stretch of a long flight in which the axes are commanded most: where the optima are, a minute tells."""
+    start, end = flight.segments[0].start, flight.segments[-1].end
+    if end - start <= EXCERPT:
+        return flight
+    t, u = flight.command_time, flight.command[:, [AXES.index(axis) for axis in axes]]
+    energy = np.concatenate([[0.0], np.cumsum(np.sum((u - u.mean(axis=0)) ** 2, axis=1))])
+    begins = np.arange(start, end - EXCERPT + 1e-9, EXCERPT / 6)
+    inside = energy[np.searchsorted(t, begins + EXCERPT)] - energy[np.searchsorted(t, begins)]
+    best = float(begins[int(np.argmax(inside))])
+    return between(flight, best, best + EXCERPT)
+
+
+def between(flight: Flight, low: float, high: float) -> Flight:
+    """What a flight holds between two times [s], from the command that acts at the first of them."""
+    t = flight.command_time
+    low = float(t[max(int(np.searchsorted(t, low, side="right")) - 1, 0)])
+    commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
+    return replace(
+        flight,
+        span=(max(low, flight.span[0]), min(high, flight.span[1])),
+        command_time=t[commands],
+        command=flight.command[commands],
+        pose_time=flight.pose_time[poses],
+        position=flight.position[poses],
+        yaw=flight.yaw[poses],
+        velocity=flight.velocity and flight.velocity.between(low, high),
+        segments=tuple(
+            Segment(max(part.start, low), min(part.end, high))
+            for part in flight.segments
+            if part.start < high and part.end > low
+        ),
+    )
+
+
+def thinned(flight: Flight) -> Flight:
+    """The flight with its poses thinned to about the rate of the blocks: enough to judge."""
+    every = max(1, int(flight.pose_time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
+    velocity = flight.velocity
+    if velocity is not None:
+        often = max(1, int(velocity.time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
+        velocity = replace(velocity, time=velocity.time[::often], value=velocity.value[::often])
+    return replace(
+        flight,
+        pose_time=flight.pose_time[::every],
+        position=flight.position[::every],
+        yaw=flight.yaw[::every],
+        velocity=velocity,
+    )
+
+
+def trim_variance(optimum: Optimum) -> Array:
+    """Mean square of the flights' trims with their uncertainty: the prior of a new flight's trim, shape (K,)."""
+    K, F = optimum.point.gain.size, len(optimum.point.trim)
+    first = optimum.point.coefficients
+    variance = np.diag(inverted(optimum.score.information, optimum.free))[first : first + F * K].reshape(F, K)
+    return np.mean(optimum.point.trim**2 + variance, axis=0) + 1e-12  # type: ignore[no-any-return]
+
+
+def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, AxisDynamics]:
+    """What prediction needs of an optimum, axis by axis."""
+    point, variance = optimum.point, trim_variance(optimum)
+    return {
+        axis: AxisDynamics(
+            input=float(point.gain[k]),
+            damping=float(np.exp(point.log_damping[k])),
+            delay=float(point.delay[k]),
+            levels=tuple(float(level) for level in np.exp(point.levels[k, :4])),  # type: ignore[arg-type]
+            trim_variance=float(variance[k]),
+            structure=point.structures[k] if point.structures else FIRST_ORDER_DELAY,
+            extra=point.extra_values(k),
+        )
+        for k, axis in enumerate(axes)
+    }
+
+
+def without_input(records: Sequence[Record], optimum: Optimum, axes: Sequence[int]) -> Optimum:
+    """The best that the likelihood does when the commands of some axes act on nothing."""
+    K = optimum.point.gain.size
+    gain, log_damping, delay = optimum.point.gain.copy(), optimum.point.log_damping.copy(), optimum.point.delay.copy()
+    free = optimum.free.copy()
+    for k in axes:
+        gain[k], log_damping[k], delay[k] = 0.0, 0.0, 0.0
+        free[[k, K + k, 2 * K + k]] = False
+    return maximise(
+        records, replace(optimum.point, gain=gain, log_damping=log_damping, delay=delay), free, tolerance=0.05
+    )

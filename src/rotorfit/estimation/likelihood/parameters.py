@@ -1,0 +1,129 @@
+"""Point: where the likelihood is looked at, as named arrays and as one flat vector, with the ranges of its search.
+
+Coefficients enter as (g, log b, tau), so the damping is positive by construction.
+"""
+
+import functools
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Measured, Structure, law_of, level_range
+
+DAMPING_RANGE = (1e-3, 100.0)
+"""Damping that is searched [1/s]."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the parameter space of K axes and F flights.
+
+    Attributes:
+        gain: g, shape (K,).
+        log_damping: log b, shape (K,).
+        delay: tau, shape (K,) [s].
+        trim: c in the heading frame, shape (F, K).
+        start: Velocity at the start of each segment, shape (S, K), over the segments of all flights in turn.
+        levels: log of q, r, alpha, kappa, shape (K, L): L = 4; or 5, the last being r_v, where position and velocity
+            are measured. Where only a velocity is, r_v is in the place of r.
+        structures: Of each axis; none means the default of all.
+        extra: Coordinates of the E further parameters, shape (E, K): as many as the axis with the most has; those that
+            an axis does not have are not looked at.
+        measured: What the levels are of.
+    """
+
+    gain: Array
+    log_damping: Array
+    delay: Array
+    trim: Array
+    start: Array
+    levels: Array
+    structures: tuple[Structure, ...] = ()
+    extra: Array = field(default_factory=lambda: np.empty((0, 1)))
+    measured: Measured = "position"
+
+    def flat(self) -> Array:
+        """g of all axes, log b, tau, further ones, trims, start velocities, levels: shape (n + L K,)."""
+        parts = (self.gain, self.log_damping, self.delay, self.extra, self.trim, self.start, self.levels)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @property
+    def coefficients(self) -> int:
+        """Number of parameters before the trims: 3 + E of each axis."""
+        return 3 * self.gain.size + self.extra.size
+
+    @property
+    def n(self) -> int:
+        """Number of parameters before the levels."""
+        return self.coefficients + self.trim.size + self.start.size
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper ends of the searched ranges, in the order of `flat`."""
+        others = self.trim.size + self.start.size
+        return _bounds(self.gain.size, self.structures, len(self.extra), others, self.measured)
+
+    def moved(self, step: Array) -> "Point":
+        """The point plus a step in the order of `flat`, kept inside the searched ranges."""
+        return self.with_flat(np.clip(self.flat() + step, *self.bounds()))
+
+    def reach(self, step: Array) -> float:
+        """Largest share, at most 1, of a step that stays inside the searched ranges."""
+        value, (low, high) = self.flat(), self.bounds()
+        room = np.where(step > 0, high - value, value - low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where((step != 0) & (room > 0), room / np.abs(step), np.inf)
+        return float(min(1.0, share.min()))
+
+    def with_flat(self, values: Array) -> "Point":
+        """The point with all parameters replaced, in the order of `flat`."""
+        K = self.gain.size
+        ends = np.cumsum([K, K, K, self.extra.size, self.trim.size, self.start.size])
+        gain, log_damping, delay, extra, trim, start, levels = np.split(values, ends)
+        return Point(
+            gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, -1),
+            self.structures, extra.reshape(self.extra.shape), self.measured,
+        )  # fmt: skip
+
+    def place(self, name: str, k: int) -> int:
+        """Where a coefficient or further parameter of axis k stands in `flat`."""
+        K = self.gain.size
+        if name in ("input", "damping", "delay"):
+            return ("input", "damping", "delay").index(name) * K + k
+        return (3 + [extra.name for extra in self.structures[k].extras].index(name)) * K + k
+
+    def extra_values(self, k: int) -> dict[str, float]:
+        """Further parameters of axis k by name."""
+        extras = self.structures[k].extras if self.structures else ()
+        return {extra.name: extra.value(self.extra[e, k]) for e, extra in enumerate(extras)}
+
+    @property
+    def laws(self) -> Array | None:
+        """The general law of each axis without its trim, shape (K, LAW_SIZE); None where all are of the default."""
+        if all(structure == FIRST_ORDER_DELAY for structure in self.structures):
+            return None
+        coefficients = zip(self.structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
+        return np.array([law_of(*each, self.extra_values(k)) for k, each in enumerate(coefficients)])
+
+
+@functools.cache
+def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int, measured: Measured) -> tuple[Array, Array]:
+    """Bounds of a point of K axes, E further parameters, and so many trims and start velocities."""
+    extra = np.tile(np.array([-np.inf, np.inf]), (E, K, 1))
+    for k, structure in enumerate(structures):
+        for e, one in enumerate(structure.extras):
+            extra[e, k] = one.coordinate(one.low), one.coordinate(one.high)
+    low, high = (
+        np.concatenate(
+            [
+                np.full(K, sign * np.inf),
+                np.full(K, np.log(DAMPING_RANGE)[end]),
+                np.full(K, DELAY_RANGE[end]),
+                extra[:, :, end].ravel(),
+                np.full(others, sign * np.inf),
+                np.tile(level_range(measured)[:, end], K),
+            ]
+        )
+        for end, sign in ((0, -1.0), (1, 1.0))
+    )
+    return low, high

@@ -1,0 +1,218 @@
+"""Estimates of the default structure -> those of another: climbed from the optimum that the search believed.
+
+The search and its judgement are those of the default structure; the others start from where it ended, with some starts
+that trade the delay for what they add.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array, heading_from_world, world_from_heading
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
+from rotorfit.estimation.likelihood.blocks import Record, record
+from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.likelihood import segments
+from rotorfit.estimation.likelihood.parameters import Point
+
+SPEED_BLOCKS = 6
+"""Blocks over which the speed is measured for the reference of the quadratic drag."""
+
+LEAST_LAG = 0.01
+"""Shortest lag of a start [s]."""
+
+Start = tuple[float, float, float, tuple[float, ...]]
+"""What a start multiplies the gain and the damping by, its delay [s] and its further parameters."""
+
+
+def estimate_laws(
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], structures: Mapping[str, Structure]
+) -> dict[str, Estimate]:
+    """The axes of one group under other structures.
+
+    Args:
+        serving: The flights of the group.
+        estimates: Of the default structure, by axis.
+        structures: Wanted, by axis; an axis that was not excited keeps the default.
+    """
+    group = tuple(estimates)
+    wanted = {
+        axis: applicable_structure(structures[axis], group) if estimates[axis].excited else FIRST_ORDER_DELAY
+        for axis in group
+    }
+    if all(structure == FIRST_ORDER_DELAY for structure in wanted.values()):
+        return dict(estimates)
+    crossed = any(structure.kicks >= 2 for structure in wanted.values())
+    if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
+        return _together(serving, group, estimates, wanted)
+    out = {axis: _alone(estimates[axis], wanted[axis]) for axis in group}
+    if len(group) == 2:
+        joint = _records(serving, group)
+        plain = [replace(out[axis], records=_records(serving, (axis,))) for axis in group]
+        out = dict(zip(group, couple_axes(joint, plain), strict=True))
+    return out
+
+
+def single(
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], axis: str, structure: Structure
+) -> tuple[Estimate, Estimate]:
+    """One axis under another structure while the others keep the default.
+
+    Returns:
+        The default and the other on the same data, so that their likelihoods compare: where both axes of the plane are
+        needed, both are of the joint likelihood.
+    """
+    before = estimates[axis]
+    if before.optimum.point.gain.size == 1 and structure.kicks < 2:
+        return before, _alone(before, structure)
+    plain = dict.fromkeys(estimates, FIRST_ORDER_DELAY)
+    group = tuple(estimates)
+    if before.optimum.point.gain.size == 1:
+        before = _together(serving, group, estimates, plain)[axis]
+    if structure == FIRST_ORDER_DELAY:
+        return before, before
+    return before, _together(serving, group, estimates, plain | {axis: structure})[axis]
+
+
+def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
+    """The structure, or the default where it needs x and y and they are not estimated as one group."""
+    return FIRST_ORDER_DELAY if structure.kicks >= 2 and tuple(group) != ("x", "y") else structure
+
+
+def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
+    return [rec for flight in serving if (rec := record(flight, axes))]
+
+
+def _alone(estimate: Estimate, structure: Structure) -> Estimate:
+    """One axis by itself."""
+    if structure == FIRST_ORDER_DELAY:
+        return estimate
+    found = [
+        _begun(estimate.records, point, [True])
+        for point in starts(estimate.records, estimate.optimum.point, 0, structure)
+    ]
+    return replace(
+        estimate, optimum=maximise_restricted(estimate.records, max(found, key=lambda one: one[0])[1], [True])
+    )
+
+
+def _begun(records: Sequence[Record], point: Point, moving: Sequence[bool]) -> tuple[float, Point]:
+    """A short climb at the levels of the start: its likelihood and where it got."""
+    free = free_of(records, moving, point.structures)
+    free[point.n :] = False
+    optimum = maximise(records, point, free, tolerance=0.3, most=25)
+    return optimum.score.log_likelihood, optimum.point
+
+
+def _together(
+    serving: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], wanted: Mapping[str, Structure]
+) -> dict[str, Estimate]:
+    """x and y by one likelihood: each axis in turn takes the best of its starts, then both climb."""
+    first = estimates[group[0]]
+    moving = [estimates[axis].excited for axis in group]
+    if first.optimum.point.gain.size == 2:
+        records, point = first.records, first.optimum.point
+    else:
+        records = _records(serving, group)
+        point = _side_by_side(records, [estimates[axis] for axis in group])
+    point = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2)))
+    for k, axis in enumerate(group):
+        if wanted[axis] != FIRST_ORDER_DELAY:
+            found = [_begun(records, start, moving) for start in starts(records, point, k, wanted[axis])]
+            point = max(found, key=lambda one: one[0])[1]
+    optimum = maximise_restricted(records, point, moving)
+    return {axis: replace(estimates[axis], records=records, optimum=optimum, place=k) for k, axis in enumerate(group)}
+
+
+def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> Point:
+    """Points of single axes as one of both, in the world frame of the joint record."""
+    points = [estimate.optimum.point for estimate in estimates]
+    start = np.hstack([point.start for point in points])
+    for rec, at in zip(records, segments(records), strict=True):
+        start[at] = world_from_heading(start[at], np.full(len(start[at]), rec.heading))
+    return Point(
+        gain=np.concatenate([point.gain for point in points]),
+        log_damping=np.concatenate([point.log_damping for point in points]),
+        delay=np.concatenate([point.delay for point in points]),
+        trim=np.hstack([point.trim for point in points]),
+        start=start,
+        levels=np.concatenate([point.levels for point in points]),
+        measured=points[0].measured,
+    )
+
+
+def starts(records: Sequence[Record], point: Point, k: int, structure: Structure) -> list[Point]:
+    """Points of a structure on axis k from which to climb, made from a point of the default structure there."""
+    delay, damping = float(point.delay[k]), float(np.exp(point.log_damping[k]))
+    out = []
+    for gain_by, damping_by, tau, values in _start_values(records, k, structure, delay, damping):
+        gain, log_damping, delays = point.gain.copy(), point.log_damping.copy(), point.delay.copy()
+        gain[k] *= gain_by
+        log_damping[k] += np.log(damping_by)
+        delays[k] = min(max(tau, DELAY_RANGE[0]), DELAY_RANGE[1])
+        others = point.structures or (FIRST_ORDER_DELAY,) * point.gain.size
+        extra = np.zeros((max(len(point.extra), len(structure.extras)), point.gain.size))
+        extra[: len(point.extra)] = point.extra if point.extra.size else 0.0
+        for e, (one, value) in enumerate(zip(structure.extras, values, strict=True)):
+            extra[e, k] = one.coordinate(min(max(value, one.low), one.high))
+        out.append(
+            replace(
+                point,
+                gain=gain,
+                log_damping=log_damping,
+                delay=delays,
+                extra=extra,
+                structures=(*others[:k], structure, *others[k + 1 :]),
+            )
+        )
+    return out
+
+
+def _start_values(records: Sequence[Record], k: int, structure: Structure, delay: float, damping: float) -> list[Start]:
+    """Starts of a structure next to the default's optimum."""
+    largest = max(float(np.abs(rec.command[:, k]).max()) for rec in records)
+    late = max(delay, LEAST_LAG)
+    match structure.name:
+        case "first_order":
+            return [(1.0, 1.0, 0.0, ()), (0.7, 0.4, 0.0, ())]
+        case "first_order_lag":
+            return [(1.0, 1.0, 0.0, (late,)), (1.0, 1.0, 0.0, (2 * late,))]
+        case "first_order_delay_lag":
+            return [(1.0, 1.0, (1 - share) * delay, (max(share * late, LEAST_LAG),)) for share in (0.3, 0.6, 0.9)]
+        case "second_order":
+            loop = 1 / (4 * damping)
+            return [(1.0, 1.0, 0.7 * delay, (max(0.3 * late, LEAST_LAG),)), (1.0, 1.0, 0.5 * delay, (loop,))]
+        case "quadratic_drag":
+            speed = reference_speed(records, k)
+            return [(1.0, 1.0, delay, (share, speed)) for share in (0.1, 0.7)]
+        case "saturation":
+            return [(1.1, 1.0, delay, (0.8 * largest,)), (1.5, 1.0, delay, (0.5 * largest,))]
+        case "dead_zone":
+            return [(1.0, 1.0, delay, (0.02 * largest,)), (1.2, 1.0, delay, (0.2 * largest,))]
+        case _:  # what is added stands where it does nothing
+            return [(1.0, 1.0, delay, (0.0,) * len(structure.extras))]
+
+
+def reference_speed(records: Sequence[Record], k: int) -> float:
+    """Root mean square speed of an axis of the records, from differences over a fifth of a second [m/s or rad/s]."""
+    squares, count = 0.0, 0
+    for rec in records:
+        ahead = np.arange(SPEED_BLOCKS, rec.count.size)
+        whole = np.cumsum(rec.fresh)[ahead] == np.cumsum(rec.fresh)[ahead - SPEED_BLOCKS]
+        i = ahead[whole]
+        if rec.rate is not None:
+            speeds = rec.position[rec.rate]
+            if rec.position.shape[1] == 2:
+                speeds = heading_from_world(speeds, rec.block_yaw[rec.rate])
+            own = speeds[:, min(k, speeds.shape[1] - 1)]
+            squares, count = squares + float(own @ own), count + own.size
+            continue
+        step: Array = rec.position[i] - rec.position[i - SPEED_BLOCKS]
+        if rec.position.shape[1] == 2:
+            step = heading_from_world(step, rec.block_yaw[i])
+        speed = step[:, min(k, step.shape[1] - 1)] / (rec.block_time[i] - rec.block_time[i - SPEED_BLOCKS])
+        squares, count = squares + float(speed @ speed), count + speed.size
+    return max(float(np.sqrt(squares / max(count, 1))), 1e-3)

@@ -1,0 +1,1 @@
+"""The paper's regression, and the methods between it and the likelihood."""

@@ -1,0 +1,117 @@
+"""The rungs between the paper and the likelihood, as axes of a model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array
+from rotorfit.core.model import COEFFICIENTS, Axis
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.noise_levels import settle_levels, with_levels
+from rotorfit.estimation.regression.instrumental_variables import COMMAND, iv
+from rotorfit.estimation.regression.least_squares import svf, weak
+from rotorfit.estimation.regression.output_error import oe
+from rotorfit.estimation.regression.result import axis_of_rung
+
+REGRESSIONS = {"svf": svf, "weak": weak, "iv": iv, "oe": oe}
+"""Method to its estimator."""
+
+NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
+"""What is said of an instrument made from commands that a feedback loop gave."""
+
+
+def axes_by_method(
+    flights: Sequence[Flight], group: Sequence[str], method: str
+) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array], dict[str, str]]:
+    """Axes that are estimated together, by one of the rungs.
+
+    Args:
+        flights: Those that move one of the axes.
+        group: x, y or both; z; or yaw.
+        method: A key of `RUNGS`.
+
+    Returns:
+        Axis to what may be said of it, with the disturbance levels that prediction needs and a trim for each flight;
+        the covariance of (input, damping, delay) of the axes with numbers, under its names; and axis to what the rung
+        says of its numbers: why there is none, which instrument was used, whether it is valid.
+    """
+    rung = REGRESSIONS[method](flights, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
+    place = {axis: rung.axes.index(axis) for axis in group}
+    told = {axis: axis_of_rung(rung, axis) for axis in group}
+    axes = with_levels(
+        flights, {axis: _with_trim(known, rung.trim[:, place[axis]]) for axis, (known, _) in told.items()}
+    )
+    remarks = {axis: [part for part in (told[axis][1], rung.remark.get(axis, "")) if part] for axis in group}
+    if method == "iv":
+        for axis in _answering(flights, {axis: axes[axis] for axis in group if COMMAND in rung.remark.get(axis, "")}):
+            remarks[axis].append(NOT_VALID)
+    known = [axis for axis in group if axes[axis].predictor]
+    K = len(rung.axes)
+    index = [offset + place[axis] for axis in known for offset in (0, K, 2 * K)]
+    names = tuple(f"{axis}.{name}" for axis in known for name in COEFFICIENTS)
+    blocks = {names: rung.covariance[np.ix_(index, index)]} if known else {}
+    return axes, blocks, {axis: "; ".join(parts) for axis, parts in remarks.items() if parts}
+
+
+def _with_trim(axis: Axis, trim: Array) -> Axis:
+    return replace(axis, trim=tuple(float(c) if np.isfinite(c) and axis.predictor else None for c in trim))
+
+
+def _answering(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> list[str]:
+    """Those of the axes whose commands answer what the model did not foresee: the mark of a feedback loop."""
+    points = {axis: known.predictor for axis, known in axes.items() if known.predictor}
+    return [
+        axis
+        for group, records, optimum in (settle_levels(flights, points) if points else [])
+        for k, axis in enumerate(group)
+        if axis in points and answer_to_motion(records, optimum, k) > ANSWERED
+    ]
+
+
+ANSWERED = 4.0
+"""Standard deviations beyond which commands answer the motion."""
+
+AHEAD = (3, 6, 12, 24)
+"""Blocks, of 1/30 s, after an innovation at which an answer is looked for."""
+
+BEFORE = (0, 1, 2, 4, 8, 16)
+"""Blocks before it whose commands foretell what is not an answer."""
+
+
+def answer_to_motion(records: Sequence[Record], optimum: Optimum, k: int) -> float:
+    """How strongly later commands depend on innovations, beyond what earlier commands foretell of them.
+
+    Innovations are what the model did not foresee. If the commands of the next second can be foretold better with them
+    than without, the commands answer the motion. Single commands answer little of it; the sum of their changes tells.
+
+    Args:
+        records: What the likelihood sees.
+        optimum: Its levels settled at the coefficients of a rung.
+        k: Which of its axes.
+
+    Returns:
+        The largest of the statistics, one for each distance, each of unit variance in an open loop.
+
+    Source: C. W. J. Granger, Econometrica 37 (1969), pp. 424-438.
+    """
+    products = np.zeros((2, len(AHEAD)))
+    for rec, innovation in zip(records, optimum.score.innovations, strict=True):
+        place = np.searchsorted(rec.command_time, rec.block_time, side="right") - 1
+        command, e = rec.command[place, k], innovation[:, k]
+        for column, ahead in enumerate(AHEAD):
+            now = np.arange(max(BEFORE), command.size - ahead)
+            if now.size < 4 * len(BEFORE):
+                continue
+            past = np.column_stack([np.ones(now.size), *(command[now - lag] for lag in BEFORE)])
+            later = command[now + ahead]
+            own = later - past @ np.linalg.lstsq(past, later, rcond=1e-10)[0]
+            spread = float(np.median(np.abs(own)))
+            own = np.clip(
+                own, -spread, spread
+            )  # steps of a pilot or a plan must not drown a controller's small answers
+            products[:, column] += (e[now] @ own, (e[now] ** 2) @ own**2)
+    known = products[1] > 0
+    return float(np.abs(products[0, known] / np.sqrt(products[1, known])).max(initial=0.0))

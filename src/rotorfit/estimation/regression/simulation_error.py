@@ -1,0 +1,96 @@
+"""The output-space criterion: how far simulated positions are from the measured ones, in windows of a few seconds.
+
+A delay must not be picked by the fit of the acceleration: in a feedback loop that ends in a long delay with both signs
+turned. What counts is the position that the commands alone lead to.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array, Mask
+from rotorfit.dynamics.response import axis_response, plane_response
+from rotorfit.estimation.likelihood.blocks import Record, record
+
+WINDOW = 2.0
+"""Length of a simulation [s]. Over 5 s, in simulated flights, drift in the wind scatters the delay twice as much."""
+
+MOST_UNSTABLE = -1.0
+"""Damping below which nothing is simulated [1/s]: what grows by itself that fast never flew for long."""
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Of the K axes of one flight: g, b [1/s], tau [s], c, each of shape (K,). The damping may have any sign."""
+
+    gain: Array
+    damping: Array
+    delay: Array
+    trim: Array
+
+
+def windowed(flight: Flight, axes: Sequence[str]) -> Record | None:
+    """The flight in blocks, cut into windows that take the place of its segments; None where it is too short."""
+    rec = record(flight, axes)
+    if rec is None:
+        return None
+    fresh = rec.fresh.copy()
+    for first, last in _ranges(rec.fresh):
+        elapsed = np.floor((rec.block_time[first:last] - rec.block_time[first]) / WINDOW)
+        fresh[first + 1 : last] |= np.diff(elapsed) > 0
+    first_pose = np.searchsorted(rec.block, np.flatnonzero(fresh))
+    segment = np.cumsum(rec.fresh)[fresh] - 1
+    return replace(
+        rec,
+        fresh=fresh,
+        starts=rec.pose_time[first_pose],
+        pose_range=np.column_stack([first_pose, np.append(first_pose[1:], rec.pose_time.size)]),
+        command_range=rec.command_range[segment],
+    )
+
+
+def _ranges(fresh: Mask) -> list[tuple[int, int]]:
+    ends = [*np.flatnonzero(fresh), fresh.size]
+    return [(int(first), int(last)) for first, last in pairwise(ends)]
+
+
+def simulation_errors(rec: Record, point: Coefficients) -> Array:
+    """Sum of squared position errors of a simulation over each window of a record, shape (W,) [unit^2].
+
+    Start position and velocity of each window are those that fit it best.
+
+    Args:
+        rec: From `windowed`.
+        point: Coefficients; those that cannot be simulated over a window give infinity.
+    """
+    K = len(rec.axes)
+    if not (point.damping > MOST_UNSTABLE).all():
+        return np.full(rec.starts.size, np.inf)
+    common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
+    weight = 1.0 / rec.count
+    if K == 1:
+        rest = np.zeros(rec.starts.size)
+        out = axis_response(
+            *common, rec.command[:, 0], weight, point.gain[0], point.trim[0], point.damping[0], point.delay[0], rest
+        )
+    else:
+        out = plane_response(
+            *common, rec.command, weight, rec.yaw, point.gain, point.trim, point.damping, point.delay,
+            np.zeros((rec.starts.size, 2)),
+        )  # fmt: skip
+    driven = np.einsum("j,bjk->bk", point.gain, out[:, :K]) + np.einsum("j,bjk->bk", point.trim, out[:, K : 2 * K])
+    left = rec.position - driven
+    if not (np.isfinite(left).all() and np.isfinite(out[:, 4 * K :]).all()):
+        return np.full(rec.starts.size, np.inf)
+    errors = np.empty(rec.starts.size)
+    for w, (first, last) in enumerate(_ranges(rec.fresh)):
+        start = out[first:last, 4 * K :].transpose(0, 2, 1).reshape(-1, K)
+        offset = np.tile(np.eye(K), (last - first, 1))
+        root = np.repeat(np.sqrt(rec.count[first:last]), K)
+        basis, _ = np.linalg.qr(np.hstack([offset, start]) * root[:, None])
+        row = left[first:last].ravel() * root
+        errors[w] = row @ row - np.sum((basis.T @ row) ** 2)
+    return errors

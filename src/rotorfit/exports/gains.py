@@ -1,0 +1,155 @@
+"""The gains file: TOML, or YAML by its suffix, with units, margins and where the numbers come from."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rotorfit.control.tuning import AxisTuning, Tuning
+from rotorfit.core.errors import ModelError
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import CommandMeaning, command_of
+from rotorfit.core.model import Model
+from rotorfit.version import __version__
+
+FORMAT = "rotorfit-gains"
+
+VERSION = 1
+
+GAINS_MARK = b"rotorfit-gains"
+"""What the first bytes of a gains file hold."""
+
+SUFFIXES = (".toml", ".yaml", ".yml")
+
+PREDICTED = "u = (r'' + b r' + K (r - p) + D (r' - v) - d) / input; r, p, v, d at the instant at which u acts"
+
+LAWS: Mapping[str, str] = {
+    "predictor": PREDICTED,
+    "lqr": PREDICTED,
+    "linearising": "u = (r'' + b r' + K e + D e' + I int e) / input; e = r - p of the last pose, e' its filtered rate; "
+    "r'' and r' at the instant at which u acts",
+}
+"""What the numbers mean; docs/control.md has the equations."""
+
+SYMBOLS: Mapping[str, str] = {
+    "u": "command, cut to -full_scale .. full_scale, held until the next",
+    "r": "reference, with its derivatives r' and r''",
+    "p": "position",
+    "v": "velocity",
+    "d": "slow acceleration that is not commanded: wind, trim",
+    "b": "damping",
+    "K": "stiffness",
+    "D": "rate_gain",
+    "I": "integral",
+}
+"""Letters of the laws; b, K, D and I are keys of an axis."""
+
+LOOP = "docs/control.md of rotorfit: a loop in Python that reads this file, and what each law does"
+
+UNITS: Mapping[str, str] = {
+    "rate": "commands a second",
+    "latency": "s, from the exposure of a pose to the command that uses it",
+    "bandwidth": "rad/s",
+    "input": "m/s^2 (yaw: rad/s^2) per unit of the command",
+    "damping": "1/s",
+    "delay": "s, from the command until it acts",
+    "full_scale": "largest command, in its own unit; left out where the card does not tell it",
+    "stiffness": "1/s^2",
+    "rate_gain": "1/s",
+    "integral": "1/s^3",
+    "filter_time": "s, of the filtered difference of the error",
+    "observer": "1, 1/s, 1/s^2: corrections of p, v, d per error of the predicted pose, once a command",
+    "phase_margin": "deg",
+    "delay_margin": "s",
+}
+
+
+def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
+    """Gains, margins and provenance as plain JSON types; what has no number is None."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "rotorfit": __version__,
+        "design": tuning.kind,
+        "law": LAWS[tuning.kind],
+        "symbols": dict(SYMBOLS),
+        "loop": LOOP,
+        "frame": "heading: x forward, y left, z up, yaw counter-clockwise",
+        "rate": tuning.rate,
+        "latency": tuning.latency,
+        "units": dict(UNITS),
+        "axes": {axis: _axis(tuning.axes[axis], command_of(model.card, axis)) for axis in AXES if axis in tuning.axes},
+        "refused": dict(tuning.refused),
+        "model": {
+            "card": model.card.name,
+            "method": model.method,
+            "structure": model.structure,
+            "flights": [{"path": one.path, "sha256": one.sha256, "span": list(one.span)} for one in model.flights],
+        },
+    }
+
+
+def _axis(one: AxisTuning, command: CommandMeaning) -> dict[str, Any]:
+    law, around, believed = one.law, one.margins, one.robustness
+    return {
+        "command": command.text,
+        "full_scale": command.limit,
+        "bandwidth": one.bandwidth,
+        "input": law.input,
+        "damping": law.damping,
+        "delay": law.delay,
+        "stiffness": law.stiffness,
+        "rate_gain": law.rate,
+        "integral": None if law.observer else law.integral,  # an observer does the work of these two
+        "filter_time": None if law.observer else law.filter_time,
+        "observer": None if law.observer is None else list(law.observer),
+        "nominal": {
+            "gain_margin_below": around.gain[0],
+            "gain_margin": _finite(around.gain[1]),
+            "phase_margin": math.degrees(around.phase),
+            "delay_margin": _finite(around.delay),
+            "peak_sensitivity": around.peak,
+        },
+        "under_covariance": {
+            "draws": believed.draws,
+            "seed": believed.seed,
+            "unstable_share": believed.unstable,
+            "phase_margin": math.degrees(believed.phase),
+            "delay_margin": _finite(believed.delay),
+            "peak_sensitivity": _finite(believed.peak),
+        },
+        "command_noise": one.noise,
+        "note": one.note,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def save_gains(tuning: Tuning, model: Model, path: str | Path) -> None:
+    """Writes a gains file: TOML, or YAML where the name ends so.
+
+    Raises:
+        ModelError: A name that ends otherwise.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise ModelError(f"{path}: gains are written as {', '.join(SUFFIXES)}; give such a name")
+    mapping = _without_none(tuning_mapping(tuning, model))
+    if path.suffix == ".toml":
+        import tomli_w
+
+        path.write_text(tomli_w.dumps(mapping), encoding="utf-8")
+        return
+    from ruamel.yaml import YAML
+
+    with path.open("w", encoding="utf-8") as file:
+        YAML().dump(mapping, file)
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: what has no number is left out."""
+    if isinstance(value, dict):
+        return {key: _without_none(part) for key, part in value.items() if part is not None}
+    return value

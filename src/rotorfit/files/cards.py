@@ -1,0 +1,339 @@
+"""TOML -> Card: every key checked, the nearest name offered for one that nobody knows."""
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rotorfit.core.card import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    LIMIT_UNITS,
+    RATE_UNITS,
+    SPEED_UNITS,
+    Card,
+    Channel,
+    Condition,
+    Prior,
+)
+from rotorfit.core.errors import CardError, nearest
+from rotorfit.core.frames import AXES, UNIT_SCALE
+
+Choice = TypeVar("Choice", bound=str | bool)
+
+_MEANINGS = ("tilt", "velocity", "vertical_speed", "yaw_rate")
+
+_STAMP, _ANY = ("s", "ms", "us", "ns"), tuple(UNIT_SCALE)
+
+_LIMITS = tuple(LIMIT_UNITS)
+
+_SECTIONS: Mapping[str, tuple[str, ...]] = {
+    "command": ("frame", "hold", "time", *AXES),
+    "pose": ("time", *AXES, "quaternion", "resets"),
+    "velocity": ("frame", "time", "independent", *AXES),
+    "attitude": ("time", "yaw", "quaternion"),
+    "reference": AXES,
+    "window": ("when", "equals", "above", "opens", "closes", "optional"),
+    "limits": _LIMITS,
+    "prior": AXES,
+}
+
+_POSE_UNITS = {"x": LENGTH_UNITS, "y": LENGTH_UNITS, "z": LENGTH_UNITS, "yaw": ANGLE_UNITS}
+
+_VELOCITY_UNITS = {"x": SPEED_UNITS, "y": SPEED_UNITS, "z": SPEED_UNITS, "yaw": RATE_UNITS}
+
+
+def load_card(name_or_path: str) -> Card:
+    """Loads a built-in card by its name, or a card from a TOML file.
+
+    Args:
+        name_or_path: Name as `builtin_cards` lists them, or path of a TOML file.
+
+    Returns:
+        The card, checked.
+
+    Raises:
+        CardError: Neither a name nor a file; not TOML; or what `card_from_mapping` refuses.
+    """
+    built_in = builtin_cards()
+    if name_or_path in built_in:
+        return built_in[name_or_path]
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise CardError(
+            f"no card {name_or_path!r}: neither a file nor a built-in name{nearest(name_or_path, built_in)} "
+            "(`rotorfit cards` lists them)"
+        )
+    try:
+        return card_from_mapping(tomllib.loads(path.read_text(encoding="utf-8")), name_or_path)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise CardError(f"card {name_or_path}: not readable as TOML: {' '.join(str(err).split())}") from err
+
+
+def builtin_cards() -> dict[str, Card]:
+    """All cards that ship with rotorfit, by name, sorted."""
+    files = (
+        entry
+        for entry in resources.files("rotorfit.files").joinpath("builtin_cards").iterdir()
+        if entry.name.endswith(".toml")
+    )
+    texts = {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in files}
+    return {name: card_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
+
+
+def builtin_card_text(name: str) -> str:
+    """The TOML text of a built-in card.
+
+    Raises:
+        CardError: There is none of that name; the nearest is named.
+    """
+    known = builtin_cards()
+    if name not in known:
+        raise CardError(f"no built-in card {name!r}{nearest(name, known)} (`rotorfit cards` lists them)")
+    return resources.files("rotorfit.files").joinpath("builtin_cards", f"{name}.toml").read_text(encoding="utf-8")
+
+
+def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
+    """Checks a card as parsed from TOML or as stored in a model file.
+
+    Args:
+        raw: The sections and keys of a card.
+        where: File or name, for the error's text.
+
+    Returns:
+        The card; its `raw` is the argument.
+
+    Raises:
+        CardError: A key that nobody knows (the nearest is named), a wrong type, an unknown unit or meaning, or one of
+            `[command]`, `[pose]` and their essential keys is missing.
+    """
+    place = f"card {where}"
+    _check_keys(raw, ("name", "frame", "clock", "fail_safe", "over", *_SECTIONS), place)
+    sections = {key: _section(raw, key, place) for key in _SECTIONS if key != "window"}
+    missing = [key for key in ("command", "pose") if key not in raw]
+    if missing:
+        raise CardError(f"{place}: section [{missing[0]}] is missing")
+    command, pose, velocity, attitude = (sections[key] for key in ("command", "pose", "velocity", "attitude"))
+    in_command, in_pose = f"{place}, [command]", f"{place}, [pose]"
+    commands = {axis: _channel(command[axis], f"{in_command} {axis}", _ANY, True) for axis in AXES if axis in command}
+    if not commands:
+        raise CardError(f"{in_command}: no axis is commanded; name a column for at least one of x, y, z, yaw")
+    return Card(
+        name=_text(raw.get("name", where), f"{place}, name"),
+        frame=_choice(raw.get("frame", "ENU"), ("ENU", "NED"), f"{place}, frame"),
+        command_frame=_choice(command.get("frame", "heading"), ("heading", "world"), f"{in_command} frame"),
+        hold=_positive(command["hold"], f"{in_command} hold") if "hold" in command else None,
+        command_time=_recorded(command, "time", _STAMP, in_command),
+        command=commands,
+        pose_time=_recorded(pose, "time", _STAMP, in_pose),
+        pose=_pose(pose, velocity, in_pose),
+        velocity=_channels(velocity, _VELOCITY_UNITS, f"{place}, [velocity]"),
+        velocity_frame=_choice(velocity.get("frame", "world"), ("heading", "world"), f"{place}, [velocity] frame"),
+        velocity_independent=_yes_or_no(velocity.get("independent", False), f"{place}, [velocity] independent"),
+        reference=_channels(sections["reference"], dict.fromkeys(AXES, _ANY), f"{place}, [reference]"),
+        window=_window(raw.get("window", []), place),
+        resets=_resets(pose.get("resets", []), in_pose),
+        limits={key: _limit(key, value, f"{place}, [limits] {key}") for key, value in sections["limits"].items()},
+        prior={axis: _priors(value, f"{place}, [prior] {axis}") for axis, value in sections["prior"].items()},
+        raw=raw,
+        velocity_time=_recorded(velocity, "time", _STAMP, f"{place}, [velocity]") if "time" in velocity else None,
+        attitude=_heading(attitude, f"{place}, [attitude]") if attitude else {},
+        attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
+        clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
+        fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
+        over=tuple(_text(name, f"{place}, over") for name in raw.get("over", [])),
+    )
+
+
+def _check_keys(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
+    for key in raw:
+        if key not in known:
+            raise CardError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+
+
+def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
+    return _checked(raw.get(key, {}), key, place)
+
+
+def _checked(section: Any, key: str, place: str) -> Mapping[str, Any]:
+    if not isinstance(section, Mapping):
+        raise CardError(f"{place}, {key}: must be a section [{key}], not {section!r}")
+    _check_keys(section, _SECTIONS[key], f"{place}, [{key}]")
+    return section
+
+
+def _text(value: Any, place: str) -> str:
+    if not isinstance(value, str) or not value:
+        raise CardError(f"{place}: must be a text, not {value!r}")
+    return value
+
+
+def _number(value: Any, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CardError(f"{place}: must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _positive(value: Any, place: str) -> float:
+    if _number(value, place) <= 0:
+        raise CardError(f"{place}: must be positive, not {value!r}")
+    return float(value)
+
+
+def _yes_or_no(value: Any, place: str) -> bool:
+    if not isinstance(value, bool):
+        raise CardError(f"{place}: must be true or false, not {value!r}")
+    return value
+
+
+def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
+    for option in known:
+        if value == option:
+            return option
+    near = nearest(value, [str(option) for option in known]) if isinstance(value, str) else ""
+    raise CardError(f"{place}: {value!r} is not one of {', '.join(str(option) for option in known)}{near}")
+
+
+def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
+    """A channel from a string, a number, `{ from, scale, offset, unit }`, or a list; commands also have a meaning."""
+    if isinstance(value, list):  # what it is called in different versions of a format
+        if not value:
+            raise CardError(f"{place}: an empty list names no column")
+        first, *others = (_channel(one, place, units, command) for one in value)
+        return replace(first, others=tuple(others))
+    if not isinstance(value, Mapping):
+        return Channel(_source(value, place))
+    _check_keys(value, ("from", "scale", "offset", "unit", *(("meaning", "full_scale") if command else ())), place)
+    if "from" not in value:
+        raise CardError(f"{place}: from is missing: which column?")
+    return Channel(
+        source=_source(value["from"], f"{place}.from"),
+        scale=_number(value.get("scale", 1.0), f"{place}.scale"),
+        offset=_number(value.get("offset", 0.0), f"{place}.offset"),
+        unit=_choice(value["unit"], units, f"{place}.unit") if "unit" in value else None,
+        meaning=_choice(value["meaning"], _MEANINGS, f"{place}.meaning") if "meaning" in value else None,
+        full_scale=_choice(value["full_scale"], _LIMITS, f"{place}.full_scale") if "full_scale" in value else None,
+    )
+
+
+def _source(value: Any, place: str) -> str | float:
+    if isinstance(value, str) and value:
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CardError(f"{place}: must be a column's name or a number, not {value!r}")
+    return _number(value, place)
+
+
+def _channels(raw: Mapping[str, Any], units: Mapping[str, tuple[str, ...]], place: str) -> dict[str, Channel]:
+    return {axis: _channel(raw[axis], f"{place} {axis}", units[axis]) for axis in AXES if axis in raw}
+
+
+def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], place: str) -> Channel:
+    """A channel that must be there and cannot be a constant: a clock, the window."""
+    if key not in section:
+        raise CardError(f"{place}: {key} is missing: which column?")
+    channel = _channel(section[key], f"{place} {key}", units)
+    if not isinstance(channel.source, str):
+        raise CardError(f"{place} {key}: must be a column, not the constant {channel.source:g}")
+    return channel
+
+
+def _window(value: Any, place: str) -> tuple[Condition, ...]:
+    """The conditions of `[window]`, or of several `[[window]]`."""
+    parts = value if isinstance(value, list) else [value]
+    return tuple(_condition(_checked(part, "window", place), f"{place}, [window]") for part in parts)
+
+
+def _condition(section: Mapping[str, Any], place: str) -> Condition:
+    condition = Condition(
+        channel=_recorded(section, "when", _ANY, place),
+        equals=_numbers(section.get("equals", []), f"{place} equals"),
+        above=_number(section["above"], f"{place} above") if "above" in section else None,
+        opens=_numbers(section.get("opens", []), f"{place} opens"),
+        closes=_numbers(section.get("closes", []), f"{place} closes"),
+        optional=_choice(section.get("optional", False), (True, False), f"{place} optional"),
+    )
+    asked = (bool(condition.equals), condition.above is not None, bool(condition.opens or condition.closes))
+    if sum(asked) > 1:
+        raise CardError(f"{place}: give one of equals, above, and opens with closes; write a [[window]] for each")
+    if bool(condition.opens) != bool(condition.closes):
+        raise CardError(f"{place}: opens and closes go together: which events begin the flight, and which end it?")
+    return condition
+
+
+def _numbers(value: Any, place: str) -> tuple[float, ...]:
+    return tuple(_number(one, place) for one in (value if isinstance(value, list) else [value]))
+
+
+def _resets(value: Any, place: str) -> tuple[Channel, ...]:
+    names = value if isinstance(value, list) else [value]
+    return tuple(_recorded({"resets": name}, "resets", (), place) for name in names)
+
+
+def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """x, y, z, and yaw or qw, qx, qy, qz; x with y, or z, may be missing where there is their velocity."""
+    heading = _heading(section, place)
+    missing = [axis for axis in ("x", "y", "z") if axis not in section]
+    unknown = [axis for axis in missing if axis not in velocity]
+    if unknown:
+        raise CardError(
+            f"{place}: {unknown[0]} is missing; name its column, or a constant where it was not measured, or its "
+            "velocity in [velocity]"
+        )
+    if ("x" in section) != ("y" in section):
+        raise CardError(f"{place}: {missing[0]} is missing; x and y go together: name both, or neither")
+    return _channels(section, _POSE_UNITS, place) | heading
+
+
+def _heading(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
+    """yaw, or qw, qx, qy, qz."""
+    if ("yaw" in section) == ("quaternion" in section):
+        raise CardError(f"{place}: name either yaw or quaternion, and not both")
+    if "yaw" in section:
+        return {"yaw": _channel(section["yaw"], f"{place} yaw", ANGLE_UNITS)}
+    value = section["quaternion"]
+    names = [f"{value}.{part}" for part in "wxyz"] if isinstance(value, str) else value
+    if not isinstance(names, list) or len(names) != 4:
+        raise CardError(f"{place} quaternion: must be a prefix or four names in the order w, x, y, z, not {value!r}")
+    parts = zip("wxyz", names, strict=True)
+    return {f"q{part}": Channel(_text(name, f"{place} quaternion")) for part, name in parts}
+
+
+def _limit(key: str, value: Any, place: str) -> float:
+    """A limit in SI, from a number or `{ value, unit }`."""
+    limit = _limit_in_si(key, value, place)
+    if key == "tilt" and limit >= math.pi / 2:
+        raise CardError(f"{place}: {value!r} is no tilt below 90 deg; a number alone is rad, unit = 'deg' says degrees")
+    return limit
+
+
+def _limit_in_si(key: str, value: Any, place: str) -> float:
+    if not isinstance(value, Mapping):
+        return _positive(value, place)
+    _check_keys(value, ("value", "unit"), place)
+    if "value" not in value:
+        raise CardError(f"{place}: key 'value' is missing")
+    unit = _choice(value.get("unit", LIMIT_UNITS[key][0]), LIMIT_UNITS[key], f"{place}.unit")
+    return _positive(value["value"], f"{place}.value") * UNIT_SCALE[unit]
+
+
+def _priors(value: Any, place: str) -> dict[str, Prior]:
+    """What is believed of one axis."""
+    if not isinstance(value, Mapping):
+        raise CardError(f"{place}: must be coefficients, as in {{ input = {{ mean = 4.0, sd = 0.5 }} }}, not {value!r}")
+    _check_keys(value, ("input", "damping", "delay"), place)
+    return {name: _prior(name, one, f"{place}.{name}") for name, one in value.items()}
+
+
+def _prior(name: str, value: Any, place: str) -> Prior:
+    if not isinstance(value, Mapping):
+        raise CardError(f"{place}: must be {{ mean = ..., sd = ... }}, not {value!r}")
+    _check_keys(value, ("mean", "sd"), place)
+    missing = [key for key in ("mean", "sd") if key not in value]
+    if missing:
+        raise CardError(f"{place}: key {missing[0]!r} is missing")
+    number = _positive if name == "damping" else _number
+    return Prior(number(value["mean"], f"{place}.mean"), _positive(value["sd"], f"{place}.sd"))

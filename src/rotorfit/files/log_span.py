@@ -1,0 +1,50 @@
+"""Which part of a log is wanted: `LOG@T0:T1`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rotorfit.core.errors import LogError
+from rotorfit.files.logs.several import parts_of
+
+Span = tuple[float | None, float | None]
+
+WHOLE: Span = (None, None)
+
+
+@dataclass(frozen=True)
+class LogSpan:
+    """A log and the part of it that is wanted, in seconds of its common window."""
+
+    path: str
+    span: Span
+
+
+def parse_span(text: str) -> Span:
+    """`T0:T1` in seconds, either side may be empty.
+
+    Raises:
+        LogError: If it is not of that form.
+    """
+    start, colon, end = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        low, high = (float(part) if part.strip() else None for part in (start, end))
+    except ValueError:
+        raise LogError(f"span {text!r} is not T0:T1 in seconds, such as 10:60 or :84") from None
+    if low is not None and high is not None and low >= high:
+        raise LogError(f"span {text!r} ends before it starts; give T0:T1 with T0 < T1")
+    return low, high
+
+
+def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
+    """`LOG` or `LOG@T0:T1`; a file of that very name wins.
+
+    Raises:
+        LogError: What follows the `@` of a file that is there is no span.
+    """
+    name, at, span = text.rpartition("@")
+    meant = ":" in span or all(Path(part).exists() for part in parts_of(name))
+    if at and meant and not Path(text).exists():
+        return LogSpan(name, parse_span(span))
+    return LogSpan(text, default)

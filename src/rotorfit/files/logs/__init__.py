@@ -1,0 +1,124 @@
+"""Logs of every known format as one noun: `read(path) -> Log`.
+
+A format is found by the first bytes of a file, never by its name. Each format is a module with
+`sniff(path, head) -> bool` and `read(path, tables) -> Content`, imported when it is asked for; what it needs from
+outside is imported when it reads.
+"""
+
+import hashlib
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from threading import Event
+from types import MappingProxyType
+
+from rotorfit.core.errors import LogError
+from rotorfit.core.log import Log
+from rotorfit.files.logs.content import Content, one_line
+from rotorfit.files.logs.several import join_logs, parts_of
+
+__all__ = ["FORMATS", "read"]
+
+FORMATS = MappingProxyType(
+    {
+        "rosbag1": "rotorfit.files.logs.rosbag1",
+        "rosbag2": "rotorfit.files.logs.rosbag2",
+        "mcap": "rotorfit.files.logs.mcap",
+        "mat": "rotorfit.files.logs.mat",
+        "mat73": "rotorfit.files.logs.mat73",
+        "ulog": "rotorfit.files.logs.ulog",
+        "dataflash": "rotorfit.files.logs.dataflash",
+        "dataflash_text": "rotorfit.files.logs.dataflash_text",
+        "parquet": "rotorfit.files.logs.parquet",
+        "motive": "rotorfit.files.logs.motive",
+        "vicon": "rotorfit.files.logs.vicon",
+        "csv": "rotorfit.files.logs.csv",
+    }
+)
+"""Format to the module that reads it, in the order of asking: signatures first, CSV, which has none, last."""
+
+_HEAD = 1 << 16  # two lines of the widest CSV
+
+_BLOCK = 1 << 22  # bytes hashed at once, without holding up the thread that reads
+
+
+def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
+    """Reads a log.
+
+    Args:
+        path: A file, or the folder of a ROS 2 bag; or several of one flight, `A+B`.
+        tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
+            like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) and several files of one flight
+            are always read whole.
+
+    Returns:
+        The log as recorded; what was lost or recovered is in its notes.
+
+    Raises:
+        LogError: Missing, empty or unreadable file, unknown format, no table in it, damage before the first message.
+    """
+    parts = parts_of(path)
+    if len(parts) > 1:
+        return join_logs([read(part) for part in parts])
+    path = Path(path)
+    try:
+        head = _head(path)
+        for name, module in FORMATS.items():
+            source = import_module(module)
+            if source.sniff(path, head):
+                with _hashed(path) as digest:
+                    content: Content = source.read(path, None if tables is None else frozenset(tables))
+                    found = (content.tables, content.skipped, content.notes, content.attached, content.events)
+                    return Log(path, name, digest(), *found, damage=content.damage)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
+    if path.is_dir():
+        raise LogError(
+            f"{path}: a folder without metadata.yaml is no ROS 2 bag; name a file in it, "
+            "or rebuild the metadata with `ros2 bag reindex`"
+        )
+    raise LogError(
+        f"{path}: of no known format; `rotorfit formats` lists what can be read, and a CSV needs a header row of names"
+    )
+
+
+def _head(path: Path) -> bytes:
+    """First bytes of a file, or nothing for a folder."""
+    if path.is_dir():
+        return b""
+    if not path.exists():
+        raise LogError(f"{path}: no such file; check the path")
+    if not path.is_file():
+        raise LogError(f"{path}: not a regular file; copy the log to one")
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if not head:
+        raise LogError(f"{path}: the file is empty; check that the recording was written and copied whole")
+    return head
+
+
+@contextmanager
+def _hashed(path: Path) -> Iterator[Callable[[], str]]:
+    """Gives the SHA-256 of a file, which a second thread takes while the first one reads; left early, it stops."""
+    stop = Event()
+    with ThreadPoolExecutor(1) as pool:
+        digest = pool.submit(_sha256, path, stop)
+        try:
+            yield digest.result
+        finally:
+            stop.set()
+
+
+def _sha256(path: Path, stop: Event) -> str:
+    """Hex digest of a file; of a folder: of the bytes of its files in the order of their names."""
+    digest = hashlib.sha256()
+    files = sorted(entry for entry in path.iterdir() if entry.is_file()) if path.is_dir() else [path]
+    block = bytearray(_BLOCK)
+    view = memoryview(block)
+    for entry in files:
+        with entry.open("rb", buffering=0) as file:
+            while (size := file.readinto(block)) and not stop.is_set():
+                digest.update(view[:size])
+    return digest.hexdigest()

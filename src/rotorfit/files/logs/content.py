@@ -1,0 +1,73 @@
+"""What a format's reader hands back, and the bounds that a file from a stranger must keep."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rotorfit.core.errors import LogError
+from rotorfit.core.log import Column, Event, Table
+
+LIMIT = 1 << 29
+"""Most bytes that one log's decoded numbers, or one of its arrays, may take: about 15 hours of poses at 120 Hz."""
+
+BLOCK_LIMIT = 1 << 26
+"""Most bytes that one record, or one packed block, of a bag may take: recorders end a chunk at about one MiB. A block
+of tiny messages takes four times as much while it is taken apart."""
+
+WIDEST = 64
+"""Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""
+
+
+class DamageError(Exception):
+    """Bytes that cannot be what they claim to be. Readers turn it into a note, or into a `LogError`."""
+
+
+class TornError(DamageError):
+    """Bytes that cannot even be the head of a record: the record before them may be torn as well."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a format's reader found in a file.
+
+    Attributes:
+        tables: Name to table, in the order of the file.
+        skipped: Tables that exist but were not decoded: name to the reason.
+        notes: What was recovered or left out on reading, one sentence each.
+        attached: As `Log.attached`.
+        events: As `Log.events`.
+        damage: What was lost because the file is damaged or cut short, one sentence each.
+    """
+
+    tables: Mapping[str, Table]
+    skipped: Mapping[str, str]
+    notes: tuple[str, ...]
+    attached: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    damage: tuple[str, ...] = ()
+
+
+def check_size(path: Path, columns: Iterable[Column]) -> None:
+    """Raises `LogError` where the numbers decoded so far take more memory than `LIMIT`."""
+    if sum(values.nbytes for values in columns) > LIMIT:
+        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of numbers; cut the log to the flight that you need")
+
+
+def one_line(text: object) -> str:
+    """First line of a text or an error, at most 300 characters: names in a damaged file may hold anything."""
+    line = (str(text).strip() or type(text).__name__).splitlines()[0].strip()
+    return line if len(line) <= 300 else f"{line[:299]}…"
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """The first names and how many more there are, for a note."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def column_from(values: Column) -> Column:
+    """Drops axes of length one and foreign byte order: shape (N,) or (N, M), native, as compiled code needs it."""
+    squeezed = np.atleast_1d(np.squeeze(values)) if values.size else np.zeros(0, values.dtype)
+    return np.asarray(squeezed, dtype=squeezed.dtype.newbyteorder("="))

@@ -1,0 +1,380 @@
+"""CSV: one header row of names, then rows of numbers between commas, semicolons or tabs.
+
+Spreadsheets of half the world write `0,5` for a half and put semicolons between: that is understood. Lines with a
+wrong number of cells (a cut last line, a line torn by a full disk) are left out with a note. Dates of ISO 8601 become
+nanoseconds since 1970, times of day since midnight; stamps in two columns of seconds and nanoseconds get one besides.
+"""
+
+import csv
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from rotorfit.core.errors import LogError
+from rotorfit.core.log import Column, Table
+from rotorfit.files.logs.content import LIMIT, Content, listed, one_line
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_SEPARATORS = ",;\t"
+
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+
+_BLOCK = 1 << 20
+
+_EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
+
+_COMMENTS = (b"#", b"%")
+
+_DATE = r"^(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:\.\d{1,9})?)(Z|[+-]\d\d:?\d\d)?$"
+
+_STAMP_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
+
+UTF8_MARK = b"\xef\xbb\xbf"
+
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """A text taken apart: names, and the lines below them that have a cell for each.
+
+    Attributes:
+        names: Of the columns, in order; may repeat, may be empty.
+        separator: Between cells.
+        quoted: Whether quotation marks enclose cells.
+        rows: The lines, with their ends.
+    """
+
+    names: list[str]
+    separator: str
+    quoted: bool
+    rows: bytes
+
+
+def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
+    """Whether text begins: a row of names (or numbers), below it, if anything, cells with a number among them."""
+    if head.startswith(_UTF16_MARKS):
+        return True
+    head = head.removeprefix(UTF8_MARK)
+    start, end = _header(head)
+    lines = [head[start:end], *(line for line in head[end:].split(b"\n")[:100] if line.strip())][:2]
+    text = [line.decode("utf-8", errors="replace") for line in lines if line.strip()]
+    if not text or not all(char.isprintable() or char in "\t\r" for line in text for char in line):
+        return False
+    names, *rows = (cells(line, separator_of(text[0])) for line in text)
+    return len(names) > 1 and all(len(row) > 1 and any(map(_is_value, row)) for row in rows)
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number or a date."""
+    return NUMBER.fullmatch(cell) is not None or re.match(_DATE, cell) is not None
+
+
+def _header(data: bytes) -> tuple[int, int]:
+    """Where the row of names begins and ends: below comments, or the last of these where numbers follow at once."""
+    last, end = (0, 0), -1
+    while True:
+        start = end + 1
+        while data[start : start + 1].isspace():
+            start += 1
+        end = data.find(b"\n", start)
+        end = len(data) if end < 0 else end
+        if not data[start:end].startswith(_COMMENTS):
+            break
+        while data[start : start + 1] in _COMMENTS or data[start : start + 1] == b" ":
+            start += 1
+        last = start, end
+    first, names = (data[low:high].decode(errors="replace") for low, high in ((start, end), last))
+    row = cells(first, separator_of(first))
+    named = last[1] and len(row) == len(cells(names, separator_of(names))) and any(map(NUMBER.fullmatch, row))
+    return last if named else (start, end)
+
+
+def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a CSV is one table
+    """Reads the one table, named after the file.
+
+    Raises:
+        LogError: Not UTF-8, no header, no rows, no column of numbers.
+    """
+    notes: list[str] = []
+    data = text_of(path)
+    start, end = _header(data)
+    header = data[start:end].decode()
+    separator = separator_of(header)
+    names = cells(header, separator)
+    if len(names) < 2:
+        raise LogError(f"{path}: the header row cannot be understood; check its separators and quotation marks")
+    if all(NUMBER.fullmatch(name) for name in names):
+        raise LogError(f"{path}: the first line holds numbers where the columns' names belong; add a header row")
+    columns = _with_stamps(columns_below(path, data, (end + 1, len(data)), names, separator, notes))
+    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+
+
+def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
+    """Stamps in two columns (`header.stamp.secs`, `header.stamp.nsecs`) are put together as one besides."""
+    stamps: dict[str, Column] = {}
+    for whole, rest in _STAMP_PARTS:
+        for name, seconds in columns.items():
+            stem = name.removesuffix(whole)
+            part = columns.get(stem + rest)
+            if part is None or not name.endswith((f".{whole}", f"_{whole}")) or stem[:-1] in {"", *columns}:
+                continue
+            if seconds.dtype == part.dtype == np.int64:
+                stamps[stem[:-1]] = seconds * 1_000_000_000 + part
+    return stamps | columns
+
+
+def text_of(path: Path) -> bytes:
+    """The text of a file without the mark that says UTF-8.
+
+    Raises:
+        LogError: Too large, or not UTF-8.
+    """
+    if path.stat().st_size > LIMIT:
+        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of text; cut the log to the flight that you need")
+    data = path.read_bytes().removeprefix(UTF8_MARK)
+    _check_text(path, data)
+    return data
+
+
+def columns_below(
+    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+) -> dict[str, Column]:
+    """Columns of numbers in the rows of a part of a text.
+
+    Args:
+        path: For the text of errors.
+        data: The text.
+        part: Where the rows begin, behind the header, and where they end.
+        names: Of the columns, in order; may repeat, may be empty.
+        separator: Between cells.
+        notes: Grows by what was left out.
+
+    Raises:
+        LogError: No rows, or no column of numbers.
+    """
+    sheet = _sheet(path, data, part, names, separator, notes)
+    columns = _columns(_frame(path, sheet), sheet.names, notes)
+    if not columns:
+        raise LogError(f"{path}: no column of numbers; check the separator and the decimal sign")
+    return columns
+
+
+def _sheet(
+    path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
+) -> _Sheet:
+    """Takes the rows apart and leaves out torn lines."""
+    body = data[part[0] : part[1]]
+    if not body.strip():
+        raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
+    lines = _Lines(body, separator)
+    first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
+    if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):
+        names = [*names, ""]  # loggers that end every row, but not the header, with a separator
+    whole = lines.filled & (lines.cells == len(names)) & ~lines.zeros
+    if not whole.any():
+        width = int(lines.cells[lines.filled][0])
+        raise LogError(f"{path}: {len(names)} names but {width} cells in a row; check header and separator")
+    _drop_cut_value(body, lines, whole, separator, notes)
+    torn = np.flatnonzero(lines.filled & ~whole)
+    if len(torn):
+        line = data.count(b"\n", 0, part[0] + int(lines.starts[torn[0]])) + 1
+        notes.append(f"{len(torn)} torn lines left out, the first is line {line} of the file")
+    rows = body if not len(torn) else np.frombuffer(body, np.uint8)[np.repeat(whole, lines.lengths)].tobytes()
+    return _Sheet(names, separator, lines.quoted, _with_points(rows, separator))
+
+
+class _Lines:
+    """Where the lines of a text begin, how long they are, and how many cells they have.
+
+    Attributes:
+        quoted: Whether quotation marks enclose cells (they come in pairs).
+        starts: Offset of each line, shape (N,).
+        lengths: Bytes of each line with its end, shape (N,).
+        cells: Cells of each line, shape (N,).
+        filled: Lines that are not blank, shape (N,).
+        zeros: Lines with zero bytes, as a power cut leaves them, shape (N,).
+    """
+
+    def __init__(self, text: bytes, separator: str) -> None:
+        self.quoted = b'"' in text and text.count(b'"') % 2 == 0
+        after = _places(text, "\n", self.quoted) + 1
+        if not len(after) or after[-1] < len(text):
+            after = np.append(after, len(text))
+        self.starts = np.append(0, after[:-1])
+        self.lengths = after - self.starts
+        self.cells = _counts(_places(text, separator, self.quoted), after) + 1
+        self.zeros = _counts(_places(text, "\0", False), after) > 0
+        self.filled = np.ones(len(after), bool)
+        for row in np.flatnonzero((self.cells == 1) & ~self.zeros):
+            self.filled[row] = bool(text[self.starts[row] : after[row]].strip())
+
+
+def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int64]:
+    """Offsets of a character, outside quotation marks if these count; block by block, to spare memory."""
+    places, parity = [np.zeros(0, np.int64)], np.uint8(0)
+    for start in range(0, len(text), _BLOCK):
+        block = np.frombuffer(text, np.uint8, min(_BLOCK, len(text) - start), start)
+        found = block == ord(mark)
+        if quoted:
+            inside = (np.cumsum(block == ord('"'), dtype=np.uint8) + parity) & np.uint8(1)
+            found &= inside == 0
+            parity = inside[-1]
+        places.append(np.flatnonzero(found) + start)
+    return np.concatenate(places)
+
+
+def _counts(places: npt.NDArray[np.int64], after: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """How many of the places lie in each line."""
+    return np.diff(np.searchsorted(places, after), prepend=0)
+
+
+def _drop_cut_value(text: bytes, lines: _Lines, whole: npt.NDArray[np.bool_], separator: str, notes: list[str]) -> None:
+    """Marks the last line as torn where it has no end and its last cell, alone in its column, is no number."""
+    if text.endswith(b"\n") or not whole[-1]:
+        return
+    ends = [
+        cells(text[lines.starts[row] :][: lines.lengths[row]].decode(), separator)[-1:]
+        for row in np.flatnonzero(whole)[-2:]
+    ]
+    is_number = [all(map(NUMBER.fullmatch, cell)) for cell in ends]
+    if is_number == [True, False]:
+        whole[-1] = False
+    else:
+        notes.append("the last line has no line end: its last value may be cut")
+
+
+def _check_text(path: Path, data: bytes) -> None:
+    """Raises where the text is not UTF-8."""
+    if data.startswith(_UTF16_MARKS):
+        raise LogError(f"{path}: UTF-16 text; save it as CSV in UTF-8")
+    try:
+        data.isascii() or data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise LogError(
+            f"{path}: line {line} is not UTF-8 (byte 0x{data[error.start]:02x}); save it as UTF-8"
+        ) from error
+
+
+def separator_of(header: str) -> str:
+    """The separator that the header holds most of, outside quotation marks; a comma where it holds none."""
+    bare = re.sub(r'"[^"]*"', "", header)
+    return max(_SEPARATORS, key=bare.count)
+
+
+def cells(line: str, separator: str) -> list[str]:
+    """Cells of one line, without quotation marks and the blanks around them; none where they do not pair up."""
+    try:
+        cells = next(csv.reader([line.strip("\r\n")], delimiter=separator, skipinitialspace=separator != "\t"), [])
+    except csv.Error:
+        return []
+    return [cell.strip() for cell in cells]
+
+
+def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
+    """Parses the rows; columns that are not plain numbers come as text."""
+    import polars as pl
+
+    parse = partial(
+        pl.read_csv,
+        sheet.rows,
+        has_header=False,
+        new_columns=[str(index) for index in range(len(sheet.names))],
+        separator=sheet.separator,
+        quote_char='"' if sheet.quoted else None,
+        null_values=list(_EMPTY),
+    )
+    fault: Exception | None = None
+    # Types from the first rows, five times faster; else from all; else, with a number that fits no type, text.
+    for types in ({"infer_schema_length": 1000}, {"infer_schema_length": None}, {"infer_schema": False}):
+        try:
+            return parse(**types)
+        except (pl.exceptions.PolarsError, ValueError) as error:
+            fault = error
+    assert fault is not None
+    raise LogError(f"{path}: cannot be parsed as CSV ({one_line(fault)}); look at it in an editor") from fault
+
+
+def _with_points(rows: bytes, separator: str) -> bytes:
+    """The rows with decimal points, where commas stand in their place in the first of them."""
+    sample = rows[:_BLOCK]
+    if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample):
+        return rows.replace(b",", b".")
+    return rows
+
+
+def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
+    """Columns of numbers by name; the others are noted."""
+    columns: dict[str, Column] = {}
+    text, again, unnamed = [], [], 0
+    for name, series in zip(names, frame.iter_columns(), strict=True):
+        values = _numbers(series)
+        if not name:
+            unnamed += values is not None and not np.isnan(values.astype(np.float64)).all()
+        elif name in columns:
+            again.append(name)
+        elif values is None:
+            text.append(name)
+        else:
+            columns[name] = values
+    if text:
+        notes.append(f"columns left out because they hold text: {listed(text)}")
+    if again:
+        notes.append(f"columns left out because an earlier one has their name: {listed(again)}")
+    if unnamed:
+        notes.append(f"columns left out because they have no name: {unnamed}")
+    return columns
+
+
+def _numbers(series: "pl.Series") -> Column | None:
+    """Values of a column, whole numbers as int64, true and false as such, empty cells as NaN; None for text."""
+    import polars as pl
+
+    if series.dtype == pl.String:
+        series = series.str.strip_chars()
+        series = series.set(series.is_in(_EMPTY).fill_null(False), None)
+        folded = series.str.to_lowercase()
+        if folded.is_in(["true", "false"]).all() and not series.null_count():
+            return (folded == "true").to_numpy(writable=True)
+        whole = series.null_count()
+        series = next((parsed for parsed in _parsed(series) if parsed.null_count() == whole), series)
+        series = series if series.dtype != pl.String or whole else _dates(series)
+    if series.dtype in (pl.Int64, pl.Boolean) and not series.null_count():
+        return series.to_numpy(writable=True)
+    if series.dtype.is_numeric() or series.dtype == pl.Boolean:
+        return series.cast(pl.Float64).fill_null(float("nan")).to_numpy(writable=True)
+    return None
+
+
+def _parsed(text: "pl.Series") -> "list[pl.Series]":
+    """A column of text as whole numbers and as floats, null where a cell is none."""
+    import polars as pl
+
+    return [text.cast(pl.Int64, strict=False), text.cast(pl.Float64, strict=False)]
+
+
+def _dates(text: "pl.Series") -> "pl.Series":
+    """A column of dates as nanoseconds since 1970, of times of day since midnight; else the text as it was."""
+    import polars as pl
+
+    days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))
+    if clock.null_count() or days.null_count() not in (0, len(days)):
+        return text
+    joined = days.fill_null("1970-01-01") + "T" + clock
+    stamps = joined.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False).to_physical()
+    if stamps.null_count():
+        return text
+    digits = zone.str.replace(":", "").str.extract(r"^[+-](\d{4})$", 1).cast(pl.Int64).fill_null(0)
+    ahead = (digits // 100 * 3600 + digits % 100 * 60) * (
+        1 - 2 * zone.str.starts_with("-").fill_null(False).cast(pl.Int64)
+    )
+    return stamps - ahead * 1_000_000_000

@@ -1,0 +1,88 @@
+"""MAT files of version 7.3, which are HDF5; needs h5py.
+
+HDF5 stores MATLAB's arrays by rows where MATLAB has columns: they come transposed and are turned back.
+"""
+
+from collections.abc import Collection
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.errors import LogError
+from rotorfit.core.log import Column, Table
+from rotorfit.files.logs.content import BLOCK_LIMIT, LIMIT, Content, check_size, column_from, listed, one_line
+
+_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+_USER_BLOCK = 512  # where MATLAB writes its own header
+
+_CLASSES = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)} | {"double", "single", "logical", ""}
+
+_DEEPEST = 16
+
+
+def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
+    """Whether HDF5 begins, at the start or behind MATLAB's header."""
+    return head.startswith((_MAGIC, b"MATLAB 7.3 MAT-file")) or head[_USER_BLOCK:].startswith(_MAGIC)
+
+
+def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a MAT file is one table
+    """Reads the one table, named after the file: arrays of numbers; fields of structures are dotted.
+
+    Raises:
+        LogError: h5py is not installed, HDF5 is damaged, or no array of numbers in it.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise LogError(f"{path}: MAT 7.3 needs h5py; pip install 'rotorfit[mat73]', or save with -v7") from error
+    columns: dict[str, Column] = {}
+    others: list[str] = []
+    try:
+        with h5py.File(path, "r") as file:
+            _gather(file, "", columns, others, 0)
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise LogError(f"{path}: damaged HDF5 ({one_line(error)}); copy the file again") from error
+    if not columns:
+        raise LogError(f"{path}: no array of numbers in the file; save the signals as plain arrays")
+    notes = [f"variables left out because they are not arrays of numbers: {listed(others)}"] if others else []
+    return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
+
+
+def _gather(group: Any, prefix: str, columns: dict[str, Column], others: list[str], depth: int) -> None:
+    """Puts the arrays of a group, and of the structures in it, into the columns."""
+    import h5py
+
+    for label in group:
+        name = f"{prefix}{label}"
+        if label.startswith("#"):  # MATLAB's own store of cells and objects
+            continue
+        # Links to other files or places are not followed: a log says nothing about files beside it.
+        plain = isinstance(group.get(label, getlink=True), h5py.HardLink)
+        item = group[label] if plain else None
+        if isinstance(item, h5py.Group) and depth < _DEEPEST:
+            _gather(item, f"{name}.", columns, others, depth + 1)
+        elif isinstance(item, h5py.Dataset) and _is_numeric(item):
+            columns[name] = _array(item)
+            check_size(Path(item.file.filename), columns.values())
+        else:
+            others.append(name)
+
+
+def _is_numeric(item: Any) -> bool:
+    """Whether a dataset is an array of numbers that lies in this file and fits."""
+    kind = item.attrs.get("MATLAB_class", b"")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    inside = not item.external and not item.is_virtual
+    small = item.dtype.kind in "biuf" and item.size is not None and item.size * item.dtype.itemsize <= LIMIT
+    small = small and prod(item.chunks or (0,)) * item.dtype.itemsize <= BLOCK_LIMIT  # one is unpacked as a whole
+    return kind in _CLASSES and inside and small and sum(length != 1 for length in item.shape) <= 2
+
+
+def _array(item: Any) -> Column:
+    """Values as MATLAB has them; an empty array stores its sizes in place of values."""
+    if item.attrs.get("MATLAB_empty", 0):
+        return np.zeros(0, item.dtype)
+    return column_from(np.asarray(item[()]).T)

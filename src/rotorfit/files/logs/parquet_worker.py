@@ -1,0 +1,79 @@
+"""What `parquet` runs in a process of its own: decodes a file's columns of numbers and leaves them in a folder."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rotorfit.core.log import Column
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_PROCESS = 900 << 20  # bytes that the process may write to, 135 MiB of polars' own among them
+
+_LONGEST = 4  # columns of the longest kind that fit: each is unpacked and copied as a whole
+
+
+def columns_to(path: Path, folder: Path, limit: int) -> dict[str, list[str]]:
+    """Decodes the columns of numbers to `0.npy` and so on.
+
+    Args:
+        path: Of the Parquet file.
+        folder: Where to.
+        limit: Most bytes of numbers.
+
+    Returns:
+        `names` of the columns and of the `others`, or a `problem` of one line.
+    """
+    import polars as pl
+
+    try:
+        schema = pl.read_parquet_schema(path)
+        count = int(pl.scan_parquet(path).select(pl.len()).collect().item())
+        names = [name for name, kind in schema.items() if kind.is_numeric() or kind.is_temporal() or kind == pl.Boolean]
+        if count * len(names) * 8 > limit or count * 8 > limit / _LONGEST:
+            return {"problem": [f"more than {limit >> 20} MiB of numbers; cut the log to the flight that you need"]}
+        for index, name in enumerate(names):
+            series = pl.read_parquet(path, columns=[name], use_statistics=False).to_series()
+            np.save(folder / f"{index}.npy", _numbers(series), allow_pickle=False)
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError, MemoryError) as error:
+        return {"problem": [f"damaged Parquet ({' '.join(str(error).split())[:200]}); copy the file again"]}
+    return {"names": names, "others": [name for name in schema if name not in names]}
+
+
+def _numbers(series: "pl.Series") -> Column:
+    """Values of a column, empty cells as NaN; dates and times as nanoseconds, since 1970 or midnight."""
+    import polars as pl
+
+    if series.dtype == pl.Date:
+        series = series.cast(pl.Datetime("ns"))
+    if series.dtype in (pl.Datetime, pl.Duration):
+        series = series.dt.cast_time_unit("ns")
+    if series.dtype.is_temporal():
+        series = series.to_physical()
+    if series.null_count() or series.dtype.is_decimal():
+        series = series.cast(pl.Float64).fill_null(float("nan"))
+    return np.ascontiguousarray(series.to_numpy())
+
+
+def _bound_memory() -> None:
+    """Keeps a file that claims huge sizes from taking the memory of the machine, where the system can."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    resource.setrlimit(resource.RLIMIT_DATA, (_PROCESS, _PROCESS))
+
+
+def _main(words: list[str]) -> None:
+    path, folder, limit = Path(words[0]), Path(words[1]), int(words[2])
+    _bound_memory()
+    answer: dict[str, Any] = columns_to(path, folder, limit)
+    (folder / "columns.json").write_text(json.dumps(answer), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1:])

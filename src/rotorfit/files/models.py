@@ -1,0 +1,204 @@
+"""The model file: JSON, versioned, no pickle, no NaN. Model -> file -> the same model."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.errors import ModelError
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import LEVELS_OF, structure_named
+from rotorfit.core.limits import Conversion, Figure, Quantity
+from rotorfit.core.model import (
+    STRUCTURE,
+    Accuracy,
+    Axis,
+    AxisAccuracy,
+    Candidate,
+    Combination,
+    FlightEstimate,
+    Inseparable,
+    Mode,
+    Model,
+    Plain,
+    Predictor,
+    PriorUse,
+    Scatter,
+    Source,
+    Uncertainty,
+)
+from rotorfit.files.cards import card_from_mapping
+
+
+def uncertainty_from_mapping(raw: Mapping[str, Any]) -> Uncertainty:
+    """The table from the plain types of a model file; KeyError or TypeError where it is not one."""
+    return Uncertainty(**{**raw, "axes": {name: _axis_accuracy(axis) for name, axis in raw["axes"].items()}})
+
+
+def _axis_accuracy(raw: Mapping[str, Any]) -> AxisAccuracy:
+    scatter = raw["scatter"]
+    return AxisAccuracy(
+        coefficients={name: Accuracy(**one) for name, one in raw["coefficients"].items()},
+        correlation=tuple(tuple(row) for row in raw["correlation"]),
+        inseparable=tuple(_pair(one) for one in raw["inseparable"]),
+        scatter=scatter and Scatter(**{**scatter, "flights": tuple(FlightEstimate(**f) for f in scatter["flights"])}),
+    )
+
+
+def _pair(raw: Mapping[str, Any]) -> Inseparable:
+    return Inseparable(**{**raw, "pair": tuple(raw["pair"]), "ci95": raw["ci95"] and tuple(raw["ci95"])})
+
+
+FORMAT = "rotorfit-model"
+
+VERSION = 1
+
+
+def save(model: Model, path: str | Path) -> None:
+    """Writes a model file (JSON, without NaN)."""
+    Path(path).write_text(json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
+
+
+def load(path: str | Path) -> Model:
+    """Reads a model file.
+
+    Raises:
+        ModelError: If it is missing, no model file, or of a newer version.
+    """
+    try:
+        raw = json.loads(Path(path).read_text())
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
+        ) from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ModelError(f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`") from None
+    return from_mapping(raw, str(path))
+
+
+def is_model_file(path: str | Path) -> bool:
+    """Whether a file is a model, by content."""
+    with Path(path).open("rb") as file:
+        return file.read(4096).lstrip()[:1] == b"{" and FORMAT.encode() in Path(path).read_bytes()[:4096]
+
+
+def to_mapping(model: Model) -> dict[str, Any]:
+    """The model as plain JSON types."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "rotorfit": model.rotorfit,
+        "card": dict(model.card.raw),
+        "structure": model.structure,
+        "method": model.method,
+        "gamma": list(model.gamma),
+        "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
+        "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
+        "paper": {"gamma": list(model.paper)},
+        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
+        "conversion": asdict(model.conversion) if model.conversion else None,
+        "findings": [asdict(finding) for finding in model.findings],
+        "flights": [asdict(flight) for flight in model.flights],
+        "leave_one_out": None if model.leave_one_out is None else dict(model.leave_one_out),
+        "uncertainty": model.uncertainty and asdict(model.uncertainty),
+        "prior": None if model.prior is None else {name: asdict(use) for name, use in model.prior.items()},
+    }
+
+
+def _axis_mapping(axis: Axis) -> dict[str, Any]:
+    """An axis as plain types; what only other structures have is left out where it is empty."""
+    raw = asdict(axis)
+    if raw["predictor"] and not raw["predictor"]["extra"]:
+        del raw["predictor"]["extra"]
+    for name in ("extra", "plain", "candidates", "samples"):
+        if not raw[name]:
+            del raw[name]
+    return raw
+
+
+def from_mapping(raw: Any, where: str) -> Model:
+    """A model from the plain types of a model file.
+
+    Raises:
+        ModelError: If it is not one, or of a newer version.
+    """
+    if not isinstance(raw, dict) or raw.get("format") != FORMAT:
+        raise ModelError(f"{where}: not a rotorfit model; give a file written by `rotorfit fit -o`")
+    if raw.get("version") != VERSION:
+        raise ModelError(
+            f"{where}: model version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
+        )
+    try:
+        return Model(
+            card=card_from_mapping(raw["card"], where),
+            structure=raw["structure"],
+            method=raw["method"],
+            axes={name: _axis(raw["axes"][name]) for name in AXES},
+            covariance_names=tuple(raw["covariance"]["names"]),
+            covariance=np.array(raw["covariance"]["matrix"], float).reshape((len(raw["covariance"]["names"]),) * 2),
+            paper=tuple(raw["paper"]["gamma"]),
+            findings=tuple(Finding(**finding) for finding in raw["findings"]),
+            flights=tuple(_source(flight) for flight in raw["flights"]),
+            rotorfit=raw["rotorfit"],
+            uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
+            prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
+            physics={
+                name: {key: _quantity(part) for key, part in parts.items()}
+                for name, parts in raw.get("physics", {}).items()
+            },
+            conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
+            leave_one_out=raw.get("leave_one_out"),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
+
+
+def _axis(raw: Mapping[str, Any]) -> Axis:
+    if raw["noise"] and set(raw["noise"]) not in [{*levels, "trim_variance"} for levels in LEVELS_OF.values()]:
+        raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
+    return Axis(
+        **{
+            **raw,
+            "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()},
+            "trim": tuple(raw["trim"]),
+            "predictor": Predictor(**raw["predictor"]) if raw["predictor"] else None,
+            "combinations": {
+                name: Combination(part["value"], tuple(part["ci95"])) for name, part in raw["combinations"].items()
+            },
+            "modes": tuple(Mode(**mode) for mode in raw["modes"]),
+            "profile": tuple((delay, value) for delay, value in raw["profile"]),
+            "structure": structure_named(raw.get("structure", STRUCTURE)).name,
+            "plain": _plain(raw["plain"]) if raw.get("plain") else None,
+            "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
+        }
+    )
+
+
+def _quantity(raw: Mapping[str, Any]) -> Quantity:
+    figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
+    known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
+    return Quantity(**{**raw, **known})
+
+
+def _plain(raw: Mapping[str, Any]) -> Plain:
+    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}})
+
+
+def _candidate(raw: Mapping[str, Any]) -> Candidate:
+    changes = {name: tuple(raw[name]) if raw[name] else None for name in ("velocity_change", "position_change")}
+    return Candidate(**{**raw, **changes})
+
+
+def _source(raw: Mapping[str, Any]) -> Source:
+    return Source(
+        path=raw["path"],
+        sha256=raw["sha256"],
+        span=tuple(raw["span"]),
+        notes=tuple(Note(**note) for note in raw["notes"]),
+        axes=tuple(raw["axes"]),
+    )

@@ -1,0 +1,378 @@
+"""The plan file: TOML that a person can read and edit. Plan -> file -> the same plan, everything checked."""
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rotorfit.core.errors import CardError, PlanError, nearest
+from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Four, Plan, Signal, Sines, Space, Steps
+from rotorfit.core.frames import AXES
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.version import __version__
+
+FORMAT = "rotorfit-plan"
+
+VERSION = 1
+
+RATES = (5.0, 500.0)
+"""Commands a second that can be flown: below, autopilots take a pause for a lost link (PX4 after half a second); above,
+the period is near what an ordinary kernel keeps."""
+
+PLAN_MARK = b'"rotorfit-plan"'
+"""What the first bytes of a plan hold."""
+
+_KEYS = (
+    "format", "version", "rotorfit", "name", "design", "seed", "rate", "duration", "ramp", "excitations", "space",
+    "feedback", "predicted", "belief", "card",
+)  # fmt: skip
+
+_SIGNALS: Mapping[str, tuple[str, ...]] = {
+    "sines": ("amplitude", "frequency", "phase"),
+    "chirp": ("amplitude", "frequency", "sweep"),
+    "steps": ("time", "level"),
+}
+
+_SPACE = ("lower", "upper", "start", "speed", "climb")
+
+_FEEDBACK = ("axes", "stiffness", "damping", "filter_time")
+
+SEAL = "# as written: "
+"""Begins the last line of a plan, a checksum of what stands above it."""
+
+HEAD = """\
+# A flight for `rotorfit fly`. Times in s, lengths in m, angles in rad; axes are forward, left, up, counter-clockwise.
+# Commands are in the unit of the card below: fractions of full scale, or SI. What stands under [predicted] is what
+# `rotorfit plan` expects of the flight as it was written: after an edit it no longer holds.
+"""
+
+
+def save_plan(plan: Plan, path: str | Path) -> None:
+    """Writes a plan file."""
+    Path(path).write_text(plan_text(plan), encoding="utf-8")
+
+
+def plan_text(plan: Plan) -> str:
+    """The plan as TOML, with a few words at its head; its last line tells whether it was edited since."""
+    import tomli_w
+
+    return _sealed(HEAD + tomli_w.dumps(plan_mapping(plan)))
+
+
+def check_plan_destination(path: Path) -> None:
+    """Refuses to write over anything but a plan as it was written: plans are made to be edited.
+
+    Raises:
+        PlanError: The path is taken by something else, an edited plan for example, or its folder does not exist.
+    """
+    if path.exists() and not _as_written(path):
+        raise PlanError(
+            f"{path}: exists, and is not as `rotorfit plan` wrote it: not overwritten; choose another name or remove it"
+        )
+    if not path.parent.is_dir():
+        raise PlanError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def _as_written(path: Path) -> bool:
+    """Whether a file is a plan that nobody has edited."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    body, mark, _ = text.rpartition(SEAL)
+    return bool(mark) and text == _sealed(body)
+
+
+def _sealed(text: str) -> str:
+    return f"{text}{SEAL}{hashlib.sha256(text.encode()).hexdigest()[:16]}\n"
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Reads a plan file.
+
+    Raises:
+        PlanError: Missing, not TOML, of a newer version, with an unknown key, or with a value that cannot be flown.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise PlanError(
+            f"plan {path}: cannot be read ({error.strerror}); give a file written by `rotorfit plan -o`"
+        ) from None
+    except UnicodeDecodeError:
+        raise PlanError(f"plan {path}: not a text file; give one written by `rotorfit plan -o`") from None
+    return plan_from_text(text, str(path))
+
+
+def plan_from_text(text: str, where: str) -> Plan:
+    """A plan from the text of its file; errors as `load_plan`."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PlanError(f"plan {where}: not readable as TOML: {' '.join(str(error).split())}") from None
+    return plan_from_mapping(raw, where)
+
+
+def plan_mapping(plan: Plan) -> dict[str, Any]:
+    """The plan as plain types; what has no feedback has no such section."""
+    space, feedback = plan.space, plan.feedback
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "rotorfit": __version__,
+        "name": plan.name,
+        "design": plan.design,
+        "seed": plan.seed,
+        "rate": plan.rate,
+        "duration": plan.duration,
+        "ramp": plan.ramp,
+        "space": {
+            "lower": list(space.lower), "upper": list(space.upper), "start": list(space.start), "speed": space.speed,
+            "climb": space.climb,
+        },
+        **({"feedback": _feedback_mapping(feedback)} if feedback else {}),
+        "excitations": [_excitation_mapping(each) for each in plan.excitations],
+        **({"predicted": dict(plan.predicted)} if plan.predicted else {}),
+        "card": dict(plan.card),
+        **({"belief": dict(plan.belief)} if plan.belief else {}),
+    }  # fmt: skip
+
+
+def _feedback_mapping(feedback: Feedback) -> dict[str, Any]:
+    return {
+        "axes": list(feedback.axes), "stiffness": list(feedback.stiffness), "damping": list(feedback.damping),
+        "filter_time": feedback.filter_time,
+    }  # fmt: skip
+
+
+def _excitation_mapping(excitation: AxisExcitation) -> dict[str, Any]:
+    signal = excitation.signal
+    head = {"axis": excitation.axis, "target": excitation.target, "start": excitation.start}
+    head |= {"duration": excitation.duration}
+    if isinstance(signal, Sines):
+        parts = {name: list(getattr(signal, name)) for name in _SIGNALS["sines"]}
+        return head | {"signal": "sines", **parts}
+    if isinstance(signal, Chirp):
+        frequency = list(signal.frequency)
+        return head | {
+            "signal": "chirp",
+            "amplitude": signal.amplitude,
+            "frequency": frequency,
+            "sweep": signal.duration,
+        }
+    return head | {"signal": "steps", "time": list(signal.time), "level": list(signal.level)}
+
+
+def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
+    """Checks a plan as parsed from TOML.
+
+    Args:
+        raw: The keys of a plan.
+        where: File, for the error's text.
+
+    Raises:
+        PlanError: As `load_plan`.
+    """
+    place = f"plan {where}"
+    if raw.get("format") != FORMAT:
+        raise PlanError(f"{place}: not a rotorfit plan; give a file written by `rotorfit plan -o`")
+    if raw.get("version") != VERSION:
+        raise PlanError(
+            f"{place}: version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
+        )
+    _check(raw, _KEYS, place)
+    duration = _positive(raw, "duration", place)
+    plan = Plan(
+        name=_text(raw, "name", place),
+        design=_text(raw, "design", place),
+        card=_checked_card(_section(raw, "card", place), place),
+        rate=_rate(raw, place),
+        duration=duration,
+        ramp=_not_negative(raw, "ramp", place),
+        excitations=_excitations(raw, duration, place),
+        feedback=_feedback(_section(raw, "feedback", place), f"{place}, [feedback]") if "feedback" in raw else None,
+        space=_space(_section(raw, "space", place), f"{place}, [space]"),
+        belief=_section(raw, "belief", place) if "belief" in raw else {},
+        predicted=_section(raw, "predicted", place) if "predicted" in raw else {},
+        seed=_whole(raw, "seed", place),
+    )
+    _check_together(plan, place)
+    return plan
+
+
+def _check_together(plan: Plan, place: str) -> None:
+    """What each part alone cannot tell."""
+    commanded = card_from_mapping(plan.card, place).command
+    acting = plan.feedback.axes if plan.feedback else ()
+    for each in plan.excitations:
+        if each.axis not in commanded:
+            raise PlanError(f"{place}: it excites {each.axis}, for which its card has no command")
+        if each.target == "position" and each.axis not in acting:
+            raise PlanError(f"{place}: a position on {each.axis} needs [feedback] with that axis in its axes")
+    for at in set(acting) - set(commanded):
+        raise PlanError(f"{place}, [feedback]: it acts on {at}, for which the card has no command")
+    if acting and "gamma" not in plan.belief:
+        raise PlanError(f"{place}: feedback needs gamma under [belief]")
+
+
+def _checked_card(raw: Mapping[str, Any], place: str) -> Mapping[str, Any]:
+    try:
+        card_from_mapping(raw, "in it")
+    except CardError as error:
+        raise PlanError(f"{place}: {error}") from None
+    return raw
+
+
+def _excitations(raw: Mapping[str, Any], duration: float, place: str) -> tuple[AxisExcitation, ...]:
+    listed = raw.get("excitations")
+    if not isinstance(listed, list) or not all(isinstance(each, Mapping) for each in listed):
+        raise PlanError(f"{place}: excitations must be sections [[excitations]], at least one")
+    if not listed:
+        raise PlanError(f"{place}: no excitation: nothing would be flown")
+    return tuple(_excitation(each, duration, f"{place}, excitation {i}") for i, each in enumerate(listed, 1))
+
+
+def _excitation(raw: Mapping[str, Any], duration: float, place: str) -> AxisExcitation:
+    kind = _choice(raw, "signal", tuple(_SIGNALS), place)
+    _check(raw, ("axis", "target", "start", "duration", "signal", *_SIGNALS[kind]), place)
+    start, length = _not_negative(raw, "start", place), _positive(raw, "duration", place)
+    if start + length > duration * (1 + 1e-9):
+        raise PlanError(f"{place}: it ends at {start + length:g} s, after the plan, which lasts {duration:g} s")
+    target = _choice(raw, "target", ("command", "position"), place)
+    if target == "position" and kind == "steps":
+        raise PlanError(f"{place}: a position must move smoothly: sines or chirp, not steps")
+    return AxisExcitation(
+        _choice(raw, "axis", AXES, place), "position" if target == "position" else "command", start, length,
+        _signal(kind, raw, place),
+    )  # fmt: skip
+
+
+def _signal(kind: str, raw: Mapping[str, Any], place: str) -> Signal:
+    if kind == "chirp":
+        low, high = _numbers(raw, "frequency", place, 2)
+        if min(low, high) <= 0 or low == high:
+            raise PlanError(f"{place}: the frequencies of a chirp must be positive and differ")
+        return Chirp(_number(raw, "amplitude", place), (low, high), _positive(raw, "sweep", place))
+    if kind == "steps":
+        time, level = _numbers(raw, "time", place), _numbers(raw, "level", place)
+        if len(time) != len(level) or list(time) != sorted(time):
+            raise PlanError(
+                f"{place}: time must increase and have a level each: {len(time)} times, {len(level)} levels"
+            )
+        return Steps(time, level)
+    parts = [_numbers(raw, name, place) for name in _SIGNALS["sines"]]
+    if len({len(part) for part in parts}) != 1:
+        raise PlanError(f"{place}: amplitude, frequency and phase must have the same length")
+    return Sines(*parts)
+
+
+def _feedback(raw: Mapping[str, Any], place: str) -> Feedback:
+    _check(raw, _FEEDBACK, place)
+    axes = raw.get("axes")
+    if not isinstance(axes, list) or not set(axes) <= set(AXES):
+        raise PlanError(f"{place}: axes must be some of {', '.join(AXES)}, not {axes!r}")
+    stiffness, damping = (_four(raw, name, place) for name in ("stiffness", "damping"))
+    if min(stiffness + damping) < 0:
+        raise PlanError(f"{place}: a negative stiffness or damping drives the vehicle away")
+    return Feedback(tuple(axes), stiffness, damping, _not_negative(raw, "filter_time", place))
+
+
+def _space(raw: Mapping[str, Any], place: str) -> Space:
+    _check(raw, _SPACE, place)
+    lower, upper = (_numbers(raw, name, place, 3) for name in ("lower", "upper"))
+    start = _four(raw, "start", place)
+    for name, low, at, high in zip(AXES, lower, start, upper, strict=False):
+        if not low < at < high:
+            raise PlanError(f"{place}: the start {name} = {at:g} is not inside {low:g} to {high:g}")
+    x0, y0, z0 = lower
+    x1, y1, z1 = upper
+    return Space((x0, y0, z0), (x1, y1, z1), start, _positive(raw, "speed", place), _positive(raw, "climb", place))
+
+
+def _check(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
+    """Refuses a key that nobody knows, and names the nearest."""
+    for key in raw:
+        if key not in known:
+            raise PlanError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+
+
+def _value(raw: Mapping[str, Any], key: str, place: str) -> Any:
+    if key not in raw:
+        raise PlanError(f"{place}: key {key!r} is missing")
+    return raw[key]
+
+
+def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
+    value = _value(raw, key, place)
+    if not isinstance(value, Mapping):
+        raise PlanError(f"{place}, {key}: must be a section [{key}], not {value!r}")
+    return value
+
+
+def _text(raw: Mapping[str, Any], key: str, place: str) -> str:
+    value = _value(raw, key, place)
+    if not isinstance(value, str) or not value:
+        raise PlanError(f"{place}, {key}: must be a text, not {value!r}")
+    return value
+
+
+def _choice(raw: Mapping[str, Any], key: str, known: tuple[str, ...], place: str) -> str:
+    value = _text(raw, key, place)
+    if value not in known:
+        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}{nearest(value, known)}")
+    return value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(raw: Mapping[str, Any], key: str, place: str) -> float:
+    value = _value(raw, key, place)
+    if not _is_number(value):
+        raise PlanError(f"{place}, {key}: must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _positive(raw: Mapping[str, Any], key: str, place: str) -> float:
+    value = _number(raw, key, place)
+    if value <= 0:
+        raise PlanError(f"{place}, {key}: must be positive, not {value:g}")
+    return value
+
+
+def _rate(raw: Mapping[str, Any], place: str) -> float:
+    value, (low, high) = _number(raw, "rate", place), RATES
+    if not low <= value <= high:
+        raise PlanError(f"{place}, rate: {value:g} commands a second cannot be flown; give {low:g} to {high:g}")
+    return value
+
+
+def _not_negative(raw: Mapping[str, Any], key: str, place: str) -> float:
+    value = _number(raw, key, place)
+    if value < 0:
+        raise PlanError(f"{place}, {key}: must not be negative, not {value:g}")
+    return value
+
+
+def _whole(raw: Mapping[str, Any], key: str, place: str) -> int:
+    value = _value(raw, key, place)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise PlanError(f"{place}, {key}: must be a whole number, 0 or more, not {value!r}")
+    return value
+
+
+def _numbers(raw: Mapping[str, Any], key: str, place: str, count: int | None = None) -> tuple[float, ...]:
+    value = _value(raw, key, place)
+    if not isinstance(value, list) or not value or not all(map(_is_number, value)):
+        raise PlanError(f"{place}, {key}: must be a list of finite numbers, not {value!r}")
+    if count is not None and len(value) != count:
+        raise PlanError(f"{place}, {key}: must have {count} numbers, not {len(value)}")
+    return tuple(map(float, value))
+
+
+def _four(raw: Mapping[str, Any], key: str, place: str) -> Four:
+    x, y, z, yaw = _numbers(raw, key, place, 4)
+    return x, y, z, yaw

@@ -1,0 +1,285 @@
+"""Log + Card -> columns: which cards fit a log, and the values that a card names in it.
+
+What names and values of columns say: which is a series, which a clock, in what unit.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.errors import CardError, nearest
+from rotorfit.core.frames import UNIT_SCALE, Array
+from rotorfit.core.log import Column, Log, Table
+from rotorfit.files.cards import builtin_cards
+
+
+def tables_of(card: Card) -> frozenset[str] | None:
+    """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
+    parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
+    channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
+    channels += [each for each in (card.velocity_time, card.attitude_time) if each]
+    channels += [*(part.channel for part in card.window), *card.resets]
+    channels += [other for channel in channels for other in channel.others]
+    tables = {split_source(channel.source)[0] for channel in channels if isinstance(channel.source, str)}
+    return None if any(not table or "*" in table for table in tables) else frozenset(tables)
+
+
+def fitting_cards(log: Log) -> dict[str, Card]:
+    """The built-in cards, by name, whose columns are all in the log."""
+    return {name: card for name, card in builtin_cards().items() if fits(log, card)}
+
+
+def card_for(log: Log, card: Card) -> Card:
+    """The card with each column by the name that it has in this log, and without optional conditions that it lacks.
+
+    Args:
+        log: Where the columns are.
+        card: What may name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`),
+            which stands for the one table that it describes.
+    """
+    log_tables = (*log.tables, *log.skipped)
+
+    def bare(channel: Channel) -> Channel:
+        table, name = split_source(channel.source)
+        there = [one for one in log_tables if fnmatchcase(one, table)] if "*" in table else []
+        return replace(channel, source=f"{there[0]}:{name}", others=()) if len(there) == 1 else channel
+
+    def named(channel: Channel) -> Channel:
+        if not channel.others:
+            return bare(channel)
+        known = (one for one in map(bare, (channel, *channel.others)) if _holds(log, one.source))
+        return replace(next(known, channel), others=())
+
+    def all_named(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+        return {key: named(channel) for key, channel in channels.items()}
+
+    window = [replace(part, channel=named(part.channel)) for part in card.window]
+    return replace(
+        card,
+        command_time=named(card.command_time),
+        command=all_named(card.command),
+        pose_time=named(card.pose_time),
+        pose=all_named(card.pose),
+        velocity=all_named(card.velocity),
+        velocity_time=named(card.velocity_time) if card.velocity_time else None,
+        attitude=all_named(card.attitude),
+        attitude_time=named(card.attitude_time) if card.attitude_time else None,
+        reference=all_named(card.reference),
+        window=tuple(part for part in window if not part.optional or _holds(log, part.channel.source)),
+        resets=tuple(named(channel) for channel in card.resets),
+    )
+
+
+def _holds(log: Log, source: str | float) -> bool:
+    """Whether a log has a column of numbers of that name; constants are always there."""
+    if not isinstance(source, str):
+        return True
+    try:
+        raw_column(log, source)
+    except CardError:
+        return False
+    return True
+
+
+def fits(log: Log, card: Card) -> bool:
+    """Whether all columns of a card are in a log."""
+    card = card_for(log, card)
+    others = [*card.velocity.values(), *card.attitude.values(), *card.reference.values()]
+    others += [*(part.channel for part in card.window), *card.resets]
+    others += [one for one in (card.velocity_time, card.attitude_time) if one]
+    try:
+        for time, channels in ((card.command_time, card.command), (card.pose_time, card.pose)):
+            table, count = split_source(time.source)[0], len(raw_column(log, time.source)[1])
+            for channel in channels.values():
+                beside = split_source(channel.source)[0] == table
+                column(log, channel, count if beside or not isinstance(channel.source, str) else None)
+        for channel in others:
+            column(log, channel)
+    except CardError:
+        return False
+    return True
+
+
+def column(log: Log, channel: Channel, count: int | None = None) -> Array:
+    """Values of a channel: (raw * scale + offset), then the unit to SI.
+
+    Args:
+        log: Where the columns are.
+        channel: Which one, and how to read it.
+        count: Number of stamps that go with it; tells the time axis of a matrix (for `NAME[i]`) and the length of a
+            constant. None takes the longer axis, and one sample.
+
+    Returns:
+        Shape (N,), float64, SI or the fraction that the card says. N may differ from `count`.
+
+    Raises:
+        CardError: Table, column or row is not there (the nearest is named), or it holds no numbers.
+    """
+    if isinstance(channel.source, str):
+        raw = raw_column(log, channel.source, count)[1].astype(np.float64)
+    else:
+        raw = np.full(1 if count is None else count, float(channel.source))
+    factor = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
+    if (channel.scale, channel.offset, factor) == (1.0, 0.0, 1.0):
+        return raw
+    return (raw * channel.scale + channel.offset) * factor
+
+
+def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple[str, Column]:
+    """A column as it was recorded.
+
+    Args:
+        log: Where the columns are.
+        source: `TABLE:COLUMN`, `COLUMN` where the log has one table, or a row `NAME[i]`.
+        count: As in `column`.
+
+    Returns:
+        The column's name without its table, and its values, shape (N,), of any real type.
+
+    Raises:
+        CardError: As `column`.
+    """
+    if not isinstance(source, str):
+        raise CardError(f"{log.path}: a constant ({source:g}) stands where a column is needed")
+    table, name = table_of(log, source)
+    row = re.fullmatch(r"(.+)\[(\d+)\]", name)
+    if name in table.columns:
+        values = _vector(table.columns[name], f"{log.path}: {source}")
+    elif row and row[1] in table.columns:
+        values = _row(table.columns[row[1]], int(row[2]), count, f"{log.path}: {source}")
+    else:
+        raise CardError(f"{log.path}: no column {name!r} in {table.name!r}{nearest(name, table.columns)}")
+    if values.dtype.kind not in "biuf":
+        raise CardError(f"{log.path}: {source} holds no numbers (type {values.dtype})")
+    return name, values
+
+
+def split_source(source: str | float) -> tuple[str, str]:
+    """Table and column of `TABLE:COLUMN`, split at the first colon; no table, "", where there is none."""
+    table, colon, name = str(source).partition(":")
+    return (table, name) if colon else ("", table)
+
+
+def table_of(log: Log, source: str) -> tuple[Table, str]:
+    """The table that a source names, and the column's name in it.
+
+    Raises:
+        CardError: There is no such table (the nearest is named), or none is named and there are several.
+    """
+    only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
+    head, tail = split_source(source)
+    if only is not None and (not head or source in only.columns):
+        return only, source
+    if head in log.tables:
+        return log.tables[head], tail
+    if head in log.skipped:
+        raise CardError(f"{log.path}: table {head!r} was not decoded: {log.skipped[head]}")
+    if head:
+        raise CardError(
+            f"{log.path}: no table {head!r}{nearest(head, [*log.tables, *log.skipped])} (`rotorfit info` lists them)"
+        )
+    holders = [table.name for table in log.tables.values() if source in table.columns] or list(log.tables) or ["TABLE"]
+    raise CardError(f"{log.path}: {source!r} names no table of the {len(log.tables)}; write '{holders[0]}:{source}'")
+
+
+def _vector(values: Column, what: str) -> Column:
+    """A column that is one series, shape (N,)."""
+    if values.ndim == 1 or (values.ndim == 2 and 1 in values.shape):
+        return values.ravel()
+    raise CardError(f"{what} has the shape {values.shape}, not one series; name a row, as in NAME[0]")
+
+
+def _row(values: Column, row: int, count: int | None, what: str) -> Column:
+    """Row `row` of a matrix whose time axis is the one as long as its clock, give or take one sample."""
+    matrix = values[np.newaxis] if values.ndim == 1 else values
+    if matrix.ndim != 2:
+        raise CardError(f"{what}: shape {values.shape} is not a matrix")
+    surplus = [abs(n - (max(matrix.shape) if count is None else count)) for n in matrix.shape]
+    if min(surplus) > 1:
+        raise CardError(f"{what}: no axis of {matrix.shape} is as long as its time ({count})")
+    by_row: Column = matrix if surplus[1] <= surplus[0] else matrix.T
+    if row >= len(by_row):
+        raise CardError(f"{what}: row {row} of {len(by_row)} (rows count from 0)")
+    series: Column = by_row[row]
+    return series
+
+
+_CLOCKS = ("header_stamp", "log_time", "time", "t", "timestamp", "stamp", "seconds", "secs", "elapsed")
+
+_FEW_ROWS = 8  # quaternions, vectors, sticks
+
+_SPEED_SUFFIX = {"m_s": "m/s", "mps": "m/s", "cm_s": "cm/s", "rad_s": "rad/s", "deg_s": "deg/s", "dps": "deg/s"}
+
+_UNIT_SUFFIX = re.compile(rf"_({'|'.join(_SPEED_SUFFIX)}|deg|rad|mm|cm|m|ms|us|ns|s)$")
+
+
+def sample_count(table: Table) -> int:
+    """Length of the longest axis of any column: how many samples a table seems to hold."""
+    return max((max(values.shape, default=1) for values in table.columns.values()), default=0)
+
+
+def shape_text(values: Column) -> str:
+    """The shape of a matrix, as in ` (6 x 19780)`; nothing for a single series."""
+    return "" if values.ndim == 1 or 1 in values.shape else f" ({' x '.join(str(n) for n in values.shape)})"
+
+
+def clock_of(log: Log, table: Table, count: int) -> Channel | None:
+    """The column that looks like the clock of `count` samples; its unit from its name or its steps."""
+    names = clocks_of(table, count)
+    if not names:
+        return None
+    of_ulog = log.format == "ulog" and names[0] == "timestamp"
+    time = Channel(source_of(log, table, names[0]), unit="us" if of_ulog else unit_of_name(names[0]))
+    if time.unit is not None or plain_name(names[0]) in _CLOCKS[:2]:
+        return time
+    steps = np.diff(table.columns[names[0]].astype(np.float64).ravel())
+    step = float(np.median(steps[steps > 0]))  # between 1 kHz and 1 Hz in whatever unit
+    return replace(time, unit="ns" if step > 1e6 else "us" if step > 1e3 else "ms" if step > 1.5 else None)
+
+
+def clocks_of(table: Table, count: int) -> list[str]:
+    """Columns that are named as clocks, advance, and go with `count` samples; the likeliest first."""
+    names = {name_without_unit(name): name for name, values in table.columns.items() if is_series(values)}
+    likely = [names[clock] for clock in _CLOCKS if clock in names]
+    fitting = [name for name in likely if abs(table.columns[name].size - count) <= 1]
+    return [name for name in fitting if np.any(np.diff(table.columns[name].ravel().astype(np.float64)) > 0)]
+
+
+def is_series(values: Column) -> bool:
+    """Whether a column is one series of real numbers, of more than one sample."""
+    return values.dtype.kind in "iuf" and values.size > 1 and values.size == max(values.shape)
+
+
+def series_of(table: Table) -> dict[str, int]:
+    """Columns that are one series, and the rows of matrices of few rows as `NAME[i]`, with their lengths."""
+    found = {name: values.size for name, values in table.columns.items() if is_series(values)}
+    for name, values in table.columns.items():
+        if values.dtype.kind in "iuf" and values.ndim == 2 and 1 < min(values.shape) <= _FEW_ROWS < max(values.shape):
+            found |= {f"{name}[{row}]": max(values.shape) for row in range(min(values.shape))}
+    return found
+
+
+def plain_name(name: str) -> str:
+    """Lower case with underscores: `cmdVel.linear.x` becomes `cmd_vel_linear_x`."""
+    return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()).strip("_")
+
+
+def name_without_unit(name: str) -> str:
+    """The plain name without a unit at its end: `Time_ms` becomes `time`."""
+    return _UNIT_SUFFIX.sub("", plain_name(name))
+
+
+def unit_of_name(name: str) -> str | None:
+    """A unit that a name ends in, where it is not the default of its kind."""
+    match = _UNIT_SUFFIX.search(plain_name(name))
+    unit = _SPEED_SUFFIX.get(match[1], match[1]) if match else None
+    return None if unit in ("m", "rad", "s", "m/s", "rad/s") else unit
+
+
+def source_of(log: Log, table: Table, name: str) -> str:
+    """How a card names a column: `TABLE:COLUMN`, or `COLUMN` where the log has one table."""
+    return name if len(log.tables) == 1 else f"{table.name}:{name}"

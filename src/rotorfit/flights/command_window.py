@@ -1,0 +1,106 @@
+"""When commands count: the conditions of a card's window, and the steps that an estimator makes of its own accord."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rotorfit.core.card import Card, Condition
+from rotorfit.core.frames import Array
+from rotorfit.core.log import Log
+from rotorfit.flights.other_tables import state_samples
+from rotorfit.flights.stamps import Mask, Stamps, fresh, held
+
+IDLE = 3.0
+"""Time for which commands stand still where nobody gives them [s]."""
+
+BUSY = 0.9
+"""Share of a controller's commands that differ from the one before."""
+
+LEAST_CHANGES = 50
+"""Changes below which nothing is said of a controller."""
+
+
+def conditions(log: Log, card: Card, stamps: Stamps) -> Iterator[tuple[str, Mask]]:
+    """Each condition of a card's window: how it reads, and at which of the stamps it holds, shape (N,).
+
+    Before its first value a condition does not hold; an event that ends says that it held before, and the reverse.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+    """
+    for condition in card.window:
+        clock, values = state_samples(log, card, condition.channel, "window")
+        if condition.opens:
+            yield _text(condition), _between_events(condition, clock, values, stamps)
+        else:
+            yield _text(condition), _holds(condition, held(clock, values, stamps))
+
+
+def resets(log: Log, card: Card, stamps: Stamps) -> Stamps:
+    """When a counter of the estimator's own steps moved between the first and the last of some stamps, sorted [ns].
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+    """
+    found = [np.zeros(0, dtype=np.int64)]
+    for channel in card.resets:
+        clock, values = state_samples(log, card, channel, "resets")
+        found.append(clock[1:][np.diff(values) != 0])
+    times = np.unique(np.concatenate(found))
+    return np.asarray(times[(times > stamps[0]) & (times <= stamps[-1])])
+
+
+def idle_ends(stamps: Stamps, values: Array) -> Mask:
+    """Which commands at the ends stand still though a controller changes them all the time in between, shape (N,).
+
+    Loggers write the last command, or 0, while nobody controls. That is told by all of: the same four numbers for
+    `IDLE` seconds at the least, and between the ends `BUSY` of the commands differ from the one before. Of commands
+    in steps, or given by hand, nothing is said.
+
+    Args:
+        stamps: Increasing, shape (N,) [ns].
+        values: Shape (N, 4).
+    """
+    idle = np.zeros(len(stamps), dtype=np.bool_)
+    changes = np.flatnonzero(fresh(values)[1:]) + 1
+    if changes.size < LEAST_CHANGES:
+        return idle
+    first, last = int(changes[0]), int(changes[-1])
+    if changes.size < BUSY * (last - first + 1):
+        return idle
+    if stamps[first] - stamps[0] >= IDLE * 1e9:
+        idle[:first] = True
+    if stamps[-1] - stamps[last] >= IDLE * 1e9:
+        idle[last + 1 :] = True
+    return idle
+
+
+def _holds(condition: Condition, values: Array) -> Mask:
+    if condition.equals:
+        return np.asarray(np.isin(values, condition.equals))
+    if condition.above is not None:
+        return np.asarray(values > condition.above)
+    return np.asarray(np.nan_to_num(values) != 0)
+
+
+def _between_events(condition: Condition, clock: Stamps, values: Array, stamps: Stamps) -> Mask:
+    """Whether the last event that tells was one that opens; without any that tells, the condition holds."""
+    tells = np.isin(values, (*condition.opens, *condition.closes))
+    if not np.any(tells):
+        return np.ones(len(stamps), dtype=np.bool_)
+    opens = np.isin(values[tells], condition.opens).astype(np.float64)
+    before = 1 - opens[np.argmin(clock[tells])]
+    state = held(clock[tells], opens, stamps)
+    return np.asarray(np.where(np.isnan(state), before, state) == 1)
+
+
+def _text(condition: Condition) -> str:
+    """What closes the window, for a note: `SOURCE is zero`."""
+    source = condition.channel.source
+    if condition.equals:
+        return f"{source} is not {' or '.join(f'{value:g}' for value in condition.equals)}"
+    if condition.above is not None:
+        return f"{source} is not above {condition.above:g}"
+    if condition.opens:
+        return f"the events of {source} say that it is over or has not begun"
+    return f"{source} is zero"

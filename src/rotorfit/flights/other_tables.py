@@ -1,0 +1,184 @@
+"""What stands beside a stream: other streams in the rows of its table, and columns of other tables.
+
+The latter are brought onto the stamps of the stream: held, as commands are, or drawn between two samples.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.errors import CardError
+from rotorfit.core.frames import Array
+from rotorfit.core.log import Log
+from rotorfit.files.logs.several import format_of
+from rotorfit.flights.columns import column, is_series, split_source, table_of
+from rotorfit.flights.stamps import (
+    GAP_PERIODS,
+    GAP_TOLERANCE,
+    MISSING_STAMP,
+    Mask,
+    Stamps,
+    held,
+    increasing,
+    median_period,
+    stamps_of,
+)
+
+TOGETHER = 0.1
+"""Share of a median period by which a command of another table may be later and still belong to the same instant:
+autopilots write the messages of one step of their controller one after the other."""
+
+FORMATS_OF_ROWS = ("csv", "parquet", "mat", "mat73")
+"""Whose tables may hold several streams in one, each row with blanks for what it does not have."""
+
+
+def is_beside(time: Channel, channel: Channel) -> bool:
+    """Whether a channel stands in another table than the clock of its stream."""
+    table = split_source(channel.source)[0]
+    return isinstance(channel.source, str) and bool(table) and table != split_source(time.source)[0]
+
+
+def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
+    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock.
+        channels: What it consists of.
+
+    Returns:
+        Shape (N,), True where any channel is a number; N is the number of stamps.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    stamps = stamps_of(log, time)
+    rows = np.zeros(len(stamps), dtype=np.bool_)
+    own = [channel for channel in channels.values() if not is_beside(time, channel)]
+    for channel in own or channels.values():
+        if isinstance(channel.source, str):  # a constant is no sample
+            there = np.isfinite(column(log, channel, len(stamps)))[: len(stamps)]
+            rows[: len(there)] |= there
+    return rows
+
+
+def rows_of_others(log: Log, card: Card) -> Mask:
+    """Which rows of the commands' table hold no command but a number of something else, shape (N,).
+
+    A file of rows leaves the cells blank that a row does not have, as those of the commands where only an IMU was read.
+    A message comes whole: numbers beside its missing command are its own, and say nothing.
+    """
+    own = sample_rows(log, card.command_time, card.command)
+    table, clock = table_of(log, str(card.command_time.source))
+    if format_of(log, table.name) not in FORMATS_OF_ROWS:
+        return np.zeros(len(own), dtype=np.bool_)
+    taken = {split_source(channel.source)[1] for channel in card.command.values()} | {clock}
+    others = [values.ravel() for name, values in table.columns.items() if name not in taken and is_series(values)]
+    state_samples = np.zeros(len(own), dtype=np.bool_)
+    for values in others:
+        state_samples |= np.isfinite(values) if len(values) == len(own) else False
+    return ~own & state_samples
+
+
+def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:
+    """Stamps of a column in another table than its stream's clock.
+
+    They are the column of its own table that is named as the clock of the stream, else `log_time`, else
+    `header.stamp`.
+
+    Args:
+        log: As recorded.
+        time: Clock of the stream.
+        channel: The column.
+
+    Raises:
+        CardError: Its table has none of them.
+    """
+    table, (_, name) = split_source(channel.source)[0], split_source(time.source)
+    there = log.tables[table].columns if table in log.tables else {}
+    if name in there:
+        return stamps_of(log, replace(time, source=f"{table}:{name}", others=()))
+    for other in ("log_time", "header.stamp"):
+        if other in there:
+            return stamps_of(log, Channel(f"{table}:{other}"))
+    raise CardError(f"{log.path}: nothing tells the time of {channel.source}: {table} has no column {name!r}")
+
+
+def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
+    """Stamps and values of a column in another table, increasing and without what is no number.
+
+    Raises:
+        CardError: The column is not there, nothing tells its time, or the two do not go together.
+    """
+    clock = own_clock(log, time, channel)
+    values = column(log, channel, len(clock))
+    if abs(len(clock) - len(values)) > 1:
+        raise CardError(f"{log.path}: {channel.source} has {len(values)} values and its clock {len(clock)}")
+    shared = min(len(clock), len(values))
+    clock, values = clock[:shared], values[:shared]
+    good = (clock != MISSING_STAMP) & np.isfinite(values)
+    clock, values = clock[good], values[good]
+    ordered = increasing(clock)
+    return clock[ordered], values[ordered]
+
+
+def held_beside(log: Log, time: Channel, channel: Channel, stamps: Stamps) -> Array:
+    """A command of another table held onto stamps, shape (N,); NaN before its first and where it had stopped coming."""
+    clock, values = sampled(log, time, channel)
+    clock = clock - round(TOGETHER * (median_period(clock) or 0))
+    return np.where(_reached(clock, stamps), held(clock, values, stamps), np.nan)
+
+
+def interpolate(clock: Stamps, values: Array, stamps: Stamps) -> Array:
+    """A quantity that moves steadily, between the samples before and after each stamp, shape (N,).
+
+    NaN where they are further apart than a gap, and outside of all samples.
+
+    Args:
+        clock: Increasing, shape (M,) [ns].
+        values: Shape (M,).
+        stamps: Where it is wanted, shape (N,) [ns].
+    """
+    if len(clock) < 2:
+        return np.full(len(stamps), np.nan)
+    origin = clock[0]
+    between = np.interp((stamps - origin) / 1e9, (clock - origin) / 1e9, values, left=np.nan, right=np.nan)
+    index = np.clip(np.searchsorted(clock, stamps, side="right"), 1, len(clock) - 1)
+    near = clock[index] - clock[index - 1] <= _limit(clock)
+    return np.where(near | (stamps == clock[index]) | (stamps == clock[index - 1]), between, np.nan)
+
+
+def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[Stamps, Array]:
+    """Stamps and values of a state that may stand in any table, each of shape (N,), NaN where it was told as such.
+
+    Its clock is that of the commands or of the poses where it stands in their table with as many values, else its own.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+        channel: The state.
+        what: What it is, for the error's text.
+
+    Raises:
+        CardError: The column is not there, or nothing tells its time.
+    """
+    table, values = split_source(channel.source)[0], column(log, channel)
+    times = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]
+    clocks = [stamps_of(log, time) for time in times] or [own_clock(log, card.command_time, channel)]
+    clock = next((clock for clock in clocks if abs(len(clock) - len(values)) <= 1), None)
+    if clock is None:
+        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
+    shared = min(len(clock), len(values))
+    return clock[:shared], values[:shared]
+
+
+def _limit(clock: Stamps) -> float:
+    return (GAP_PERIODS + GAP_TOLERANCE) * (median_period(clock) or 0)
+
+
+def _reached(clock: Stamps, stamps: Stamps) -> Mask:
+    """Whether each stamp lies at most a gap behind a sample."""
+    index = np.searchsorted(clock, stamps, side="right") - 1
+    return (index >= 0) & (stamps - clock[np.maximum(index, 0)] <= _limit(clock))

@@ -1,0 +1,257 @@
+"""Clocks: stamps of a stream, order, repeats, jitter, gaps, and how two clocks stand to each other.
+
+`increasing` and `fresh` look back only, so that a stream repaired sample by sample gives the same as a whole flight.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rotorfit.core.card import Channel
+from rotorfit.core.errors import CardError
+from rotorfit.core.frames import Array
+from rotorfit.core.log import Log
+from rotorfit.flights.columns import raw_column, table_of
+
+Stamps = npt.NDArray[np.int64]
+"""Stamps of a stream, shape (N,) [ns]."""
+
+Mask = npt.NDArray[np.bool_]
+
+MISSING_STAMP = int(np.iinfo(np.int64).min)
+"""Stands for a stamp that was recorded as NaN, as numpy's NaT does."""
+
+GAP_PERIODS = 3
+"""A step longer than this many median periods is a gap."""
+
+GAP_TOLERANCE = 0.01
+"""Share of a median period by which a step may pass the limit: a step of exactly three periods, rounded, is no gap."""
+
+SPIN = 20.0
+"""Fastest turn that is believed [rad/s]: no velocity-commanded multirotor reaches it."""
+
+COARSE = 4.0
+"""Typical change of a column in its smallest changes, below which it is taken to be rounded to a few values."""
+
+_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How regularly a stream was stamped. None where fewer than two increasing stamps leave it undefined.
+
+    Attributes:
+        count: Stamps recorded.
+        duration: From the first to the last increasing stamp [s].
+        period: Median step [s].
+        jitter: 5th and 95th percentile of step minus period [s].
+        gaps: Steps longer than three periods.
+        longest_gap: Longest step [s].
+        repeated: Stamps equal to the latest one before.
+        reversed: Stamps earlier than the latest one before.
+        missing: Stamps that are not numbers.
+    """
+
+    count: int
+    duration: float
+    period: float | None
+    jitter: tuple[float, float] | None
+    gaps: int
+    longest_gap: float | None
+    repeated: int
+    reversed: int
+    missing: int
+
+
+@dataclass(frozen=True)
+class ClockRelation:
+    """How the stamps of one stream stand to those of another.
+
+    Attributes:
+        start_offset: First stamp of the second minus that of the first [s].
+        end_offset: Last stamp of the second minus that of the first [s].
+        overlap: Length of the time that both cover [s]; 0 where they do not meet.
+    """
+
+    start_offset: float
+    end_offset: float
+    overlap: float
+
+
+@dataclass(frozen=True)
+class ClockDrift:
+    """Two clocks that stamped the same samples.
+
+    Attributes:
+        offset: Median of second minus first [s].
+        spread: 5th and 95th percentile of second minus first, about the offset [s].
+        drift: Growth of second minus first a second of the first, from the medians of its first and last quarter.
+    """
+
+    offset: float
+    spread: tuple[float, float]
+    drift: float
+
+
+def stamps_of(log: Log, time: Channel) -> Stamps:
+    """Stamps of a stream.
+
+    Stamps in `log.retimed` are taken as they are. Else, without a unit, whole numbers are nanoseconds where the column
+    is a `header.stamp` or `log_time`, or passes 1e15; everything else is seconds.
+
+    Args:
+        log: Where the column is.
+        time: Which column, and how to read it: (raw * scale + offset), then the unit.
+
+    Returns:
+        Shape (N,) [ns]; `MISSING_STAMP` where the recorded stamp is no number, or one that int64 cannot hold.
+
+    Raises:
+        CardError: The column is not there, or most of its numbers are too large for their unit.
+    """
+    name, raw = raw_column(log, time.source)
+    moved = log.retimed.get((table_of(log, str(time.source))[0].name, name)) if log.retimed else None
+    if moved is not None:
+        return moved
+    whole = raw.dtype.kind in "iu"
+    finite = np.isfinite(raw)
+    sizes = np.abs(np.where(finite, raw, 0).astype(np.float64))
+    of_message = name.endswith("header.stamp") or name == "log_time"
+    unit = time.unit or ("ns" if whole and (of_message or np.max(sizes, initial=0.0) > 1e15) else "s")
+    factor = _NS[unit]
+    in_range = finite & (sizes * abs(time.scale) + abs(time.offset) < 2.0**62 / factor)
+    if np.sum(in_range) < np.sum(finite) / 2:
+        typical = float(np.median(sizes[finite]))
+        raise CardError(
+            f'{log.path}: stamps of {time.source} are about {typical:.3g} {unit}: add their unit, as unit = "ns"'
+        )
+    kept = np.where(in_range, raw, 0)
+    if whole and time.scale == 1:  # exact: float64 would round nanoseconds since 1970 to 256 ns
+        stamps = kept.astype(np.int64) * factor + round(time.offset * factor)
+    else:
+        values = kept.astype(np.float64) * time.scale + time.offset
+        units = np.floor(values)  # apart from the fraction, so that the product does not round a second time
+        stamps = units.astype(np.int64) * factor + np.round((values - units) * factor).astype(np.int64)
+    return np.where(in_range, stamps, MISSING_STAMP)
+
+
+def increasing(stamps: Stamps) -> Mask:
+    """Which stamps are later than all before them, shape (N,). The first of equal ones stays."""
+    keep = np.ones(len(stamps), dtype=np.bool_)
+    keep[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
+    return keep
+
+
+def fresh(values: Array) -> Mask:
+    """Which rows of shape (N, K) differ from the row before in any column, shape (N,). The first of a run stays."""
+    keep = np.ones(len(values), dtype=np.bool_)
+    keep[1:] = np.any(values[1:] != values[:-1], axis=1)
+    return keep
+
+
+def grain(values: Array) -> Array:
+    """To what the columns of values (N, K) are rounded, shape (K,); 0 where that is fine against how they change.
+
+    It is coarse where a typical change is less than `COARSE` of the smallest ones.
+    """
+    out = np.zeros(values.shape[1])
+    for k, step in enumerate(np.abs(np.diff(values, axis=0)).T):
+        changes = step[step > 0]
+        if changes.size:
+            small = float(np.quantile(changes, 0.05))
+            out[k] = small if np.median(changes) < COARSE * small else 0.0
+    return out
+
+
+def coarse(values: Array) -> bool:
+    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are the truth."""
+    moving = np.ptp(values, axis=0) > 0
+    return bool(np.all(grain(values[:, moving]) > 0))
+
+
+def held(clock: Stamps, values: Array, at: Stamps) -> Array:
+    """The latest value, shape (N,), not after each of the stamps `at`, shape (M,); NaN before the first."""
+    order = np.argsort(clock, kind="stable")
+    index = np.searchsorted(clock[order], at, side="right") - 1
+    return np.where(index >= 0, values[order][np.maximum(index, 0)], np.nan)
+
+
+def degrees_for_radians(stamps: Stamps, yaw: Array) -> bool:
+    """Whether headings read as radians must be degrees.
+
+    They must where one jumps by 360, or where they leave one turn and keep moving faster than 20 rad/s over a tenth
+    of a second, which a wrapped or an unwrapped angle of a real vehicle does not.
+
+    Args:
+        stamps: Increasing, shape (N,) [ns].
+        yaw: As read, wrapped or not, shape (N,) [rad].
+    """
+    if np.any(np.abs(np.abs(np.diff(yaw)) - 360) < 30):
+        return True
+    if len(yaw) < 20 or np.ptp(yaw) < 2 * np.pi + 0.5:
+        return False
+    lag = max(1, round(1e8 / float(np.median(np.diff(stamps)))))
+    turned = np.unwrap(yaw)
+    if lag >= len(yaw):
+        return False
+    speed = np.abs(turned[lag:] - turned[:-lag]) / ((stamps[lag:] - stamps[:-lag]) / 1e9)
+    return bool(np.mean(speed > SPIN) > 0.01)
+
+
+def median_period(stamps: Stamps) -> int | None:
+    """Median step of increasing stamps [ns]; None for fewer than two."""
+    return round(float(np.median(np.diff(stamps)))) if len(stamps) > 1 else None
+
+
+def rate(stamps: Stamps) -> Rate:
+    """Rate, jitter, gaps and disorder of the stamps of a stream, shape (N,) [ns], as recorded."""
+    there = stamps[stamps != MISSING_STAMP]
+    ordered = there[increasing(there)]
+    latest = np.maximum.accumulate(there)[:-1]
+    period = median_period(ordered)
+    steps = np.diff(ordered)
+    low, high = np.percentile(steps - period, (5, 95)) / 1e9 if period is not None else (0.0, 0.0)
+    limit = (GAP_PERIODS + GAP_TOLERANCE) * (period or 0)
+    return Rate(
+        count=len(stamps),
+        duration=float(ordered[-1] - ordered[0]) / 1e9 if len(ordered) else 0.0,
+        period=None if period is None else period / 1e9,
+        jitter=None if period is None else (float(low), float(high)),
+        gaps=int(np.sum(steps > limit)),
+        longest_gap=None if period is None else float(np.max(steps)) / 1e9,
+        repeated=int(np.sum(there[1:] == latest)),
+        reversed=int(np.sum(there[1:] < latest)),
+        missing=len(stamps) - len(there),
+    )
+
+
+def relation(first: Stamps, second: Stamps) -> ClockRelation:
+    """How two streams lie in time; both of at least one increasing stamp [ns]."""
+    overlap = min(int(first[-1]), int(second[-1])) - max(int(first[0]), int(second[0]))
+    return ClockRelation(
+        start_offset=(int(second[0]) - int(first[0])) / 1e9,
+        end_offset=(int(second[-1]) - int(first[-1])) / 1e9,
+        overlap=max(overlap, 0) / 1e9,
+    )
+
+
+def drift(first: Stamps, second: Stamps) -> ClockDrift | None:
+    """How the second of two clocks runs against the first, over the samples that both stamped [ns].
+
+    Medians of quarters, because transport delays have a long tail on one side. None for fewer than eight samples, or
+    where the first clock stands still.
+    """
+    both = (first != MISSING_STAMP) & (second != MISSING_STAMP)
+    if np.sum(both) < 8:
+        return None
+    difference = (second[both] - first[both]) / 1e9
+    offset = float(np.median(difference))
+    low, high = np.percentile(difference - offset, (5, 95))
+    time = (first[both] - first[both][0]) / 1e9
+    quarter = len(time) // 4
+    elapsed = float(np.median(time[-quarter:]) - np.median(time[:quarter]))
+    if elapsed <= 0:
+        return None
+    growth = float(np.median(difference[-quarter:]) - np.median(difference[:quarter]))
+    return ClockDrift(offset=offset, spread=(float(low), float(high)), drift=growth / elapsed)

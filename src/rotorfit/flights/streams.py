@@ -1,0 +1,384 @@
+"""Streams: the commands and the poses of a log, each on its own clock, put in order; every repair noted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.errors import CardError, FlightError
+from rotorfit.core.finding import counted
+from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import AXES, Array, yaw_from_quaternion
+from rotorfit.core.log import Log
+from rotorfit.flights.columns import column, split_source
+from rotorfit.flights.command_window import conditions, idle_ends, resets
+from rotorfit.flights.other_tables import (
+    held_beside,
+    interpolate,
+    is_beside,
+    rows_of_others,
+    sample_rows,
+    sampled,
+    state_samples,
+)
+from rotorfit.flights.stamps import (
+    GAP_PERIODS,
+    GAP_TOLERANCE,
+    MISSING_STAMP,
+    ClockDrift,
+    Mask,
+    Stamps,
+    coarse,
+    degrees_for_radians,
+    drift,
+    fresh,
+    held,
+    increasing,
+    median_period,
+    stamps_of,
+)
+
+SLOWEST_COMMANDS = 5.0
+"""Median period of the commands [s] beyond which their clock is taken to lack its unit."""
+
+NEVER = np.int64(2**62)
+"""Stands for the end of what acts until something else comes [ns]."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Commands, poses or velocities on their own clock, with what was repaired.
+
+    Attributes:
+        what: `command`, `pose` or `velocity`.
+        stamps: Shape (N,) [ns].
+        values: Shape (N, 4): x, y, z, yaw.
+        until: Until when a command acts if no other follows, shape (N,) [ns].
+        notes: What was repaired so far.
+    """
+
+    what: str
+    stamps: Stamps
+    values: Array
+    until: Stamps
+    notes: tuple[Note, ...] = ()
+
+
+def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
+    """Takes the commands from a log as the card says and repairs them.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+
+    Returns:
+        The commands, 0 where not commanded; the commanded axes in the order of `AXES`; and the stamp of the first
+        command [ns], which starts the common window even where that command is dropped as garbage.
+
+    Raises:
+        CardError: A column is not there, or its length does not go with its stamps.
+        FlightError: No commands, a clock that runs backwards or lacks its unit, a window that is never open.
+    """
+    stamps, series, notes = read_series(log, card.command_time, card.command, "command")
+    series, silent = _commanded(series)
+    values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
+    stream = Stream("command", stamps, values, np.full(len(stamps), NEVER), (*notes, *silent))
+    silence = ~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)
+    if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
+        # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
+        stream = closed(stream, stamps[silence & ~rows_of_others(log, card)[: len(stamps)]])
+    stream = _inside_window(in_order(numbers(stream, log), log), log, card)
+    origin = int(stream.stamps[0])
+    stream = _without_idle_ends(_without_garbage_start(stream))
+    return _held(stream, log, card), tuple(series), origin
+
+
+def poses_of(log: Log, card: Card) -> Stream:
+    """Takes the poses from a log as the card says and repairs them.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+
+    Returns:
+        The fresh poses, world frame, z up [m, rad]; yaw still wrapped; 0 for axes of which there is only a velocity.
+
+    Raises:
+        CardError: A column is not there, or its length does not go with its stamps.
+        FlightError: No poses, one that never changes, a clock that runs backwards, yaw in degrees taken for radians.
+    """
+    stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
+    x, y, z = (series.get(axis, np.zeros(len(stamps))) for axis in AXES[:3])
+    yaw = series["yaw"] if "yaw" in series else _heading(*(series[f"q{part}"] for part in "wxyz"))
+    drawn_ = {axis for axis, channel in card.pose.items() if is_beside(card.pose_time, channel)}
+    own = [axis in ("x", "y", "z", "yaw") and axis not in drawn_ for axis in AXES]
+    own[3] = own[3] and "qw" not in drawn_
+    if card.frame == "NED":
+        x, y, z, yaw, own = y, x, -z, np.pi / 2 - yaw, [own[1], own[0], *own[2:]]
+    values = np.stack([x, y, z, yaw], axis=1)
+    stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
+    seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
+    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees repeats itself in truth
+        stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
+    if len(stream.stamps) < 2:
+        raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
+    if "yaw" in series and degrees_for_radians(stream.stamps, stream.values[:, 3]):
+        raise FlightError(
+            f"{log.path}: yaw jumps or turns as no vehicle can: degrees taken for radians? Write yaw = {{ from = "
+            f'"{card.pose["yaw"].source}", unit = "deg" }} in [pose] of the card'
+        )
+    return stream
+
+
+def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
+    """The recorder's `log_time` against the `header.stamp` of a stream's samples; None where one of them is missing.
+
+    Args:
+        log: As recorded.
+        time: The stream's clock; the two stamps are looked for in its table.
+        channels: What the stream consists of.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    name = split_source(time.source)[0]
+    table = log.tables.get(name) or (next(iter(log.tables.values())) if len(log.tables) == 1 else None)
+    if table is None or not {"header.stamp", "log_time"} <= table.columns.keys():
+        return None
+    prefix = f"{table.name}:" if len(log.tables) > 1 else ""
+    rows = sample_rows(log, time, channels)
+    header, recorded = (stamps_of(log, Channel(prefix + column)) for column in ("header.stamp", "log_time"))
+    return drift(header[rows], recorded[rows])
+
+
+def read_series(
+    log: Log, time: Channel, channels: Mapping[str, Channel], what: str
+) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
+    """Stamps and series of one length, and what stands in other tables brought onto the stamps."""
+    stamps, series, notes = _own(log, time, channels, what)
+    others = {name: channel for name, channel in channels.items() if is_beside(time, channel)}
+    if not others:
+        return stamps, series, notes
+    if what == "command":
+        series |= {axis: held_beside(log, time, channel, stamps) for axis, channel in others.items()}
+    else:
+        turned = {name[1]: sampled(log, time, channel) for name, channel in others.items() if name.startswith("q")}
+        found = {axis: sampled(log, time, channel) for axis, channel in others.items() if axis in AXES}
+        if turned:
+            found["yaw"] = turned["w"][0], _heading(*(turned[part][1] for part in "wxyz"))
+        if "yaw" in found:
+            found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
+        series |= {axis: interpolate(clock, values, stamps) for axis, (clock, values) in found.items()}
+    names = ", ".join(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
+    how = "held" if what == "command" else "drawn between samples"
+    text = f"{names} of {len(stamps)} {what}s come from another table than its time: {how}"
+    return stamps, series, (*notes, Note(f"joined_{what}", text, len(stamps)))
+
+
+def _own(
+    log: Log, time: Channel, channels: Mapping[str, Channel], what: str
+) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
+    """Stamps and series of one table; the last surplus sample goes, because dropping the first would forge a delay."""
+    stamps = stamps_of(log, time)
+    own = {name: channel for name, channel in channels.items() if not is_beside(time, channel)}
+    series = {name: column(log, channel, len(stamps)) for name, channel in own.items()}
+    counts = {"time": len(stamps)} | {name: len(values) for name, values in series.items()}
+    shared, longest = min(counts.values()), max(counts.values())
+    if shared == 0:
+        raise FlightError(f"{log.path}: there are no {what}s: {time.source} or a column beside it is empty")
+    if longest - shared > 1:
+        lengths = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise CardError(
+            f"{log.path}: lengths of [{what}] do not go together ({lengths}); which columns belong together?"
+        )
+    if longest == shared:
+        return stamps, series, ()
+    surplus = ", ".join(name for name, count in counts.items() if count == longest)
+    note = Note(f"surplus_{what}", f"1 last sample of {what} {surplus} has no partner: dropped", 1)
+    return stamps[:shared], {name: values[:shared] for name, values in series.items()}, (note,)
+
+
+def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, ...]]:
+    """Without axes that are seldom or never commanded while the others are: NaN is how autopilots say so."""
+    notes: list[Note] = []
+    for axis in list(series):
+        others = [values for name, values in series.items() if name != axis]
+        rest = np.all(np.isfinite(others), axis=0) if others else np.zeros(0, dtype=np.bool_)
+        missing = int(np.sum(rest & ~np.isfinite(series[axis]))) if others else 0
+        if missing > np.sum(rest) / 2 or (others and not np.any(np.isfinite(series[axis]))):
+            series = {name: values for name, values in series.items() if name != axis}
+            text = f"the command of {axis} is never a number: taken as not commanded"
+            if missing and missing < np.sum(rest):
+                text = f"the command of {axis} is a number in {np.sum(rest) - missing} of {np.sum(rest)} commands"
+                text += " of the other axes: taken as not commanded"
+            notes.append(Note("axis_never_commanded", text, missing or len(rest)))
+    return series, tuple(notes)
+
+
+def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
+    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is out of sight."""
+    lost = np.sum(np.square([w, x, y, z]), axis=0) < 1e-6
+    return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
+
+
+def keep_samples(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
+    """The samples to keep, shape (N,), and a note where some go: `COUNT of N WHATs WHY`."""
+    lost = int(np.sum(~keep))
+    if not lost:
+        return stream
+    note = Note(code, f"{lost} of {len(keep)} {stream.what}s {why}", lost)
+    return replace(
+        stream,
+        stamps=stream.stamps[keep],
+        values=stream.values[keep],
+        until=stream.until[keep],
+        notes=(*stream.notes, note),
+    )
+
+
+def numbers(stream: Stream, log: Log) -> Stream:
+    """Without samples that hold NaN or have no stamp: they count as absent."""
+    stamped = stream.stamps != MISSING_STAMP
+    stream = keep_samples(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
+    finite = np.isfinite(stream.values)
+    if not np.any(np.all(finite, axis=1)):
+        never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
+        which = f" ({', '.join(never)} never is)" if never else ""
+        raise FlightError(
+            f"{log.path}: no {stream.what} is a whole set of numbers{which}; check [{stream.what}] of the card"
+        )
+    whole = np.all(finite, axis=1)
+    numbers, absent = keep_samples(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
+    if not absent:
+        return stream
+    text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
+    return replace(numbers, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
+
+
+def in_order(stream: Stream, log: Log) -> Stream:
+    """Without samples that are not later than all before them."""
+    steps = np.diff(stream.stamps)
+    keep = increasing(stream.stamps)
+    back = np.zeros(len(keep), dtype=np.bool_)
+    back[1:] = stream.stamps[1:] < np.maximum.accumulate(stream.stamps)[:-1]
+    if np.sum(steps < 0) > np.sum(steps > 0) or np.sum(back) > len(back) / 2:
+        raise FlightError(
+            f"{log.path}: the clock of the {stream.what}s runs backwards ({np.sum(steps < 0)} of {len(steps)} steps); "
+            f"is `time` of [{stream.what}] the right column?"
+        )
+    if np.sum(keep) < 2 and len(keep) > 1:
+        raise FlightError(
+            f"{log.path}: the clock of the {stream.what}s stands still; is `time` of [{stream.what}] the right column "
+            "(a header that nobody filled? try log_time)?"
+        )
+    stream = keep_samples(
+        stream, ~back, f"{stream.what}_stamps_reversed", "are stamped before their predecessors: dropped"
+    )
+    return keep_samples(stream, increasing(stream.stamps), f"{stream.what}_stamps_repeated", "repeat a stamp: dropped")
+
+
+def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
+    """Commands while the card's window is open; the last one before it closes acts no longer than that."""
+    stamps = stream.stamps
+    for why, open_ in conditions(log, card, stamps):
+        if not np.any(open_[np.isin(stamps, stream.stamps)]):
+            raise FlightError(f"{log.path}: the window is never open: during all the commands that are left {why}")
+        stream = closed(stream, stamps[~open_])
+        stream = keep_samples(
+            stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped"
+        )
+    steps = resets(log, card, stamps)
+    if not steps.size:
+        return stream
+    note = Note(
+        "pose_resets",
+        f"{counted(steps.size, 'step')} of the estimator's own in the pose: the flight is split there",
+        steps.size,
+    )
+    margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
+    return replace(closed(stream, steps - margin), notes=(*stream.notes, note))
+
+
+def closed(stream: Stream, stamps: Stamps) -> Stream:
+    """A stream whose samples act no longer than to the next of these stamps, shape (M,) [ns]."""
+    closing = np.append(np.sort(stamps), NEVER)
+    until = closing[np.searchsorted(closing, stream.stamps, side="right")]
+    return replace(stream, until=np.minimum(stream.until, until))
+
+
+def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
+    """What a position controller was told, held onto stamps.
+
+    Args:
+        log: As recorded.
+        card: Which column is what; its reference is in the frame of the pose.
+        stamps: Where it is wanted, shape (M,) [ns].
+
+    Returns:
+        x, y, z, yaw, z up, shape (M, 4), NaN where unknown; None where the card names no reference.
+
+    Raises:
+        CardError: A column is not there, or nothing tells its time.
+    """
+    if not card.reference:
+        return None
+    values = np.full((stamps.size, len(AXES)), np.nan)
+    for axis, channel in card.reference.items():
+        if not isinstance(channel.source, str):
+            values[:, AXES.index(axis)] = column(log, channel)[0]
+            continue
+        clock, series = state_samples(log, card, channel, "reference")
+        values[:, AXES.index(axis)] = held(clock, series, stamps)
+    if card.frame == "NED":
+        values = np.stack([values[:, 1], values[:, 0], -values[:, 2], np.pi / 2 - values[:, 3]], axis=1)
+    return values
+
+
+def _without_garbage_start(stream: Stream) -> Stream:
+    """Without a first command that the rest of the flight disowns.
+
+    Loggers that start before the controller write what the memory held. Such a sample is told by all of: ten robust
+    standard deviations from the median of the others, beyond their extremes by more than their whole range, and more
+    than twice as large as any. It is dropped: the first segment begins with the second command, t = 0 stays.
+    """
+    if len(stream.stamps) < 50:
+        return stream
+    first, rest = stream.values[0], stream.values[1:]
+    median, low, high = np.median(rest, axis=0), np.min(rest, axis=0), np.max(rest, axis=0)
+    sigma = 1.4826 * np.median(np.abs(rest - median), axis=0)
+    far = np.abs(first - median) > 10 * sigma
+    beyond = np.maximum(first - high, low - first) > high - low
+    garbage = far & beyond & (np.abs(first) > 2 * np.max(np.abs(rest), axis=0))
+    keep = np.ones(len(stream.stamps), dtype=np.bool_)
+    keep[0] = not np.any(garbage)
+    culprits = ", ".join(f"{axis} = {value:.3g}" for axis, value, bad in zip(AXES, first, garbage, strict=True) if bad)
+    why = f"(the first, {culprits}) lie far beyond all others and never recur: dropped"
+    return keep_samples(stream, keep, "garbage_first_command", why)
+
+
+def _without_idle_ends(stream: Stream) -> Stream:
+    """Without the first and the last commands while a controller that changes them all the time did not run."""
+    idle = idle_ends(stream.stamps, stream.values)
+    stream = closed(stream, stream.stamps[idle])
+    return keep_samples(
+        stream, ~idle, "idle_commands", "stand still at the ends though they change all the time else: dropped"
+    )
+
+
+def _held(stream: Stream, log: Log, card: Card) -> Stream:
+    """Commands that act for their hold, or until the next where that comes as soon but for the rounding of stamps."""
+    period = median_period(stream.stamps)
+    if period is None and card.hold is None:
+        raise FlightError(f"{log.path}: there is only one command; is [command] of the card the flown stream?")
+    period = period or 0
+    if card.hold is None and period > SLOWEST_COMMANDS * 1e9:
+        raise FlightError(
+            f"{log.path}: commands come every {period / 1e9:.3g} s; add the unit of `time` to [command] of the card, "
+            "or `hold` if they do act so long"
+        )
+    hold = GAP_PERIODS * period if card.hold is None else round(min(card.hold, 1e9) * 1e9)  # int64 ends at 9e18
+    until = np.minimum(stream.stamps + hold, stream.until)
+    late = stream.stamps[1:] - until[:-1]
+    until[:-1] += np.where((late > 0) & (late <= GAP_TOLERANCE * period), late, 0)
+    return replace(stream, until=until)

@@ -1,0 +1,358 @@
+"""Fly: a plan, on a link, under guard, onto a recording. One loop for simulated and for real time.
+
+take-off (if asked) -> approach (if the start is not near) -> the plan -> hover -> landing (if asked)
+
+Whatever ends a flight, the first thing sent is zero: hover.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.errors import LinkError
+from rotorfit.core.flight_plan import Ending, Feedback, Flown, Four, Jitter, Plan, Status
+from rotorfit.core.frames import AXES
+from rotorfit.flying.guard import (
+    Coasting,
+    GuardVerdict,
+    Limits,
+    Watch,
+    braking,
+    coasting_axes,
+    judged,
+    limits_of,
+    nothing_on_the_way,
+    observed,
+    room_left,
+)
+from rotorfit.flying.links.link import Link
+from rotorfit.flying.operator import Abort, hurried
+from rotorfit.flying.preflight import NEAR, TURNED, from_start
+from rotorfit.flying.recorder import Recorder
+from rotorfit.planning.plan_control import begin, instants, obeyed, tracker_of
+from rotorfit.planning.plan_control import observed as tracked
+
+OnStatus = Callable[["Status"], None]
+
+HOVER: Four = (0.0, 0.0, 0.0, 0.0)
+
+HOVERING = 1.0
+"""How long hover is sent at the end [s]."""
+
+WATCHING = 3.0
+"""How long a landing is recorded [s]."""
+
+APPROACH_SPEED, APPROACH_TURN = 0.3, 0.5
+"""Of the point that leads the vehicle to its start [m/s, rad/s]."""
+
+LEANING = 0.2
+"""Rate at which that point then moves on against what is still missing [1/s]."""
+
+SETTLING = 15.0
+"""How long the vehicle may then take to be there and at rest [s]."""
+
+TAKE_OFF, CLIMBED = 15.0, 0.3
+"""Longest take-off [s]; height gained and rest, in a row for a second, end it [m]."""
+
+BRAKING, BRAKED = 3.0, 0.1
+"""Longest active braking [s], and the speed that ends it [m/s]."""
+
+STALE = 0.15
+"""Age of a pose beyond which nothing is steered by it any more [s]."""
+
+ASKED = 1e-3
+"""A command below this asks for nothing [unit of the command]."""
+
+LATE = 3.0
+"""A command that comes so many periods late is counted."""
+
+TOLD = 0.2
+"""Between two reports of progress [s]."""
+
+
+def fly(
+    plan: Plan,
+    link: Link,
+    recorder: Recorder,
+    land: bool = True,
+    take_off: bool = False,
+    abort: Abort = lambda: "",
+    progress: OnStatus | None = None,
+) -> Flown:
+    """Flies a plan after its preflight.
+
+    Args:
+        plan: What is flown.
+        link: Open; it stays open.
+        recorder: Begun; it is closed at the end.
+        land: Whether the vehicle is asked to land at the end, whatever ended the flight; else it hovers.
+        take_off: Whether it is asked to take off first.
+        abort: Asked once a period: what the operator did, or nothing.
+        progress: Called a few times a second. It must return at once.
+
+    Returns:
+        How it ended; the vehicle hovers or lands.
+
+    Raises:
+        PlanError: The plan cannot be flown: feedback without belief.
+        CardError: Its card is wrong.
+    """
+    flight = _Flight(plan, link, recorder, abort, progress)
+    ending, landed = Ending("error", "an error in rotorfit itself"), False
+    with hurried(link.live) as note:
+        try:
+            ending = flight.performed(take_off)
+        except LinkError as error:
+            ending = Ending("link_lost", str(error))
+        except KeyboardInterrupt:
+            ending = Ending("operator", "Ctrl-C")
+        finally:
+            landed = flight.left(ending, land)
+    if recorder.fault and ending.reason == "completed":
+        ending = Ending("disk", recorder.fault)
+    return Flown(
+        ending.reason, ending.text, flight.flown, flight.jitter(), flight.late, recorder.commands, recorder.poses,
+        flight.watch.outliers, landed, recorder.path, tuple(filter(None, (note, *flight.notes))),
+    )  # fmt: skip
+
+
+class _Flight:
+    """What changes during a flight, and the steps that change it."""
+
+    def __init__(self, plan: Plan, link: Link, recorder: Recorder, abort: Abort, progress: OnStatus | None) -> None:
+        self.plan, self.link, self.recorder = plan, link, recorder
+        self.abort, self.progress = abort, progress
+        self.limits, self.watch = limits_of(plan), Watch()
+        self.tracker, self.tracking = tracker_of(plan), begin(np.zeros(4))
+        self.period = round(1e9 / plan.rate)
+        self.due = link.now
+        self.flown, self.late, self.notes = 0.0, 0, list[str]()
+        self._lateness: list[int] = []
+        self._planned = self._zero = self._stamp = 0  # when the command was due; stamps of first pose, last command
+        self._first = self._asked = self._last = self._began = self._told = link.now
+        self._phase, self._steering = "", False
+
+    def performed(self, take_off: bool) -> Ending:
+        """The flight up to what ends it."""
+        for sample in self.link.receive(self.link.now):  # what came while nobody looked
+            self.watch, _ = observed(self.watch, sample, self.limits)
+        self._first = self._last = self.due = self.link.now
+        self.watch = replace(self.watch, heard=self.due, received=self.due, suspicion=0.0)
+        self.recorder.window(self.due, False)
+        for part in (*([self._taken_off] if take_off else []), self._approached, self._excited):
+            if (ending := part()) is not None:
+                return ending
+        return Ending("completed", "completed")
+
+    def left(self, ending: Ending, land: bool) -> bool:
+        """Hover first; then active braking where the vehicle needs it, hover again, landing; and the end of the log."""
+        link, recorder = self.link, self.recorder
+        self._phase, self._steering = "", False
+        self._try(self._send, HOVER)
+        recorder.window(self._stamp, False)
+        recorder.event(self._stamp, f"end: {ending.text}")
+        if ending.reason not in ("error", "link_lost"):  # what has failed once is not asked again
+            self._try(self._brake, coasting_axes(self.tracker))
+        for _ in range(max(10, round(HOVERING * self.plan.rate))):
+            self._try(self._listen)
+            self._try(self._send, HOVER)
+        landed = land and self._try(link.act, "land")
+        if landed:
+            recorder.event(link.now, "landing")
+            until = link.now + round(WATCHING * 1e9)
+            while link.now < until and self._try(self._listen):
+                pass
+        elif land:
+            self.notes.append("the link did not take the order to land: land by other means")
+        recorder.close()
+        return landed
+
+    def jitter(self) -> Jitter:
+        """How late the commands of the flight were."""
+        if not self._lateness:
+            return Jitter(0.0, 0.0, 0.0)
+        p50, p99, most = np.quantile(np.array(self._lateness), [0.5, 0.99, 1.0]) / 1e9
+        return Jitter(float(p50), float(p99), float(most))
+
+    # Phases
+
+    def _taken_off(self) -> Ending | None:
+        """Take-off: no commands are sent while the vehicle climbs by itself."""
+        self._enter("take-off")
+        self.link.act("take_off")
+        floor, rest = None, 0
+        limits = replace(self.limits, lower=(*self.limits.lower[:2], -math.inf), climb=math.inf)
+        while rest < self.plan.rate:
+            if (ending := self._wait(limits)) is not None:
+                return ending
+            self._asked = self.link.now
+            if self.watch.pose is None:
+                continue
+            height, speed = self.watch.pose[2], math.hypot(*self.watch.velocity[:3])
+            floor = height if floor is None else min(floor, height)
+            rest = rest + 1 if height - floor > CLIMBED and speed < 2 * BRAKED else 0
+            if self._since() > TAKE_OFF:
+                return Ending("take_off", f"the vehicle has not taken off within {TAKE_OFF:g} s")
+        return None
+
+    def _approached(self) -> Ending | None:
+        """To the plan's start, behind a point that goes there slowly; at once where the vehicle is near."""
+        while self.watch.pose is None:
+            if (ending := self._wait(self.limits)) is not None:
+                return ending
+        distance, angle = from_start(self.plan, self.watch)
+        if distance <= NEAR and angle <= TURNED:
+            return None
+        if self.plan.feedback is None and "gamma" not in self.plan.belief:
+            return Ending(
+                "start", f"the vehicle is {distance:.2f} m from the plan's start, and the plan has no feedback"
+            )
+        self._enter("approach")
+        feedback = replace(self.plan.feedback or Feedback(AXES), axes=AXES)
+        leader = tracker_of(replace(self.plan, excitations=(), feedback=feedback))
+        self._steer_from_here(True)
+        here, there = self.tracking.origin.copy(), np.array(self.plan.space.start)
+        way = there - here
+        way[3] = math.remainder(way[3], math.tau)
+        needed = max(float(np.linalg.norm(way[:3])) / APPROACH_SPEED, abs(way[3]) / APPROACH_TURN)
+        lean = np.zeros(4)
+        still = instants(leader.plan, np.zeros(1))[0]
+        while True:
+            if (ending := self._wait(self.limits)) is not None:
+                return ending
+            since = self._since()
+            if since > needed:  # against a steady wind, to which the feedback yields
+                lean += LEANING * self.period / 1e9 * (here + way - self.tracking.pose)
+            self.tracking = replace(self.tracking, origin=here + min(1.0, since / needed) * way + lean)
+            self.tracking, command = obeyed(leader, self.tracking, still)
+            self._send(command.tolist())
+            distance, angle = from_start(self.plan, self.watch)
+            if since > needed and distance <= NEAR and angle <= TURNED and self._speed() < BRAKED:
+                return None
+            if since > needed + SETTLING:
+                return Ending(
+                    "start", f"the start was not reached: still {distance:.2f} m away, {self._speed():.2f} m/s"
+                )
+
+    def _excited(self) -> Ending | None:
+        """The plan."""
+        self._enter("plan")
+        self._steer_from_here(self.plan.feedback is not None)
+        count = math.ceil(self.plan.duration * self.plan.rate - 1e-9)
+        wanted = instants(self.tracker.plan, np.arange(count) / self.plan.rate)
+        begun = self.due + self.period
+        while (number := (self.due + self.period - begun) // self.period) < count:
+            if (ending := self._wait(self.limits)) is not None:
+                return ending
+            number = min((self.due - begun) // self.period, count - 1)
+            if not self.flown:
+                self.recorder.window(self.link.now, True)
+            self.tracking, command = obeyed(self.tracker, self.tracking, wanted[number])
+            self._send(command.tolist())
+            self.flown = (number + 1) / self.plan.rate
+        return self._wait(self.limits)
+
+    # Steps
+
+    def _wait(self, limits: Limits) -> Ending | None:
+        """To the next instant at which a command is due; takes in what comes until then, and judges."""
+        self._planned = self.due = self.due + self.period
+        if (behind := self.link.now - self.due) > 0:  # instants that have passed are left out, never made up for
+            self.due += behind // self.period * self.period
+        self._take(self.due)
+        now = self.link.now
+        held_up, self._last = now - self._last - self.period, now
+        self.late += held_up > LATE * self.period
+        if pressed := self.abort():
+            return Ending("operator", f"ended by the operator: {pressed}")
+        if self.recorder.fault or self.recorder.stalled():
+            return Ending("disk", self.recorder.fault or f"{self.recorder.path}: the disk takes nothing any more")
+        if self.progress and now - self._told > TOLD * 1e9:
+            self._told = now
+            left = room_left(self.watch, limits, now)
+            duration, battery = self.plan.duration, self.watch.battery
+            self.progress(Status(self._phase, self._since(), duration, self.watch.pose, left, battery))
+        flying, moving = (now - self._first) / 1e9, (now - self._asked) / 1e9
+        verdict = self._starved(limits, held_up) or judged(self.watch, limits, now, flying, moving)
+        return Ending(verdict.code, verdict.text) if verdict else None
+
+    def _starved(self, limits: Limits, late: int) -> GuardVerdict | None:
+        if late > limits.overdue * 1e9:
+            return GuardVerdict("starved", f"the loop was held up for {late / 1e9:.2f} s: is the computer overloaded?")
+        if self.late >= limits.starved:
+            text = f"{self.late} commands came more than {LATE:g} periods late: is the computer overloaded?"
+            return GuardVerdict("starved", text)
+        return None
+
+    def _take(self, until: int) -> None:
+        """Receives, records, and takes in."""
+        for sample in self.link.receive(until):
+            self.recorder.sample(sample)
+            self.watch, believed = observed(self.watch, sample, self.limits)
+            if believed and self._steering and self.watch.pose is not None:
+                since = (self.watch.stamp - self._zero) / 1e9
+                self.tracking = tracked(self.tracker, self.tracking, since, np.array(self.watch.pose))
+
+    def _send(self, command: Sequence[float]) -> None:
+        """Sends and records."""
+        if not all(map(math.isfinite, command)):
+            raise ValueError(f"a command of {command}")
+        self._stamp = self.link.now
+        self.link.send(command)
+        self.recorder.command(self._stamp, command)
+        if self._phase:
+            self._lateness.append(self._stamp - self._planned)
+        if max(map(abs, command)) < ASKED:
+            self._asked = self._stamp
+
+    def _brake(self, axes: Sequence[Coasting]) -> None:
+        """Slows the axes that coast while poses are fresh."""
+        on_the_way = nothing_on_the_way(axes, self.period / 1e9)
+        for _ in range(round(BRAKING * self.plan.rate) if axes else 0):
+            self._listen()
+            pose, velocity = self.watch.pose, self.watch.velocity
+            if pose is None or self.link.now - self.watch.received > STALE * 1e9:
+                return
+            if math.hypot(velocity[0], velocity[1]) < BRAKED:
+                return
+            command, on_the_way = braking(axes, on_the_way, pose, velocity, self.period / 1e9)
+            self._send(command)
+
+    def _listen(self) -> None:
+        """One period in which only samples are taken in."""
+        self.due = max(self.due + self.period, self.link.now)
+        self._take(self.due)
+
+    def _try(self, step: Callable[..., None], *arguments: Any) -> bool:
+        """A step of the exit: a link that is gone does not keep the others from being tried."""
+        try:
+            step(*arguments)
+        except LinkError as error:
+            if str(error) not in self.notes:
+                self.notes.append(str(error))
+            if self.link.live:
+                time.sleep(self.period / 1e9)
+            return False
+        return True
+
+    def _enter(self, phase: str) -> None:
+        self._phase, self._began, self._asked = phase, self.link.now, self.link.now
+        self.recorder.event(self._began, f"{phase} begins")
+
+    def _since(self) -> float:
+        """Of the phase [s]."""
+        return (self.link.now - self._began) / 1e9
+
+    def _speed(self) -> float:
+        return math.hypot(*self.watch.velocity[:3])
+
+    def _steer_from_here(self, steering: bool) -> None:
+        """The feedback, if there is any, begins where the vehicle is."""
+        assert self.watch.pose is not None
+        here = begin(np.array(self.watch.pose))
+        self.tracking, self._zero = replace(here, velocity=np.array(self.watch.velocity)), self.watch.stamp
+        self._steering = steering

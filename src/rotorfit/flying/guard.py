@@ -1,0 +1,382 @@
+"""Braking: slowing a vehicle that coasts when it is told zero, by its measured velocity.
+
+A tilt of zero does not stop a multirotor. Some autopilots hover by themselves then; for the others
+
+    u = -k (v + g sum of u on the way x period) / g          on the axes that coast, heading frame
+
+with g the believed acceleration per command. The sum is the speed that commands which have not acted yet will take
+away; without it the delay would make the vehicle swing. Source: O. J. M. Smith, "Closer control of loops with dead
+time", Chemical Engineering Progress 53 (1957), 217-219.
+
+Guard: what ends a flight. Pure functions: what is known of the vehicle, and one verdict on it.
+
+The fence is kept by braking distance. A vehicle at p with velocity v that is told to stop now comes to rest near
+
+    p + v t + v |v| / (2 a)
+
+with t the time until the command acts and a the deceleration that is believed of it. The flight ends when that point
+leaves the box. The velocity is by filtered differences of the measured poses; a pose that cannot be true (markers
+swapped) is left out, and several of them in a row end the flight.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rotorfit.core.flight_plan import Four, Plan
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import GRAVITY, meaning_of
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.planning.plan_control import Tracker, full_scale
+
+Three = tuple[float, float, float]
+
+Code = Literal[
+    "fence", "speed", "climb", "pose_lost", "link_lost", "pose_frozen", "pose_jumps", "battery", "too_long", "starved"
+]
+
+SHARE = 0.5
+"""Of the acceleration of a full command, on which braking may count: the rest holds against wind and belief."""
+
+SERVO = 1.0
+"""Damping from which an axis is taken to stop by itself when it is told 0 [1/s]: a velocity loop."""
+
+UNKNOWN_DELAY = 0.3
+"""From a command until it acts, where nothing is believed of it [s]."""
+
+UNKNOWN_TILT = math.radians(10)
+
+UNKNOWN_DAMPING = 1.5
+"""Of a velocity loop of which nothing is believed [1/s]."""
+
+SPARE = 60.0
+"""What a flight may last beyond its plan, for the approach [s]."""
+
+FILTER = 0.1
+"""Time constant of the guard's velocity [s]."""
+
+JUMP, TURN = 0.2, 0.6
+"""How far a pose may be from where it is expected [m, rad], beyond what the vehicle can do in the meantime."""
+
+TURN_RATE = 6.0
+"""Faster than any of these vehicles yaws [rad/s]."""
+
+SUSPECT = 5.0
+"""Of poses that cannot be true, in a row, so many end a flight; each true one between them takes back a tenth."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a flight must keep.
+
+    Attributes:
+        lower: Corner of the box [m].
+        upper: The opposite corner [m].
+        speed: Largest along x and y together [m/s].
+        climb: Largest along z [m/s].
+        reaction: From an order to stop until it acts, along x, y, z: delay, lag of a velocity loop, and that of the
+            velocity that is measured here [s].
+        deceleration: Then, along x, y, z [m/s^2]; inf where the lag says all.
+        duration: Longest flight [s].
+        pose_age: Longest time without a pose [s].
+        frozen: Longest time in which a pose repeats while the vehicle is asked to move [s].
+        battery: Least that is left, 0 to 1.
+        starved: So many late commands end a flight.
+        overdue: So does a single one that is so late [s].
+    """
+
+    lower: Three
+    upper: Three
+    speed: float
+    climb: float
+    reaction: Three
+    deceleration: Three
+    duration: float
+    pose_age: float = 0.5
+    frozen: float = 1.0
+    battery: float = 0.15
+    starved: int = 20
+    overdue: float = 0.5
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is known of the vehicle; times by the link's clock [ns].
+
+    Attributes:
+        pose: The last pose that is believed: world x, y, z [m] and yaw, unwrapped [rad]; None before the first.
+        velocity: By filtered differences, world [m/s, rad/s].
+        stamp: Of that pose, by the sender's clock [ns].
+        received: When it arrived: a pose that repeats does not count.
+        heard: When the last pose arrived, believed or not, new or not.
+        heard_other: When anything else arrived; None before the first.
+        raw: The last pose as it came.
+        battery: What is left, 0 to 1; None where nobody says.
+        suspicion: Of poses that cannot be true, see `SUSPECT`.
+        outliers: How many of them there were.
+    """
+
+    pose: Four | None = None
+    velocity: Four = (0.0, 0.0, 0.0, 0.0)
+    stamp: int = 0
+    received: int = 0
+    heard: int = 0
+    heard_other: int | None = None
+    raw: tuple[float, ...] = ()
+    battery: float | None = None
+    suspicion: float = 0.0
+    outliers: int = 0
+
+
+@dataclass(frozen=True)
+class GuardVerdict:
+    """Why a flight ends."""
+
+    code: Code
+    text: str
+
+
+def limits_of(plan: Plan) -> Limits:
+    """The limits of a plan, with the braking that its belief, or else its card, lets expect.
+
+    Raises:
+        CardError: The plan's card is wrong.
+    """
+    braking = [_braking(plan, axis) for axis in AXES[:3]]
+    space = plan.space
+    x, y, z = (reaction + FILTER for reaction, _ in braking)
+    a, b, c = (deceleration for _, deceleration in braking)
+    return Limits(space.lower, space.upper, space.speed, space.climb, (x, y, z), (a, b, c), plan.duration + SPARE)
+
+
+def _braking(plan: Plan, axis: str) -> tuple[float, float]:
+    """Reaction time [s] and deceleration [m/s^2] along an axis."""
+    card, place = card_from_mapping(plan.card, f"of plan {plan.name}"), AXES.index(axis)
+    delay = float(plan.belief["delay"][place]) if "delay" in plan.belief else UNKNOWN_DELAY
+    if "gamma" in plan.belief:
+        gain, damping = (float(number) for number in plan.belief["gamma"][2 * place : 2 * place + 2])
+        if damping >= SERVO:
+            return delay + 1 / damping, math.inf
+        return delay, SHARE * gain * min(full_scale(card, axis), 1.0)
+    if meaning_of(card, axis).asked == "tilt":
+        return delay, SHARE * GRAVITY * math.tan(card.limits.get("tilt", UNKNOWN_TILT))
+    return delay + 1 / UNKNOWN_DAMPING, math.inf
+
+
+def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]:
+    """Takes in a sample.
+
+    Args:
+        watch: Before it.
+        sample: Of any stream.
+        limits: Its speeds tell how far a pose can have come.
+
+    Returns:
+        The watch after it; and whether it holds a new pose that is believed.
+    """
+    if sample.stream == "battery":
+        return replace(watch, battery=sample.values[0], heard_other=sample.received), False
+    if sample.stream == "velocity":
+        return replace(watch, heard_other=sample.received), False
+    if sample.values == watch.raw or (watch.pose is not None and sample.stamp <= watch.stamp):
+        return replace(watch, heard=sample.received), False
+    here = _pose(sample.values, watch.pose)
+    if here is None:
+        return _doubted(watch, sample), False
+    if watch.pose is None:
+        return _seen(watch, sample, here, watch.velocity, watch.suspicion), True
+    since = (sample.stamp - watch.stamp) / 1e9
+    ahead = [new - old - v * since for new, old, v in zip(here, watch.pose, watch.velocity, strict=True)]
+    reach = JUMP + 2 * (limits.speed + limits.climb) * since
+    if math.hypot(*ahead[:3]) > reach or abs(ahead[3]) > TURN + TURN_RATE * since:
+        return _doubted(watch, sample), False
+    share = 1 / (FILTER + since)
+    vx, vy, vz, turning = (v + share * off for v, off in zip(watch.velocity, ahead, strict=True))
+    velocity, suspicion = (vx, vy, vz, turning), max(0.0, watch.suspicion - 0.1)
+    return _seen(watch, sample, here, velocity, suspicion), True
+
+
+def _seen(watch: Watch, sample: Sample, here: Four, velocity: Four, suspicion: float) -> Watch:
+    """With a pose that is believed. Written out: it runs at every pose, and `replace` takes three times as long."""
+    received = sample.received
+    return Watch(
+        here, velocity, sample.stamp, received, received, watch.heard_other, sample.values, watch.battery,
+        suspicion, watch.outliers,
+    )  # fmt: skip
+
+
+def _doubted(watch: Watch, sample: Sample) -> Watch:
+    doubts = replace(watch, suspicion=watch.suspicion + 1, outliers=watch.outliers + 1)
+    return replace(doubts, raw=sample.values, heard=sample.received)
+
+
+def _pose(values: Sequence[float], before: Four | None) -> Four | None:
+    """x, y, z and unwrapped yaw of x, y, z, and w, x, y, z of a quaternion; None where they are no pose."""
+    x, y, z, qw, qx, qy, qz = values
+    if not (math.isfinite(x + y + z + qw + qx + qy + qz) and (qw or qx or qy or qz)):
+        return None
+    yaw = math.atan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
+    if before is not None:
+        yaw += math.tau * round((before[3] - yaw) / math.tau)
+    return x, y, z, yaw
+
+
+def stop_point(watch: Watch, limits: Limits, now: int) -> Three | None:
+    """Where the vehicle would come to rest if it were told to stop now, world x, y, z [m]; None before a pose."""
+    if watch.pose is None:
+        return None
+    age = max(0, now - watch.received) / 1e9
+    x, y, z = (
+        watch.pose[k] + v * (age + limits.reaction[k]) + v * abs(v) / (2 * limits.deceleration[k])
+        for k, v in enumerate(watch.velocity[:3])
+    )
+    return x, y, z
+
+
+def room_left(watch: Watch, limits: Limits, now: int) -> float:
+    """Distance of the vehicle, and of where it would stop, to the nearest wall [m]; negative beyond it."""
+    stop = stop_point(watch, limits, now)
+    if stop is None or watch.pose is None:
+        return math.inf
+    walls = zip(watch.pose, stop, limits.lower, limits.upper, strict=False)
+    return min(min(p - low, s - low, high - p, high - s) for p, s, low, high in walls)
+
+
+def judged(watch: Watch, limits: Limits, now: int, flown: float, moving: float) -> GuardVerdict | None:
+    """Whether a flight must end.
+
+    Args:
+        watch: What is known.
+        limits: What must be kept.
+        now: By the link's clock [ns].
+        flown: Since the first command [s].
+        moving: For how long the vehicle has been asked to move without a pause [s].
+
+    Returns:
+        The gravest reason, or None.
+    """
+    if (verdict := _of_pose(watch, limits, now, moving)) is not None:
+        return verdict
+    if room_left(watch, limits, now) < 0:
+        return GuardVerdict("fence", f"the fence: {_where(watch, limits, now)}")
+    speed, climb = math.hypot(watch.velocity[0], watch.velocity[1]), abs(watch.velocity[2])
+    if speed > limits.speed:
+        return GuardVerdict("speed", f"too fast: {speed:.2f} m/s, the limit is {limits.speed:g} m/s")
+    if climb > limits.climb:
+        return GuardVerdict("climb", f"too fast: {climb:.2f} m/s along z, the limit is {limits.climb:g} m/s")
+    if watch.battery is not None and watch.battery < limits.battery:
+        return GuardVerdict("battery", f"the battery: {watch.battery:.0%} left, the limit is {limits.battery:.0%}")
+    if flown > limits.duration:
+        return GuardVerdict("too_long", f"too long: {flown:.0f} s, the limit is {limits.duration:.0f} s")
+    return None
+
+
+def _of_pose(watch: Watch, limits: Limits, now: int, moving: float) -> GuardVerdict | None:
+    """What is wrong with the poses."""
+    age, silent = (now - watch.received) / 1e9, (now - watch.heard) / 1e9
+    if silent > limits.pose_age:
+        others = watch.heard_other
+        if others is not None and (now - others) / 1e9 > 2 * limits.pose_age:
+            return GuardVerdict("link_lost", f"the link: nothing has come for {silent:.2f} s")
+        return GuardVerdict("pose_lost", f"the pose is lost: none for {silent:.2f} s")
+    if watch.suspicion >= SUSPECT:
+        return GuardVerdict(
+            "pose_jumps", f"the pose jumps: {watch.outliers} poses cannot be true (are markers swapped?)"
+        )
+    if age > limits.frozen and moving > limits.frozen:
+        return GuardVerdict(
+            "pose_frozen", f"the pose is frozen: it has repeated for {age:.2f} s while commands were sent"
+        )
+    return None
+
+
+def _where(watch: Watch, limits: Limits, now: int) -> str:
+    """Which wall, and how the vehicle is to it."""
+    stop = stop_point(watch, limits, now)
+    assert stop is not None
+    assert watch.pose is not None
+    worst = min(
+        (sign * (wall - at), axis, sign, k)
+        for k, axis in enumerate("xyz")
+        for sign, wall in ((1, limits.upper[k]), (-1, limits.lower[k]))
+        for at in (watch.pose[k], stop[k])
+    )
+    _, axis, sign, k = worst
+    wall = limits.upper[k] if sign > 0 else limits.lower[k]
+    return (
+        f"{axis} is {watch.pose[k]:.2f} m at {watch.velocity[k]:+.2f} m/s and would stop at {stop[k]:.2f} m; "
+        f"the wall is at {wall:g} m"
+    )
+
+
+GAIN = 3.0
+"""Deceleration that is asked for per speed [1/s]."""
+
+Waiting = tuple[tuple[float, ...], ...]
+"""Of each axis the commands that have been sent and do not act yet, the oldest first."""
+
+
+@dataclass(frozen=True)
+class Coasting:
+    """An axis on which zero does not stop the vehicle.
+
+    Attributes:
+        place: 0 for x, 1 for y.
+        gain: Believed acceleration per command.
+        largest: Command that braking may use: what the guard's braking distance counts on.
+        delay: Believed, from a command until it acts [s].
+    """
+
+    place: int
+    gain: float
+    largest: float
+    delay: float
+
+
+def coasting_axes(tracker: Tracker) -> tuple[Coasting, ...]:
+    """The axes that are braked actively: tilts, unless the belief says that the vehicle `brakes_on_zero`.
+
+    Without a belief in the gain nothing is braked: the vehicle is sent zero and does what it does.
+    """
+    belief = tracker.plan.belief
+    if "gamma" not in belief or belief.get("brakes_on_zero"):
+        return ()
+    card = card_from_mapping(tracker.plan.card, f"of plan {tracker.plan.name}")
+    delay = belief.get("delay", (UNKNOWN_DELAY,) * 4)
+    return tuple(
+        Coasting(place, float(tracker.gamma[2 * place]), SHARE * min(full_scale(card, axis), 1.0), float(delay[place]))
+        for place, axis in enumerate(AXES[:2])
+        if meaning_of(card, axis).asked == "tilt" and tracker.gamma[2 * place + 1] < SERVO
+    )
+
+
+def nothing_on_the_way(axes: Sequence[Coasting], period: float) -> Waiting:
+    """Before the first command, one every `period` [s]."""
+    return tuple((0.0,) * max(1, round(axis.delay / period)) for axis in axes)
+
+
+def braking(
+    axes: Sequence[Coasting], waiting: Waiting, pose: Four, velocity: Four, period: float
+) -> tuple[Four, Waiting]:
+    """The command that brakes now.
+
+    Args:
+        axes: That coast.
+        waiting: What is on its way.
+        pose: World, measured [m, rad].
+        velocity: World, measured [m/s, rad/s].
+        period: Between commands [s].
+
+    Returns:
+        Forward, left, 0, 0; and what is on its way then.
+    """
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    heading = (c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0])
+    command = [0.0, 0.0]
+    for axis, sent in zip(axes, waiting, strict=True):
+        ahead = heading[axis.place] + axis.gain * sum(sent) * period
+        command[axis.place] = max(-axis.largest, min(axis.largest, -GAIN * ahead / axis.gain))
+    then = tuple((*sent[1:], command[axis.place]) for axis, sent in zip(axes, waiting, strict=True))
+    return (command[0], command[1], 0.0, 0.0), then

@@ -1,0 +1,71 @@
+"""Link: what carries commands to a vehicle and its pose back: three methods and a clock.
+
+The clock of live links: the time of day when the process started, running evenly since.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Literal, Protocol
+
+from rotorfit.core.log import Sample
+
+Action = Literal["take_off", "land", "close"]
+
+
+class Link(Protocol):
+    """What carries commands to a vehicle and samples back.
+
+    Attributes:
+        now: The link's clock [ns]: the wall clock of a live link, simulated time of a simulated one.
+        live: Whether `now` is the wall clock, so that the flight is paced by it and something real may move.
+        fail_safe: What the vehicle does by itself when the link is lost, for people, one or two sentences.
+    """
+
+    @property
+    def now(self) -> int:
+        """The link's clock [ns]."""
+        ...
+
+    @property
+    def live(self) -> bool:
+        """Whether `now` is the wall clock."""
+        ...
+
+    @property
+    def fail_safe(self) -> str:
+        """What the vehicle does when the link is lost."""
+        ...
+
+    def send(self, command: Sequence[float]) -> None:
+        """Sends forward, left, up, counter-clockwise, in the unit of the card's commands. All zero means hover.
+
+        Raises:
+            LinkError: The link is gone.
+        """
+
+    def receive(self, until: int) -> list[Sample]:
+        """Waits until the clock shows `until` [ns] and returns what has come since the last call, in order.
+
+        Raises:
+            LinkError: The link is gone.
+        """
+
+    def act(self, action: Action) -> None:
+        """Asks the vehicle to take off or land, or closes the link; returns at once.
+
+        Raises:
+            LinkError: The link is gone, or cannot do that.
+        """
+
+
+_START = time.time_ns() - time.monotonic_ns()
+
+
+def wall_clock() -> int:
+    """Time [ns] since 1970 that never jumps: corrections of the computer's clock during a flight do not reach it."""
+    return _START + time.monotonic_ns()
+
+
+def seconds_until(instant: int) -> float:
+    """How long until the wall clock shows an instant [s]; 0 when it has passed."""
+    return max(0.0, (instant - wall_clock()) / 1e9)

@@ -1,0 +1,327 @@
+"""MAVLink: body velocities to PX4 in OFFBOARD or ArduPilot Copter in GUIDED; local position and attitude back.
+
+Needs pymavlink (LGPL): pip install 'rotorfit[mavlink]'. The address is pymavlink's: `udpin:0.0.0.0:14540` (default),
+`tcp:HOST:PORT`, `/dev/ttyACM0`.
+
+Source: PX4 user guide, "Offboard Mode": setpoints for a second before the mode is entered, and at 2 Hz or more in it.
+ArduPilot developer guide, "Copter Commands in Guided Mode": velocities hold for 3 s.
+"""
+
+import importlib
+import os
+import select
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.log import Sample
+from rotorfit.flying.links.card_fields import CommandFields
+from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.links.mavlink_messages import (
+    ACCEPTED,
+    AUTOPILOTS,
+    IN_AIR,
+    IN_PROGRESS,
+    MESSAGE_INTERVAL,
+    ON_GROUND,
+    PX4_LOITER,
+    RESULTS,
+    STEP_NAMES,
+    STREAMS,
+    TEMPORARILY_REJECTED,
+    AutopilotProtocol,
+    Poses,
+    battery,
+    command_parameters,
+    mavlink_commands,
+    mode_of,
+    setpoint,
+)
+
+DEFAULT_ADDRESS = "udpin:0.0.0.0:14540"
+
+SYSTEM, COMPONENT = 245, 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+
+SECOND = 1_000_000_000
+
+PATIENCE, SILENCE = 10 * SECOND, 3 * SECOND
+"""How long a first heartbeat may take, and how long the next ones (1 Hz) may stay away [ns]."""
+
+STREAMED, STREAM_PERIOD = int(1.2 * SECOND), SECOND // 20
+"""How long setpoints are sent before the mode is asked for, and how often those that nobody obeys yet [ns]."""
+
+TRIES = 5
+
+_ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
+
+
+def open_link(address: str, card: Card) -> "MavlinkLink":
+    """Waits for an autopilot.
+
+    Args:
+        address: As pymavlink has it; empty for `udpin:0.0.0.0:14540`, where PX4 looks for companion computers.
+        card: What the velocities mean; the built-in one is `mavlink`.
+
+    Raises:
+        LinkError: No such port, no heartbeat, an autopilot that is neither PX4 nor ArduPilot, another card.
+        ModuleNotFoundError: No pymavlink.
+    """
+    link = MavlinkLink(_connect(address), mavlink_commands(card))
+    link.greet()
+    return link
+
+
+def open_poses(address: str) -> "MavlinkLink":
+    """Listens to an autopilot's position, for a vehicle that another link commands.
+
+    Raises:
+        LinkError: As `open_link`.
+        ModuleNotFoundError: No pymavlink.
+    """
+    link = MavlinkLink(_connect(address), None)
+    link.greet()
+    return link
+
+
+class MavlinkLink:
+    """A vehicle with an autopilot that speaks MAVLink; implements `links.Link`. Runs in the caller's thread."""
+
+    def __init__(self, connection: Any, commands: CommandFields | None) -> None:
+        self.live = True
+        self._connection = connection
+        self._commands = commands
+        self._poses = Poses()
+        self._inbox: list[Sample] = []
+        self._start = wall_clock()
+        self._autopilot: AutopilotProtocol | None = None
+        self._target = (0, 0)
+        self._heard = self._beaten = self._synced = 0
+        self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
+        self._asked, self._tries = 0, 0
+        self._first_setpoint = self._last_setpoint = 0
+        self._sending = False
+        self._engaged = self._climbing = self._landing = self._in_our_mode = False
+        self._on_ground = False
+        self._engagements = 0
+        self._trouble = ""
+        self._open = True
+
+    @property
+    def now(self) -> int:
+        """The wall clock [ns]."""
+        return wall_clock()
+
+    @property
+    def fail_safe(self) -> str:
+        """What this autopilot does when commands stop."""
+        return self._autopilot.fail_safe if self._autopilot else ""
+
+    def greet(self) -> None:
+        """Waits for a heartbeat, then asks for the messages that it needs.
+
+        Raises:
+            LinkError: None came, or from an autopilot that is neither PX4 nor ArduPilot.
+        """
+        deadline = wall_clock() + PATIENCE
+        while self._autopilot is None and not self._trouble and wall_clock() < deadline:
+            self.receive(wall_clock() + SECOND // 10)
+        if self._autopilot is None:
+            self._close()
+            raise LinkError(self._trouble or "mavlink: no heartbeat; check address, baud rate and the port's mode")
+        for message, rate in STREAMS.items():
+            self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def send(self, command: Sequence[float]) -> None:
+        """Sends a velocity; see `links.Link`. The first one in the air asks for the flight mode, too."""
+        self._check()
+        if self._commands is None:
+            raise LinkError("mavlink: the link was opened for poses only")
+        if self._landing or (self._climbing and self._known.name == "ArduPilot"):
+            return  # ArduPilot would take a velocity for the end of the take-off, and both for the end of a landing
+        self._sending = True
+        self._set(self._commands, command)
+        if not self._engaged and (not self._known.streams or wall_clock() - self._first_setpoint > STREAMED):
+            self._engage(wall_clock())
+
+    def _set(self, commands: CommandFields, command: Sequence[float]) -> None:
+        self._last_setpoint = wall_clock()
+        self._first_setpoint = self._first_setpoint or self._last_setpoint
+        boot = (self._last_setpoint - self._start) // 1_000_000
+        self._say("set_position_target_local_ned", *setpoint(commands, command, boot, self._target))
+
+    def receive(self, until: int) -> list[Sample]:
+        """What has come since the last call; see `links.Link`."""
+        while self._open:
+            self._keep_alive()
+            ready, _, _ = select.select((self._connection.fd,), (), (), min(seconds_until(until), 0.2))
+            if not (ready and self._heard_all()) and seconds_until(until) <= 0:
+                break
+        arrived, self._inbox = self._inbox, []
+        return arrived
+
+    def act(self, action: Action) -> None:
+        """Arms and takes off, lands, or closes; see `links.Link`."""
+        if action == "close":
+            self._close()
+            return
+        self._check()
+        if action == "land":
+            self._landing = True
+            self._steps.clear()
+            self._ask("land")
+        else:
+            self._climbing, self._landing, self._engaged = True, False, False
+            self._ask(*self._known.steps)
+
+    @property
+    def _known(self) -> AutopilotProtocol:
+        """The autopilot, after `greet`."""
+        if self._autopilot is None:
+            raise LinkError("mavlink: no heartbeat yet")
+        return self._autopilot
+
+    def _check(self) -> None:
+        if not self._open:
+            raise LinkError("mavlink: the link is closed")
+        if wall_clock() - self._heard > SILENCE:
+            raise LinkError(f"mavlink: no heartbeat for {SILENCE / SECOND:g} s; the link is lost")
+        if self._trouble:
+            raise LinkError(self._trouble)
+
+    def _take(self, message: Any, received: int) -> None:
+        """One message of whoever talks; only the autopilot counts."""
+        kind = message.get_type()
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if kind == "HEARTBEAT" and self._autopilot is None and message.autopilot != 8:  # 8: no autopilot, but a camera
+            self._meet(message.autopilot, source)
+        if self._autopilot is None or source != self._target:
+            return
+        if kind == "HEARTBEAT":
+            self._heard = received
+            self._watch_mode(mode_of(self._known, message.custom_mode))
+        elif kind in _ATTITUDES:
+            self._inbox += self._poses.take(message, received)
+        elif kind in ("SYS_STATUS", "BATTERY_STATUS"):
+            left = battery(message)
+            self._inbox += [] if left is None else [Sample("battery", received, received, (left,))]
+        elif kind == "COMMAND_ACK":
+            self._answered(message.command, message.result)
+        elif kind == "EXTENDED_SYS_STATE":
+            self._on_ground = message.landed_state == ON_GROUND
+            if self._known.name == "ArduPilot" and not self._steps and message.landed_state == IN_AIR:
+                self._climbing = False
+        elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 == self._synced:
+            self._poses.clock.exchanged(message.ts1, message.tc1, received)
+
+    def _meet(self, kind: int, source: tuple[int, int]) -> None:
+        if kind in AUTOPILOTS:
+            self._autopilot, self._target = AUTOPILOTS[kind], source
+        else:
+            self._trouble = f"mavlink: autopilot {kind} (MAV_AUTOPILOT) is neither PX4 nor ArduPilot"
+
+    def _watch_mode(self, mode: tuple[int, ...]) -> None:
+        """Follows the flight mode; whoever takes the vehicle out of ours, a pilot or a fail-safe, keeps it."""
+        if self._climbing and self._known.name == "PX4" and mode == PX4_LOITER and not self._steps:
+            self._climbing = False
+        ours = self._in_our_mode = mode[:1] == self._known.mode[:1]
+        if self._engaged and not ours and not self._landing:
+            self._trouble = (
+                f"mavlink: the vehicle left {self._known.mode_name} by itself or by its pilot; not taken back"
+            )
+        self._engaged = self._engaged or (ours and self._sending)
+
+    def _ask(self, *steps: str) -> None:
+        self._steps.extend(steps)
+        self._tries = 0
+        self._repeat()
+
+    def _engage(self, now: int) -> None:
+        """Asks for the flight mode once the vehicle is in the air, once a second and not for ever."""
+        if self._climbing or self._on_ground or self._in_our_mode or self._steps or now - self._asked < SECOND:
+            return
+        self._engagements += 1
+        if self._engagements > TRIES:
+            self._trouble = f"mavlink: {self._known.name} accepts {self._known.mode_name} but does not enter it"
+        else:
+            self._ask("mode")
+
+    def _repeat(self) -> None:
+        """Sends the first step, or again."""
+        self._asked, self._tries = wall_clock(), self._tries + 1
+        self._command(*command_parameters(self._steps[0], self._known))
+
+    def _command(self, command: int, parameters: Sequence[float]) -> None:
+        self._say("command_long", *self._target, command, max(self._tries - 1, 0), *parameters)
+
+    def _say(self, message: str, *values: Any) -> None:
+        try:
+            getattr(self._connection.mav, f"{message}_send")(*values)
+        except OSError as error:
+            raise LinkError(f"mavlink: cannot send ({error}); the link is lost") from error
+
+    def _heard_all(self) -> bool:
+        """Takes every message that is there; whether there was one."""
+        took = False
+        try:
+            while (message := self._connection.recv_msg()) is not None:
+                self._take(message, wall_clock())
+                took = True
+        except OSError as error:
+            raise LinkError(f"mavlink: cannot receive ({error}); the link is lost") from error
+        return took
+
+    def _answered(self, command: int, result: int) -> None:
+        if not self._steps or command_parameters(self._steps[0], self._known)[0] != command:
+            return
+        if result == ACCEPTED:
+            self._steps.popleft()
+            self._tries = 0
+            if self._steps:
+                self._repeat()
+        elif result not in (IN_PROGRESS, TEMPORARILY_REJECTED):
+            self._give_up(RESULTS[result] if result < len(RESULTS) else f"result {result}")
+
+    def _give_up(self, why: str) -> None:
+        step = STEP_NAMES.get(self._steps.popleft(), f"enter {self._known.mode_name}")
+        self._steps.clear()
+        self._trouble = f"mavlink: {self._known.name} did not {step}: {why}; its own messages say why (ground station)"
+
+    def _keep_alive(self) -> None:
+        """Our heartbeat and a question for their clock once a second, and a step again that nobody answered."""
+        now = wall_clock()
+        if now - self._beaten >= SECOND and self._autopilot is not None:
+            self._beaten = self._synced = now
+            self._say("heartbeat", 18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
+            self._say("timesync", 0, now)
+        # PX4 enters its mode only when setpoints have come for a second; in any other mode it does not obey them
+        idle = self._heard and self._known.streams and not self._sending and not self._in_our_mode
+        if idle and self._commands is not None and now - self._last_setpoint >= STREAM_PERIOD:
+            self._set(self._commands, (0.0, 0.0, 0.0, 0.0))
+        if self._steps and now - self._asked >= SECOND:
+            if self._tries < TRIES:
+                self._repeat()
+            else:
+                self._give_up("no answer")
+
+    def _close(self) -> None:
+        if self._open:
+            self._open = False
+            self._connection.close()
+
+
+def _connect(address: str) -> Any:
+    """Opens a port.
+
+    Raises:
+        LinkError: It cannot be opened.
+    """
+    os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink when it is imported
+    mavutil = importlib.import_module("pymavlink.mavutil")
+    try:
+        return mavutil.mavlink_connection(
+            address or DEFAULT_ADDRESS, source_system=SYSTEM, source_component=COMPONENT, autoreconnect=False
+        )
+    except (OSError, ValueError) as error:
+        raise LinkError(f"mavlink: cannot open {address or DEFAULT_ADDRESS}: {error}") from error

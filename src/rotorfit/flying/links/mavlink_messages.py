@@ -1,0 +1,276 @@
+"""What goes over MAVLink, apart from how: setpoints, commands, poses and clocks. No socket, no pymavlink.
+
+Source: MAVLink common message set, mavlink.io/en/messages/common.html (names and numbers); PX4 user guide, "Offboard
+Mode"; ArduPilot developer guide, "Copter Commands in Guided Mode".
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Sample
+from rotorfit.flying.links.card_fields import CommandFields, command_fields, enu_from_ned, raw_values
+
+SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
+
+FIELDS = ("vx", "vy", "vz", "yaw_rate")
+
+BODY_NED = 8
+"""MAV_FRAME_BODY_NED: velocities forward, right, down; PX4 (1.13 and later) and ArduPilot turn them by the heading."""
+
+VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
+"""Type mask that ignores position, acceleration and yaw."""
+
+ARM, TAKE_OFF, LAND, SET_MODE, MESSAGE_INTERVAL = 400, 22, 21, 176, 511
+"""MAV_CMD_COMPONENT_ARM_DISARM, _NAV_TAKEOFF, _NAV_LAND, _DO_SET_MODE, _SET_MESSAGE_INTERVAL."""
+
+ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5
+
+RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
+
+STREAMS = {32: 50.0, 31: 50.0, 1: 1.0, 245: 2.0}
+"""Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, SYS_STATUS, EXTENDED_SYS_STATE [Hz]."""
+
+TAKE_OFF_HEIGHT = 1.5
+"""Of ArduPilot, which must be told [m]."""
+
+ATTITUDES_KEPT, POSITIONS_KEPT = 50, 50
+
+
+@dataclass(frozen=True)
+class AutopilotProtocol:
+    """How an autopilot is flown from outside.
+
+    Attributes:
+        name: For people.
+        mode: Its `custom_mode` under our commands, as `mode_of` reads it, and for MAV_CMD_DO_SET_MODE.
+        mode_name: For people.
+        steps: What a take-off takes, in order; names of `command_parameters`.
+        streams: Whether setpoints must come before the mode is entered.
+        fail_safe: What it does when commands stop.
+    """
+
+    name: str
+    mode: tuple[int, ...]
+    mode_name: str
+    steps: tuple[str, ...]
+    streams: bool
+    fail_safe: str
+
+
+AUTOPILOTS = {
+    12: AutopilotProtocol(
+        "PX4",
+        (6, 0),
+        "OFFBOARD",
+        ("arm", "take_off"),
+        True,
+        "PX4 leaves OFFBOARD when setpoints come at less than 2 Hz for COM_OF_LOSS_T (1 s by default), and does what "
+        "COM_OBL_RC_ACT says (default: Position mode, which holds with a remote control). Set it to Land or Hold.",
+    ),
+    3: AutopilotProtocol(
+        "ArduPilot",
+        (4,),
+        "GUIDED",
+        ("mode", "arm", "take_off"),
+        False,
+        "ArduPilot Copter stops and hovers 3 s after the last velocity in GUIDED; it does not land by itself.",
+    ),
+}
+"""MAV_AUTOPILOT to how it is flown."""
+
+PX4_LOITER = (4, 3)
+"""Main mode AUTO, sub-mode LOITER: where PX4 goes when its take-off is complete."""
+
+ON_GROUND, IN_AIR = 1, 2
+"""MAV_LANDED_STATE_ON_GROUND, _IN_AIR."""
+
+STEP_NAMES = {"arm": "arm", "take_off": "take off", "land": "land"}
+"""Step of `command_parameters` to words; the other one, `mode`, has the name of the mode."""
+
+
+def mode_of(autopilot: AutopilotProtocol, custom_mode: int) -> tuple[int, ...]:
+    """`custom_mode` of a heartbeat: for PX4 main mode and sub-mode, its third and fourth byte; else the number."""
+    return (custom_mode >> 16 & 0xFF, custom_mode >> 24) if autopilot.name == "PX4" else (custom_mode,)
+
+
+def mavlink_commands(card: Card) -> CommandFields:
+    """Which velocities a card's axes are.
+
+    Raises:
+        LinkError: Other messages or fields, or commands that are not velocities in SI.
+    """
+    fields = command_fields(card)
+    if fields.table != SETPOINT or not {channel.source for channel in fields.channels.values()} <= set(FIELDS):
+        raise LinkError(f"card {card.name}: its commands are not velocities of {SETPOINT}; use --card mavlink")
+    tilted = [axis for axis in AXES if axis in card.command and card.command[axis].meaning == "tilt"]
+    if tilted:
+        raise LinkError(f"card {card.name}: {tilted[0]} means tilt; over MAVLink commands are velocities")
+    return fields
+
+
+def setpoint(fields: CommandFields, command: Sequence[float], boot_ms: int, target: tuple[int, int]) -> tuple[Any, ...]:
+    """Arguments of SET_POSITION_TARGET_LOCAL_NED for forward, left, up, counter-clockwise.
+
+    Args:
+        fields: Where the commands go.
+        command: In the unit of the card.
+        boot_ms: Our own time since start [ms].
+        target: System and component of the autopilot.
+    """
+    raw = raw_values(fields, command)
+    vx, vy, vz, rate = (raw.get(name, 0.0) for name in FIELDS)
+    nothing = (0.0, 0.0, 0.0)
+    return (boot_ms, *target, BODY_NED, VELOCITY_AND_YAW_RATE, *nothing, vx, vy, vz, *nothing, 0.0, rate)
+
+
+def command_parameters(step: str, autopilot: AutopilotProtocol) -> tuple[int, tuple[float, ...]]:
+    """MAV_CMD and its seven parameters for a step: `mode`, `arm`, `take_off` or `land`.
+
+    Take-off on ArduPilot climbs to `TAKE_OFF_HEIGHT` above home; PX4 is given no height (NaN) and climbs to its own
+    MIS_TAKEOFF_ALT, because it would read the number as one above the sea.
+    """
+    nan = math.nan
+    if step == "mode":
+        return SET_MODE, (1.0, *map(float, autopilot.mode), *(0.0,) * (6 - len(autopilot.mode)))
+    if step == "arm":
+        return ARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if step == "land":
+        return LAND, (0.0, 0.0, 0.0, nan if autopilot.name == "PX4" else 0.0, 0.0, 0.0, 0.0)
+    if autopilot.name == "PX4":
+        return TAKE_OFF, (nan, nan, nan, nan, nan, nan, nan)
+    return TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, TAKE_OFF_HEIGHT)
+
+
+class SenderClock:
+    """Moves the sender's stamps (time since its start) to our clock.
+
+    The offset comes from the TIMESYNC exchange with the shortest round trip, which is right to half of that; before the
+    first one from the message that was least delayed, which is right to that delay. Stamps keep the sender's spacing.
+    """
+
+    def __init__(self) -> None:
+        self._least: int | None = None
+        self._exchange: tuple[int, int] | None = None  # round trip, offset
+
+    def ours(self, theirs: int, received: int) -> int:
+        """A stamp of the sender on our clock [ns], never later than when it arrived."""
+        self._least = received - theirs if self._least is None else min(self._least, received - theirs)
+        offset = self._least if self._exchange is None else min(self._exchange[1], self._least)
+        return theirs + offset
+
+    def exchanged(self, sent: int, theirs: int, received: int) -> None:
+        """Takes an answer to TIMESYNC: when we asked, what their clock showed, when the answer came [ns]."""
+        trip = received - sent
+        if trip >= 0 and (self._exchange is None or trip < self._exchange[0]):
+            self._exchange = (trip, sent + trip // 2 - theirs)
+
+
+class Poses:
+    """Puts positions and attitudes of one sender together: the attitude is interpolated to the position's instant.
+
+    A position waits for the next attitude: with the last one instead, the yaw would be late by half its period.
+    """
+
+    def __init__(self) -> None:
+        self._clock = SenderClock()
+        self._attitudes: deque[tuple[int, tuple[float, ...], float]] = deque(maxlen=ATTITUDES_KEPT)
+        self._positions: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=POSITIONS_KEPT)
+        self._whole = False
+
+    @property
+    def clock(self) -> SenderClock:
+        """Of the sender's stamps."""
+        return self._clock
+
+    def take(self, message: Any, received: int) -> list[Sample]:
+        """Poses and velocities that a message completes; ODOMETRY, where it comes, replaces the other two."""
+        kind = message.get_type()
+        if kind == "ODOMETRY":
+            return self._odometry(message, received)
+        if self._whole:
+            return []
+        if kind == "LOCAL_POSITION_NED":
+            position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+            self._positions.append((message.time_boot_ms * 1_000_000, position, velocity))
+        else:
+            if kind == "ATTITUDE_QUATERNION":
+                quaternion = (message.q1, message.q2, message.q3, message.q4)
+            else:
+                quaternion = quaternion_from_euler(message.roll, message.pitch, message.yaw)
+            self._attitudes.append((message.time_boot_ms * 1_000_000, quaternion, message.yawspeed))
+        return self._complete(received)
+
+    def _complete(self, received: int) -> list[Sample]:
+        samples: list[Sample] = []
+        while self._positions and len(self._attitudes) > 1 and self._attitudes[-1][0] >= self._positions[0][0]:
+            stamp, position, velocity = self._positions.popleft()
+            later = next(place for place, one in enumerate(self._attitudes) if one[0] >= stamp)
+            if later == 0:  # older than all attitudes: the first position
+                continue
+            before, after = self._attitudes[later - 1], self._attitudes[later]
+            share = (stamp - before[0]) / max(after[0] - before[0], 1)
+            quaternion = between(before[1], after[1], share)
+            ours = self._clock.ours(stamp, received)
+            samples += _samples(ours, received, position, quaternion, velocity, after[2])
+        return samples
+
+    def _odometry(self, message: Any, received: int) -> list[Sample]:
+        """In MAV_FRAME_LOCAL_NED (1), or LOCAL_FRD (20), whose x is some other fixed direction; no velocity."""
+        values = (message.x, message.y, message.z, *message.q)
+        if message.frame_id not in (1, 20) or not all(map(math.isfinite, values)):
+            return []
+        self._whole = True
+        ours = self._clock.ours(message.time_usec * 1000, received)
+        return [Sample("pose", ours, received, enu_from_ned(values[:3], values[3:]))]
+
+
+def _samples(
+    stamp: int,
+    received: int,
+    position: Sequence[float],
+    quaternion: Sequence[float],
+    velocity: Sequence[float],
+    yaw_rate: float,
+) -> list[Sample]:
+    if not all(map(math.isfinite, (*position, *quaternion))):
+        return []
+    samples = [Sample("pose", stamp, received, enu_from_ned(position, quaternion))]
+    w, x, y, z = quaternion
+    yaw = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    c, s = math.cos(yaw), math.sin(yaw)
+    north, east, down = velocity
+    if all(map(math.isfinite, (*velocity, yaw_rate))):
+        values = (c * north + s * east, s * north - c * east, -down, -yaw_rate)
+        samples.append(Sample("velocity", stamp, received, values))
+    return samples
+
+
+def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """w, x, y, z of the z-y-x Euler angles [rad]."""
+    cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def between(first: Sequence[float], second: Sequence[float], share: float) -> tuple[float, ...]:
+    """Quaternion on the shorter way from one to another, normalised; exact enough for the few degrees between two."""
+    sign = 1.0 if sum(a * b for a, b in zip(first, second, strict=True)) >= 0 else -1.0
+    mixed = [(1 - share) * a + share * sign * b for a, b in zip(first, second, strict=True)]
+    size = math.hypot(*mixed)
+    return tuple(one / size for one in mixed)
+
+
+def battery(message: Any) -> float | None:
+    """What is left, 0 to 1, by SYS_STATUS or BATTERY_STATUS; None where the autopilot does not know (-1)."""
+    return message.battery_remaining / 100 if message.battery_remaining >= 0 else None

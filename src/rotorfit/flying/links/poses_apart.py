@@ -1,0 +1,71 @@
+"""Two links as one: commands by the first, poses by the second, for vehicles that do not know where they are."""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from types import MappingProxyType
+
+from rotorfit.core.errors import LinkError
+from rotorfit.core.log import Sample
+from rotorfit.flying.links.link import Action, Link
+
+POSES: Mapping[str, str] = MappingProxyType(
+    {
+        "ros1": "rotorfit.flying.links.ros1",
+        "ros2": "rotorfit.flying.links.ros2",
+        "mavlink": "rotorfit.flying.links.mavlink",
+    }
+)
+"""Name of a link that can give poses alone to its module."""
+
+
+def join(commands: Link, text: str) -> Link:
+    """Takes the poses from another link.
+
+    Args:
+        commands: A live link; its own poses are dropped, its velocity and battery stay.
+        text: `NAME:ADDRESS` of the other: the topic of `ros1` and `ros2`, the port of `mavlink`.
+
+    Raises:
+        LinkError: No such link, it cannot be opened, or the first is simulated. The first link is left open.
+        ModuleNotFoundError: A package that the other needs is missing.
+    """
+    name, _, address = text.partition(":")
+    if name not in POSES:
+        raise LinkError(f"--poses {text}: poses come from {', '.join(POSES)}, as in ros1:/vicon/tello/tello")
+    if not commands.live:
+        raise LinkError(f"--poses {text}: a simulated vehicle has its own poses; leave --poses out")
+    poses: Link = import_module(POSES[name]).open_poses(address)
+    return Joined(commands, poses)
+
+
+class Joined:
+    """Commands by one link, poses by another; implements `links.Link`. Both run on the wall clock of this process."""
+
+    def __init__(self, commands: Link, poses: Link) -> None:
+        self.live = True
+        self.fail_safe = commands.fail_safe
+        self._commands = commands
+        self._poses = poses
+
+    @property
+    def now(self) -> int:
+        """The wall clock [ns]."""
+        return self._commands.now
+
+    def send(self, command: Sequence[float]) -> None:
+        """Sends by the first link."""
+        self._commands.send(command)
+
+    def receive(self, until: int) -> list[Sample]:
+        """Poses of the second link, everything else of the first, in the order of arrival."""
+        poses = [sample for sample in self._poses.receive(until) if sample.stream == "pose"]
+        rest = [sample for sample in self._commands.receive(until) if sample.stream != "pose"]
+        return sorted(poses + rest, key=lambda sample: sample.received)
+
+    def act(self, action: Action) -> None:
+        """Acts by the first link; closes both."""
+        try:
+            self._commands.act(action)
+        finally:
+            if action == "close":
+                self._poses.act(action)

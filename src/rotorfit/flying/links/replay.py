@@ -1,0 +1,106 @@
+"""A log played back as a link: poses come as recorded, commands lead nowhere. For rehearsing what reads and guards.
+
+Time is that of the log and passes as fast as it is read. The end of the log is a lost link.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError, LinkError
+from rotorfit.core.frames import Array, Indices, yaw_from_quaternion
+from rotorfit.core.log import Log, Sample
+from rotorfit.diagnosis.card_choice import card_of
+from rotorfit.files.logs import read
+from rotorfit.flights.columns import card_for, column
+from rotorfit.flights.stamps import stamps_of
+from rotorfit.flying.links.link import Action
+
+
+def open_link(address: str, card: Card) -> "ReplayLink":
+    """Opens a log.
+
+    Args:
+        address: Path of the log.
+        card: Reads the log where it carries no card of its own and no built-in one fits.
+
+    Raises:
+        LinkError: No path, or no poses.
+        LogError: The log cannot be read.
+        CardError: A column is not there.
+    """
+    if not address:
+        raise LinkError("--link replay needs a log: replay:FILE")
+    log = read(address)
+    try:
+        own = card_of(log)
+    except CardError:
+        own = card
+    own = card_for(log, own)
+    samples = _poses(log, own)
+    if not samples:
+        raise LinkError(f"--link replay:{address}: the log holds no poses")
+    return ReplayLink(samples, address)
+
+
+class ReplayLink:
+    """A vehicle that does again what it did; implements `links.Link`."""
+
+    live = False
+    fail_safe = "A log is played back: no vehicle moves."
+
+    def __init__(self, samples: Sequence[Sample], name: str) -> None:
+        self._samples, self._name, self._next = samples, name, 0
+        self.now = samples[0].received - 1
+
+    def send(self, command: Sequence[float]) -> None:
+        """Nobody listens; see `links.Link`."""
+
+    def receive(self, until: int) -> list[Sample]:
+        """The poses up to an instant of the log; see `links.Link`."""
+        if self._next == len(self._samples):
+            raise LinkError(f"replay: {self._name} is over")
+        first = self._next
+        while self._next < len(self._samples) and self._samples[self._next].received <= until:
+            self._next += 1
+        self.now = max(self.now, until)
+        return list(self._samples[first : self._next])
+
+    def act(self, action: Action) -> None:
+        """Nobody listens; see `links.Link`."""
+
+
+def _poses(log: Log, card: Card) -> list[Sample]:
+    """Every pose of a log as recorded, in the order of arrival; stamps of the log, ENU."""
+    stamps = stamps_of(log, card.pose_time)
+    series = {name: column(log, channel, len(stamps)) for name, channel in card.pose.items()}
+    count = min([len(stamps), *(len(values) for values in series.values())])
+    position = np.stack([series[axis][:count] for axis in "xyz"], axis=1)
+    if "yaw" in series:
+        half = series["yaw"][:count] / 2
+        attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    else:
+        attitude = np.stack([series[f"q{part}"][:count] for part in "wxyz"], axis=1)
+    if card.frame == "NED":
+        position = np.stack([position[:, 1], position[:, 0], -position[:, 2]], axis=1)
+        attitude = _enu_from_ned(attitude)
+    received = _arrivals(log, card, stamps[:count])
+    order = np.argsort(received, kind="stable")
+    rows = np.hstack([position, attitude])[order].tolist()
+    pairs = zip(stamps[:count][order].tolist(), received[order].tolist(), rows, strict=True)
+    return [Sample("pose", stamp, arrival, tuple(row)) for stamp, arrival, row in pairs]
+
+
+def _arrivals(log: Log, card: Card, stamps: Indices) -> Indices:
+    """When each pose was recorded, where the log says so and the two clocks may be one; else its own stamp."""
+    table = log.tables.get(str(card.pose_time.source).partition(":")[0])
+    arrived = None if table is None else table.columns.get("log_time")
+    return stamps if arrived is None else np.asarray(arrived[: len(stamps)], np.int64)
+
+
+def _enu_from_ned(attitude: Array) -> Array:
+    """Heading only: pi/2 - yaw, as the cards define NED."""
+    w, x, y, z = attitude.T
+    half = (np.pi / 2 - yaw_from_quaternion(w, x, y, z)) / 2
+    return np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)

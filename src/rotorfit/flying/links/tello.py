@@ -1,0 +1,231 @@
+"""Ryze Tello over UDP: the text protocol of its SDK, four sticks out, the state packet in.
+
+Source: Ryze, "Tello SDK 2.0 User Guide" (2018) and "Mission Pad User Guide" (2018): commands to 192.168.10.1:8889,
+state to port 8890 of whoever sent `command`; `rc a b c d` in -100..100 is left/right, forward/back, up/down, yaw; a
+Tello lands by itself when it hears no command for 15 s; a pad's position is in cm, mid is -1 or -2 without a pad.
+"""
+
+import math
+import select
+import socket
+import time
+from collections.abc import Mapping, Sequence
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.log import Sample
+from rotorfit.flying.links.card_fields import (
+    CommandFields,
+    PoseFields,
+    command_fields,
+    pose_fields,
+    pose_values,
+    raw_values,
+)
+from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+
+HOST, COMMAND_PORT, STATE_PORT = "192.168.10.1", 8889, 8890
+
+STICKS = ("a", "b", "c", "d")
+
+FULL_STICK = 100
+
+SILENCE = 1.0
+"""The state comes at 10 Hz; so long without it and the link is lost [s]."""
+
+PATIENCE, TRIES = 1.0, 5
+
+FAIL_SAFE = (
+    "A Tello lands 15 s after the last command (Tello SDK 2.0). Nothing says that its sticks return to zero before: "
+    "assume that it flies on, and keep its space clear beyond the fence."
+)
+
+
+def open_link(address: str, card: Card) -> "TelloLink":
+    """Puts a Tello into SDK mode and looks for mission pads below it.
+
+    Args:
+        address: HOST or HOST:STATE_PORT; empty for 192.168.10.1, which a Tello has on its own network.
+        card: What the sticks and the state packet mean; the built-in one is `tello`.
+
+    Raises:
+        LinkError: Nobody answers, the port of the state is taken, or a card that is not of a Tello.
+    """
+    host, _, port = address.partition(":")
+    if port and not port.isdigit():
+        raise LinkError(f"tello:{address}: {port!r} is no port; write tello, tello:HOST or tello:HOST:STATE_PORT")
+    link = TelloLink(card, host or HOST, int(port or STATE_PORT))
+    link.greet()
+    return link
+
+
+class TelloLink:
+    """A Tello; implements `links.Link`. All of it runs in the caller's thread."""
+
+    def __init__(self, card: Card, host: str, state_port: int) -> None:
+        self.live = True
+        self.fail_safe = card.fail_safe or FAIL_SAFE
+        self._commands, self._poses = tello_commands(card), pose_fields(card)
+        self._drone = (host, COMMAND_PORT)
+        self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        self._inbox: list[Sample] = []
+        self._replies: list[str] = []
+        self._heard = wall_clock()
+        self._open = True
+        try:
+            self._state.bind(("", state_port))
+        except OSError as error:
+            self._close()
+            raise LinkError(f"tello: port {state_port} is taken ({error.strerror}); end the other program") from error
+
+    @property
+    def now(self) -> int:
+        """The wall clock [ns]."""
+        return wall_clock()
+
+    def greet(self) -> None:
+        """SDK mode, and the downward camera looks for mission pads at 20 Hz.
+
+        A Tello that is no EDU refuses the pads; it flies all the same, without a position.
+
+        Raises:
+            LinkError: No answer to `command`, or no state.
+        """
+        if not self._ask("command"):
+            self._close()
+            raise LinkError(f"tello: no answer from {self._drone[0]}; join its network (TELLO-...) and switch it on")
+        if self._ask("mon"):
+            self._ask("mdirection 0")
+        self.receive(wall_clock() + int(1e9 * SILENCE))
+        if self._silent():
+            self._close()
+            raise LinkError("tello: it answers but sends no state to UDP port 8890; let the firewall pass it")
+
+    def send(self, command: Sequence[float]) -> None:
+        """Sets the sticks; see `links.Link`."""
+        if self._silent():
+            raise LinkError(f"tello: no state from {self._drone[0]} for {SILENCE:g} s; the link is lost")
+        self._say(stick_text(self._commands, command))
+
+    def receive(self, until: int) -> list[Sample]:
+        """What has come since the last call; see `links.Link`."""
+        while self._open:
+            ready, _, _ = select.select((self._talk, self._state), (), (), seconds_until(until))
+            if not ready:
+                break
+            for one in ready:
+                self._take(one)
+        arrived, self._inbox = self._inbox, []
+        return arrived
+
+    def act(self, action: Action) -> None:
+        """`takeoff`, `land`, or closes; see `links.Link`."""
+        if action == "close":
+            self._close()
+        else:
+            self._say({"take_off": "takeoff", "land": "land"}[action])
+
+    def _silent(self) -> bool:
+        return wall_clock() - self._heard > 1e9 * SILENCE
+
+    def _say(self, text: str) -> None:
+        if not self._open:
+            raise LinkError("tello: the link is closed")
+        try:
+            self._talk.sendto(text.encode("ascii"), self._drone)
+        except OSError as error:
+            raise LinkError(f"tello: cannot send to {self._drone[0]}: {error.strerror}; join its network") from error
+
+    def _ask(self, text: str) -> bool:
+        """Says something until there is an answer; whether that is `ok`."""
+        for _ in range(TRIES):
+            self._replies.clear()
+            self._say(text)
+            deadline = time.monotonic() + PATIENCE
+            while not self._replies and time.monotonic() < deadline:
+                ready, _, _ = select.select((self._talk,), (), (), deadline - time.monotonic())
+                for one in ready:
+                    self._take(one)
+            if self._replies:
+                return self._replies[0].lower() == "ok"
+        return False
+
+    def _take(self, one: socket.socket) -> None:
+        """Reads one packet."""
+        try:
+            packet, sender = one.recvfrom(2048)
+        except OSError:  # the answer to an earlier packet that nobody took: silence will tell
+            return
+        if sender[0] != self._drone[0]:
+            return
+        text = packet.decode("ascii", errors="replace").strip()
+        if one is self._talk:
+            self._replies.append(text)
+        elif state := state_from_text(text):
+            self._heard = wall_clock()
+            self._inbox += samples(state, self._poses, self._heard)
+
+    def _close(self) -> None:
+        self._open = False
+        self._talk.close()
+        self._state.close()
+
+
+def tello_commands(card: Card) -> CommandFields:
+    """Which sticks a card's axes are.
+
+    Raises:
+        LinkError: The card names something else than `rc:a` to `rc:d`.
+    """
+    fields = command_fields(card)
+    if fields.table != "rc" or not {channel.source for channel in fields.channels.values()} <= set(STICKS):
+        raise LinkError(f"card {card.name}: its commands are not the sticks rc:a to rc:d of a Tello; use --card tello")
+    return fields
+
+
+def stick_text(fields: CommandFields, command: Sequence[float]) -> str:
+    """The `rc` command for forward, left, up, counter-clockwise in the unit of the card: whole numbers in -100..100.
+
+    Raises:
+        LinkError: Beyond full stick.
+    """
+    raw = raw_values(fields, command)
+    sticks = [round(raw.get(stick, 0.0)) for stick in STICKS]
+    if max(map(abs, sticks)) > FULL_STICK:
+        raise LinkError(f"tello: a command of {max(map(abs, sticks))} % is beyond full stick; plan smaller amplitudes")
+    return "rc " + " ".join(map(str, sticks))
+
+
+def state_from_text(text: str) -> dict[str, float]:
+    """Fields of a state packet, `mpry` as `mpry[0]` to `mpry[2]`; what is not a number is left out.
+
+    Returns:
+        Empty for anything that is not a state packet.
+    """
+    state: dict[str, float] = {}
+    for part in text.split(";"):
+        name, colon, value = part.strip().partition(":")
+        numbers = [_number(one) for one in value.split(",")] if colon else []
+        if len(numbers) == 1:
+            state[name] = numbers[0]
+        else:
+            state |= {f"{name}[{place}]": number for place, number in enumerate(numbers)}
+    state = {name: value for name, value in state.items() if math.isfinite(value)}
+    return state if "bat" in state else {}
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def samples(state: Mapping[str, float], poses: PoseFields, received: int) -> list[Sample]:
+    """Battery, and the pose while a mission pad is seen. A Tello stamps nothing: the stamp is the time of arrival."""
+    found = [Sample("battery", received, received, (state["bat"] / 100,))]
+    if state.get("mid", -1.0) > 0:
+        pose = pose_values(poses, lambda name: state.get(name, math.nan))
+        if pose is not None:
+            found.append(Sample("pose", received, received, pose))
+    return found

@@ -1,0 +1,121 @@
+"""Mission: a plan file, a link by name, a recording: what `rotorfit fly` does, from preflight to the closed log."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rotorfit.core.errors import LinkError, LogError
+from rotorfit.core.flight_plan import Flown, Plan
+from rotorfit.files.cards import card_from_mapping, load_card
+from rotorfit.files.plans import load_plan, plan_text
+from rotorfit.flying.flight_loop import OnStatus, fly
+from rotorfit.flying.links import open_link
+from rotorfit.flying.links.link import Link
+from rotorfit.flying.operator import operator_abort
+from rotorfit.flying.preflight import Ready, preflight
+from rotorfit.flying.recorder import card_as_recorded, record
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A plan and its preflight, on an open link.
+
+    Attributes:
+        plan: What will be flown.
+        link: Open.
+        name: Of the link, as given.
+        ready: What the preflight found.
+        output: Where the recording goes.
+        take_off: Whether the flight begins on the floor.
+    """
+
+    plan: Plan
+    link: Link
+    name: str
+    ready: Ready
+    output: Path
+    take_off: bool
+
+
+@contextmanager
+def mission(
+    plan_path: str, link: str, output: Path, card: str | None = None, take_off: bool = False, seed: int = 0,
+    poses: str = "",
+) -> Iterator[Mission]:  # fmt: skip
+    """Opens a link for a plan and looks at both; the link is closed at the end.
+
+    Args:
+        plan_path: Of the plan file.
+        link: `NAME` or `NAME:ADDRESS`.
+        output: Of a file that does not exist yet.
+        card: Name or file of the card that says how the vehicle is set and connected now; None for the plan's.
+        take_off: Whether the flight begins on the floor.
+        seed: Of a simulated vehicle.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
+
+    Raises:
+        PlanError, CardError: One of them cannot be used.
+        LinkError: The link cannot be opened.
+        LogError: The recording would be written over something.
+    """
+    plan = load_plan(plan_path)
+    check_new(output)
+    now = load_card(card) if card else None
+    own = now or card_from_mapping(plan.card, f"of plan {plan_path}")
+    opened = open_link(link, own, plan.space.start, seed, not take_off, poses)
+    try:
+        yield Mission(plan, opened, link, preflight(plan, opened, now, take_off), output, take_off)
+    finally:
+        with suppress(LinkError):
+            opened.act("close")
+
+
+def flown_mission(wanted: Mission, land: bool, status: Callable[[], AbstractContextManager[OnStatus | None]]) -> Flown:
+    """Flies it.
+
+    Args:
+        wanted: Not refused by its preflight.
+        land: Whether the vehicle lands at the end.
+        status: Gives, for as long as the flight lasts, who is told how it goes.
+
+    Raises:
+        LogError: The recording cannot be written.
+    """
+    plan = wanted.plan
+    attached = attached_to(plan, wanted.ready, wanted.name)
+    with operator_abort() as abort, status() as progress:
+        recorder = record(wanted.output, attached)
+        return fly(plan, wanted.link, recorder, land, wanted.take_off, abort, progress)
+
+
+def attached_to(plan: Plan, ready: Ready, link: str) -> dict[str, str]:
+    """What a recording carries besides its streams: the plan and the card as TOML, and the link's name."""
+    import tomli_w
+
+    card = tomli_w.dumps(card_as_recorded(plan.card, ready.pose_clock))
+    return {"plan": plan_text(plan), "card": card, "link": link}
+
+
+def check_new(output: Path) -> None:
+    """Refuses, before anything flies, what the recorder would refuse.
+
+    Raises:
+        LogError: The file exists, or its folder does not.
+    """
+    if output.exists():
+        raise LogError(f"{output}: exists, and a recording is never overwritten; choose another name")
+    if not output.parent.is_dir():
+        raise LogError(f"{output}: there is no folder {output.parent}; make it first")
+
+
+def flown_mapping(flown: Flown, ready: Ready, live: bool) -> dict[str, Any]:
+    """A flight as plain JSON types; without how late commands were where time is simulated."""
+    return {
+        **asdict(flown),
+        **({} if live else {"jitter": None, "late": None}),
+        "path": str(flown.path),
+        "notes": [*ready.notes, *flown.notes],
+        "preflight": [asdict(check) for check in ready.checks],
+    }

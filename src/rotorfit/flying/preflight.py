@@ -1,0 +1,210 @@
+"""Preflight: what must be right before a vehicle moves. Everything that is not is told at once."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.limits import disagreement
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying.guard import Limits, Watch, judged, limits_of, observed, room_left
+from rotorfit.flying.links.link import Link
+from rotorfit.planning.belief import belief_from_mapping
+from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.precision import fly_plan, path
+from rotorfit.simulation.paper_vehicle import noise_free
+
+LISTENING = 1.0
+"""How long poses are looked at [s]."""
+
+SLOWEST = 8.0
+"""Fresh poses a second that are needed; a Tello gives ten, of which one may come late."""
+
+NEAR, TURNED = 0.3, math.radians(20)
+"""A start so far from the plan's is near enough [m, rad]."""
+
+REST = 0.3
+"""Speed below which a vehicle counts as hovering [m/s]."""
+
+CHARGE = 0.30
+"""Least that the battery holds before a flight, 0 to 1."""
+
+ONE_CLOCK = (-0.002, 0.2)
+"""From stamp to arrival of a pose [s]: outside, sender and receiver do not share a clock."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at: whether it is right, and a text that holds the figure."""
+
+    name: str
+    ok: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What a preflight found.
+
+    Attributes:
+        checks: In the order in which they were made.
+        pose_clock: Column of the recording that times the poses: `header.stamp`, or `log_time` where the sender's
+            clock is not the link's.
+        notes: What a user should know though it stops nothing.
+    """
+
+    checks: tuple[Check, ...]
+    pose_clock: str
+    notes: tuple[str, ...] = ()
+
+
+def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool = False) -> Ready:
+    """Listens to a link and looks at a plan.
+
+    Args:
+        plan: What will be flown.
+        link: Open; nothing is sent on it.
+        card: The vehicle's settings now; None where they are those of the plan.
+        take_off: Whether the flight begins on the floor.
+
+    Raises:
+        LinkError: The link is gone.
+        CardError: The plan's card is wrong.
+    """
+    limits, samples, watch = limits_of(plan), [], Watch()
+    until = link.now + round(LISTENING * 1e9)
+    while (now := link.now) < until:
+        for sample in link.receive(min(until, now + 20_000_000)):
+            watch = observed(watch, sample, limits)[0]
+            samples.append(sample)
+    poses = [sample for sample in samples if sample.stream == "pose"]
+    checks = [Check("link", bool(samples), f"{len(samples)} samples came in {LISTENING:g} s"), _rate(poses)]
+    if watch.pose is not None:
+        checks += [_inside(watch, limits, link.now, take_off), _start(plan, watch, take_off), _still(watch)]
+    checks += _battery(watch)
+    if card is not None:
+        trouble = disagreement(card_from_mapping(plan.card, f"of plan {plan.name}"), card)
+        checks.append(Check("card", not trouble, trouble or f"as planned: {card.name}"))
+    checks += _rehearsed(plan, limits)
+    clock, notes = _clock(poses)
+    return Ready(tuple(checks), clock, notes)
+
+
+def refuse(ready: Ready) -> None:
+    """Raises where anything is not right.
+
+    Raises:
+        LinkError: One line with everything.
+    """
+    wrong = [f"{check.name}: {check.text}" for check in ready.checks if not check.ok]
+    if wrong:
+        raise LinkError(f"not flown: {'; '.join(wrong)}")
+
+
+def from_start(plan: Plan, watch: Watch) -> tuple[float, float]:
+    """Distance to the plan's start [m], and the angle to its heading [rad]."""
+    if watch.pose is None:
+        return math.inf, math.inf
+    start = plan.space.start
+    return math.dist(watch.pose[:3], start[:3]), abs(math.remainder(watch.pose[3] - start[3], math.tau))
+
+
+def can_approach(plan: Plan) -> bool:
+    """Whether the vehicle can be led to the start: by the plan's feedback, or by what is believed of the vehicle."""
+    return plan.feedback is not None or "gamma" in plan.belief
+
+
+def _rate(poses: Sequence[Sample]) -> Check:
+    if not poses:
+        return Check("pose", False, "none came; is the motion capture on, and the body in sight?")
+    values = {pose.values for pose in poses}
+    rate = len(poses) / LISTENING
+    text = f"{rate:.0f} a second, {1 - len(values) / len(poses):.0%} of them repeat"
+    if rate < SLOWEST:
+        return Check("pose", False, f"{text}; at least {SLOWEST:g} a second are needed")
+    return Check("pose", True, text)
+
+
+def _inside(watch: Watch, limits: Limits, now: int, take_off: bool) -> Check:
+    assert watch.pose is not None
+    kept = replace(limits, lower=(*limits.lower[:2], -math.inf)) if take_off else limits
+    left = room_left(watch, kept, now)
+    place = ", ".join(f"{value:.2f}" for value in watch.pose[:3])
+    if left < 0:
+        low, high = (", ".join(f"{value:.2f}" for value in corner) for corner in (limits.lower, limits.upper))
+        under = " or the room below it" if take_off else ""
+        return Check("box", False, f"the vehicle is at ({place}) m, outside of the box ({low}) to ({high}){under}")
+    to = "to the nearest side or top of the box, which it enters from below" if take_off else "inside"
+    return Check("box", True, f"at ({place}) m, {left:.2f} m {to}")
+
+
+def _start(plan: Plan, watch: Watch, take_off: bool) -> Check:
+    distance, angle = from_start(plan, watch)
+    text = f"{distance:.2f} m and {math.degrees(angle):.0f} deg from the plan's start"
+    if take_off:
+        return Check("start", True, f"{text}, before take-off")
+    if distance <= NEAR and angle <= TURNED:
+        return Check("start", True, text)
+    if can_approach(plan):
+        return Check("start", True, f"{text}: it is led there slowly first")
+    return Check(
+        "start", False, f"{text}; bring it within {NEAR:g} m and {math.degrees(TURNED):.0f} deg, or plan with feedback"
+    )
+
+
+def _still(watch: Watch) -> Check:
+    speed = math.hypot(*watch.velocity[:3])
+    text = f"{speed:.2f} m/s"
+    more = f" over the ground, not below {REST:g} m/s: bring it to rest; does the wind carry it away?"
+    return Check("rest", speed <= REST, text if speed <= REST else text + more)
+
+
+def _battery(watch: Watch) -> list[Check]:
+    if watch.battery is None:
+        return []
+    text = f"{watch.battery:.0%} left"
+    ok = watch.battery >= CHARGE
+    return [Check("battery", ok, text if ok else f"{text}; at least {CHARGE:.0%} are needed")]
+
+
+def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
+    """Whether the plan stays in its space: as it was planned, and for the likeliest vehicle under this guard.
+
+    The plan may have been edited, so it is flown once more; with vehicles drawn from the belief `rotorfit plan` has
+    done it. Nothing where the plan has no belief.
+    """
+    leaving, allowed = plan.predicted.get("leaving", 0.0), plan.predicted.get("allowed", 1.0)
+    if leaving > allowed:
+        text = f"{leaving:.0%} of the vehicles that are believed possible leave its space; plan it again"
+        return [Check("plan", False, text)]
+    if "covariance" not in plan.belief:
+        return []
+    truth = noise_free(belief_from_mapping(plan.belief, f"plan {plan.name}").truth)
+    flight = fly_plan(tracker_of(plan), truth, plan.seed)
+    watch = Watch(heard_other=0)
+    for time, pose, velocity in zip(
+        flight.pose_stamp.tolist(), path(plan, flight).tolist(), flight.velocity.tolist(), strict=True
+    ):
+        watch = replace(watch, pose=tuple(pose), velocity=tuple(velocity), received=time, heard=time)
+        if (verdict := judged(watch, limits, time, 0.0, 0.0)) is not None:
+            text = f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; plan it again"
+            return [Check("plan", False, text)]
+    return [Check("plan", True, "the likeliest vehicle stays inside, braking distance included")]
+
+
+def _clock(poses: Sequence[Sample]) -> tuple[str, tuple[str, ...]]:
+    """Which clock times the poses in the recording."""
+    if not poses:
+        return "header.stamp", ()
+    least = float(np.min([pose.received - pose.stamp for pose in poses])) / 1e9
+    if ONE_CLOCK[0] <= least <= ONE_CLOCK[1]:
+        return "header.stamp", ()
+    return "log_time", (
+        f"the poses' clock is {-least:+.3f} s from the link's: poses are timed by their arrival, and the delay that is "
+        "fitted holds their way",
+    )

@@ -1,0 +1,382 @@
+"""Belief: what is thought of a vehicle, its air and its room before a flight, and how far it may be off.
+
+From a card and its limits, from a model file, or from a published set; and to and from the plain types of a plan.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import Four
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.limits import Meaning, expectation, meaning_of
+from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.simulation.published import PUBLISHED, vehicle_of
+
+DAMPING: Mapping[str, tuple[float, float]] = {
+    "tilt": (0.40, 0.27), "vertical_speed": (2.9, 0.8), "velocity": (2.0, 1.0), "yaw_rate": (3.2, 1.4)
+}  # fmt: skip
+"""Mean and standard deviation of the damping by what a command asks for [1/s].
+
+Source: mean and spread of the published sets for tilt, vertical speed and yaw rate; of a velocity loop it is an
+assumption, a time constant of half a second give or take a factor of 1.6.
+"""
+
+DELAY = (0.15, 0.10)
+"""Mean and standard deviation of the delay [s]. Source: 0.15 to 0.20 s on Bebop 2 flights, 0.26 s published for one."""
+
+GAIN_SHARE = 0.15
+"""Standard deviation of what a full command reaches, as a share of what the card's limits make one expect."""
+
+PUBLISHED_SHARE = 0.20
+"""Standard deviation of published coefficients as a share: the sets of one drone differ by as much."""
+
+UNKNOWN_SHARE = (0.5, 0.7)
+"""The same of input and damping where nothing is known; what a model says of them is never believed to be vaguer."""
+
+TRIM = (0.05, 0.05, 0.03, 0.02)
+"""Standard deviation of the trim [m/s^2; rad/s^2 for yaw]: a tilt of 0.3 degrees is 0.05 m/s^2."""
+
+QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
+"""Where no flight has told of noise and wind."""
+
+NAMES = tuple(f"{axis}.{name}" for axis in AXES for name in COEFFICIENTS)
+"""Order of the twelve coefficients in a covariance."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is thought of a vehicle.
+
+    Attributes:
+        truth: The likeliest vehicle, air and room.
+        covariance: Of input, damping and delay of x, y, z, yaw in turn, shape (12, 12). 0 between different axes: what
+            a fit finds there is small.
+        trim_sigma: Standard deviation of the trim about that of the likeliest [m/s^2; rad/s^2 for yaw].
+        levels: Axis to the four levels of its disturbance as the likelihood has them (`disturbance.LEVELS`), for the
+            axes of a model; of the others they follow from the wind of `truth`.
+        source: Where it comes from, for people.
+        notes: What had to be assumed, one line each.
+    """
+
+    truth: Truth
+    covariance: Array
+    trim_sigma: Four
+    levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def coefficients(self) -> Array:
+        """Input, damping and delay of x, y, z, yaw in turn, shape (12,)."""
+        return coefficients_of(self.truth)
+
+
+def coefficients_of(truth: Truth) -> Array:
+    """Input, damping and delay of x, y, z, yaw in turn, shape (12,)."""
+    return np.column_stack([truth.gamma[::2], truth.gamma[1::2], truth.delay]).ravel()
+
+
+def with_coefficients(truth: Truth, values: Array) -> Truth:
+    """The same air and room around another vehicle, from twelve coefficients in that order."""
+    table = values.reshape(4, 3)
+    return replace(
+        truth,
+        gamma=tuple(map(float, table[:, :2].ravel())),
+        delay=_four(table[:, 2]),
+    )
+
+
+def belief_from_card(card: Card) -> Belief:
+    """What the limits and priors of a card make one expect of its vehicle.
+
+    A full tilt accelerates by g tan(tilt), a full speed or rate is reached in the end. The damping is that of published
+    sets, the delay that of a Bebop 2. Where the card has no limit but names a vehicle with published sets, their mean
+    and spread are taken. Where it has a prior of a coefficient, that holds.
+
+    Raises:
+        PlanError: The card does not say what a command reaches, and its vehicle is not known.
+    """
+    belief = _assembled([_expected(card, axis) for axis in AXES], f"card {card.name}")
+    return _checked(replace(belief, notes=(*belief.notes, f"noise and wind: {QUIET}; a first flight tells more")))
+
+
+def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief:
+    """A belief from input, damping, delay, their covariance and a note of each axis."""
+    truth = with_coefficients(Truth(), np.concatenate([mean for mean, _, _ in parts]))
+    notes = tuple(note for _, _, note in parts if note)
+    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), TRIM, {}, source, notes)
+
+
+def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
+    """Input, damping, delay of one axis, their covariance (3, 3), and what had to be assumed."""
+    if axis not in card.command:
+        return np.array([1.0, 1.0, DELAY[0]]), np.diag([0.01, 0.01, DELAY[1] ** 2]), ""
+    meaning, prior, note = meaning_of(card, axis), card.prior.get(axis, {}), ""
+    reach = expectation(meaning)
+    vehicle = vehicle_of(card.name)
+    if reach is not None or "input" in prior:
+        damping, spread = DAMPING[meaning.asked or "velocity"]
+        mean, covariance = _product(reach or 1.0, meaning, damping, spread)
+    elif vehicle and len(sets := _stable(vehicle, axis)) > 1:
+        mean, covariance = np.array([*np.mean(sets, axis=0), DELAY[0]]), np.diag([0.0, 0.0, DELAY[1] ** 2])
+        covariance[:2, :2] = np.diag(np.var(sets, axis=0, ddof=1))
+        note = f"{axis}: the card has no limit, so the mean and spread of {len(sets)} published sets of the {vehicle}"
+    else:
+        wanted = f"give [limits] {meaning.limit}" if meaning.limit else "give the channel a meaning and a limit"
+        raise PlanError(
+            f"card {card.name}: it does not say what a command of 1 on {axis} reaches; {wanted}, or plan --after a "
+            "model of a first flight"
+        )
+    for i, name in enumerate(COEFFICIENTS):
+        if one := prior.get(name):
+            mean[i], covariance[i], covariance[:, i] = one.mean, 0.0, 0.0
+            covariance[i, i] = one.sd**2
+    return mean, covariance, note
+
+
+def _stable(vehicle: str, axis: str) -> Array:
+    """Input and damping of an axis in a vehicle's published sets in fractions, the damping positive, shape (S, 2)."""
+    a = 2 * AXES.index(axis)
+    pairs = [one.gamma[a : a + 2] for one in PUBLISHED if one.vehicle == vehicle and one.command == "fraction"]
+    return np.array([pair for pair in pairs if pair[1] is not None and pair[1] > 0], float)
+
+
+def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> tuple[Array, Array]:
+    """Input, damping, delay and their covariance from what a full command reaches.
+
+    That is an acceleration for a tilt, and else a speed: input over damping, so that the two go up and down together.
+    """
+    if meaning.asked == "tilt":
+        return np.array([reach, damping, DELAY[0]]), np.diag([(reach * GAIN_SHARE) ** 2, spread**2, DELAY[1] ** 2])
+    mean, share = np.array([reach * damping, damping, DELAY[0]]), (spread / damping) ** 2
+    shares = np.array(
+        [[share + GAIN_SHARE**2, share, 0.0], [share, share, 0.0], [0.0, 0.0, (DELAY[1] / DELAY[0]) ** 2]]
+    )
+    return mean, np.outer(mean, mean) * shares
+
+
+def belief_from_published(name: str) -> Belief:
+    """A published set, each coefficient known to a fifth, the delay as of a Bebop 2.
+
+    Raises:
+        PlanError: No such set, one that is not complete, or one with an axis that runs away.
+    """
+    known = {one.name: one for one in PUBLISHED}
+    if name not in known:
+        raise PlanError(f"no published set {name!r}; there are {', '.join(known)}")
+    gamma = known[name].gamma
+    if None in gamma:
+        raise PlanError(f"the published set {name} is not complete; take one of all eight coefficients")
+    numbers = np.array(gamma, float)
+    delay = known[name].delay or DELAY[0]
+    truth = replace(Truth(), gamma=tuple(map(float, numbers)), delay=(delay,) * 4)
+    share = np.tile([PUBLISHED_SHARE, PUBLISHED_SHARE, DELAY[1] / delay], 4)
+    covariance = np.diag((share * coefficients_of(truth)) ** 2)
+    return _checked(Belief(truth, covariance, TRIM, {}, f"published set {name}: {known[name].source}"))
+
+
+def belief_from_model(model: Model, where: str) -> Belief:
+    """What a fitted model says of its vehicle, its air and its room; what it does not know is as the card has it.
+
+    The likelihood's own point with its covariance, the levels of its disturbance, the spread of the trims of its
+    flights. Nothing is believed to be vaguer than `UNKNOWN_SHARE`.
+
+    Args:
+        model: From a fit by the likelihood.
+        where: Its file, for the text.
+
+    Raises:
+        PlanError: No axis has numbers, and the card has no limits.
+    """
+    from rotorfit.dynamics.disturbance import LEVELS  # on use: it brings numba
+
+    known = [axis for axis in AXES if model.axes[axis].predictor]
+    rest = _rest(model, known, where)
+    values, covariance = rest.coefficients.reshape(4, 3).copy(), rest.covariance.copy()
+    sigma, wind, noise = (np.array(four) for four in (rest.trim_sigma, rest.truth.wind_sigma, rest.truth.mocap_noise))
+    time, levels, notes = np.array(rest.truth.wind_time), {}, list(rest.notes)
+    for axis in known:
+        a, one = AXES.index(axis), model.axes[axis]
+        assert one.predictor is not None
+        values[a] = one.predictor.input, one.predictor.damping, one.predictor.delay
+        if values[a, 2] < 0:
+            notes.append(f"the model's delay of {axis} is negative: planned with 0")
+            values[a, 2] = 0.0
+        if set(LEVELS) <= set(one.noise):
+            levels[axis] = tuple(one.noise[name] for name in LEVELS)
+            wind[a], time[a] = _wind(levels[axis], values[a, 1])
+            noise[a] = np.sqrt(levels[axis][1])
+        if trims := [trim for trim in one.trim if trim is not None]:
+            sigma[a] = max(float(np.sqrt(np.mean(np.square(trims)))), TRIM[a] / 2)
+    covariance = _known_covariance(model, values.ravel(), covariance)
+    truth = replace(
+        with_coefficients(rest.truth, values.ravel()),
+        wind_sigma=_four(wind), wind_time=_four(time), mocap_noise=_four(noise),
+    )  # fmt: skip
+    return _checked(Belief(truth, covariance, _four(sigma), levels, f"model {where}", tuple(notes)))
+
+
+def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
+    """What is believed of the axes that a model does not know: the card's expectation, where it has any.
+
+    Notes are of these axes only: what the card would have made one expect of the others no longer counts.
+    """
+    parts = []
+    for axis in AXES:
+        try:
+            mean, covariance, note = _expected(model.card, axis)
+        except PlanError as error:
+            if not known:
+                raise PlanError(f"model {where}: it knows no axis, and {error}") from None
+            mean, covariance = np.array([1.0, 1.0, DELAY[0]]), np.diag([1.0, 1.0, DELAY[1] ** 2])
+            note = str(error)
+        parts.append((mean, covariance, "" if axis in known else note))
+    belief = _assembled(parts, "")
+    quiet = [axis for axis in AXES if axis in model.card.command and axis not in known]
+    notes = [f"noise and wind of {', '.join(quiet)}: {QUIET}"] if quiet else []
+    return replace(belief, notes=(*belief.notes, *notes))
+
+
+def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
+    """The covariances of a model in that of what it does not know, bounded by `UNKNOWN_SHARE`."""
+    out = covariance.copy()
+    for a, axis in enumerate(AXES):
+        names = [f"{axis}.{name}" for name in COEFFICIENTS]
+        if not set(names) <= set(model.covariance_names):
+            continue
+        there, at = [model.covariance_names.index(name) for name in names], slice(3 * a, 3 * a + 3)
+        bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
+        bound[2] = DELAY[1]
+        own = model.covariance[np.ix_(there, there)]
+        out[at, at] = np.linalg.inv(np.linalg.inv(own) + np.diag(1 / bound**2))
+    return out
+
+
+def _wind(levels: Sequence[float], damping: float) -> tuple[float, float]:
+    """Standard deviation [m/s^2] and correlation time [s] of the wind whose response through drag has these levels.
+
+    Of the two poles of the disturbance the one nearer to the vehicle's damping is taken for that, the other is 1 / T.
+    """
+    power, _, total, overlap = levels
+    half = total / 2 * np.sqrt(1 - overlap)
+    poles = total / 2 + half, total / 2 - half
+    rate = poles[0] if abs(poles[1] - damping) <= abs(poles[0] - damping) else poles[1]
+    rate = float(np.clip(rate, 0.05, 50.0))
+    return float(np.sqrt(power / (2 * rate))), 1 / rate
+
+
+def levels_of(belief: Belief, truth: Truth, axis: str) -> Array:
+    """The four levels of an axis' disturbance as the likelihood has them, for a vehicle that is believed possible."""
+    if axis in belief.levels:
+        return np.array(belief.levels[axis])
+    a = AXES.index(axis)
+    damping, rate = truth.gamma[2 * a + 1], 1 / truth.wind_time[a]
+    return np.array([
+        2 * truth.wind_sigma[a] ** 2 * rate, truth.mocap_noise[a] ** 2, damping + rate,
+        4 * damping * rate / (damping + rate) ** 2,
+    ])  # fmt: skip
+
+
+def sample_vehicles(belief: Belief, count: int, seed: int) -> list[Truth]:
+    """Vehicles that are believed possible.
+
+    Coefficients are log-normal with the mean, the standard deviations and, of their logarithms, the correlations of the
+    belief, so that none changes its sign; the trim is normal.
+    """
+    rng = np.random.default_rng(seed)
+    mean, sd = belief.coefficients, np.sqrt(np.diag(belief.covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.nan_to_num(belief.covariance / np.outer(sd, sd))
+        spread = np.where(mean != 0, np.sqrt(np.log1p((sd / mean) ** 2)), 0.0)
+    np.fill_diagonal(correlation, 1 + 1e-9)  # where sd is 0 nothing comes of it; singular ones become just definite
+    # Cholesky's factor moves little when the covariance does, so that a plan read from its file has the same vehicles
+    normal = rng.standard_normal((count, 12)) @ np.linalg.cholesky(correlation).T
+    values = mean * np.exp(spread * normal - spread**2 / 2)
+    trims = np.array(belief.truth.trim) + np.array(belief.trim_sigma) * rng.standard_normal((count, 4))
+    return [
+        replace(with_coefficients(belief.truth, row), trim=_four(trim)) for row, trim in zip(values, trims, strict=True)
+    ]
+
+
+def belief_mapping(belief: Belief) -> dict[str, Any]:
+    """The belief in the plain types of a plan."""
+    truth = belief.truth
+    return {
+        "source": belief.source,
+        "notes": list(belief.notes),
+        "gamma": _plain(truth.gamma),
+        **{name: _plain(getattr(truth, name)) for name in ("delay", "trim", "wind_sigma", "wind_time", "mocap_noise")},
+        "pose_rate": float(truth.pose_rate),
+        "stale_share": float(truth.stale_share),
+        "trim_sigma": _plain(belief.trim_sigma),
+        "levels": {axis: _plain(levels) for axis, levels in belief.levels.items()},
+        "covariance": {
+            axis: [_plain(row) for row in belief.covariance[3 * a : 3 * a + 3, 3 * a : 3 * a + 3]]
+            for a, axis in enumerate(AXES)
+        },
+    }
+
+
+def belief_from_mapping(raw: Mapping[str, Any], where: str) -> Belief:
+    """The inverse of `belief_mapping`.
+
+    Raises:
+        PlanError: Something is missing, of another size, or what no vehicle can be.
+    """
+    try:
+        numbers = {name: _four(raw[name]) for name in ("delay", "trim", "wind_sigma", "wind_time", "mocap_noise")}
+        truth = Truth(
+            gamma=tuple(map(float, raw["gamma"])), pose_rate=float(raw["pose_rate"]),
+            stale_share=float(raw["stale_share"]), **numbers,  # type: ignore[arg-type]
+        )  # fmt: skip
+        belief = Belief(
+            truth=truth,
+            covariance=_blocks([np.array(raw["covariance"][axis], float).reshape(3, 3) for axis in AXES]),
+            trim_sigma=_four(raw["trim_sigma"]),
+            levels={axis: tuple(map(float, raw["levels"][axis])) for axis in AXES if axis in raw["levels"]},
+            source=str(raw["source"]),
+            notes=tuple(map(str, raw["notes"])),
+        )
+    except KeyError as error:
+        raise PlanError(f"{where}, [belief]: {error} is missing; plan it again") from None
+    except (TypeError, ValueError) as error:
+        raise PlanError(f"{where}, [belief]: {error}; plan it again") from None
+    return _checked(belief)
+
+
+def _blocks(parts: Sequence[Array]) -> Array:
+    """The blocks of the axes on the diagonal, shape (12, 12)."""
+    out = np.zeros((12, 12))
+    for a, part in enumerate(parts):
+        out[3 * a : 3 * a + 3, 3 * a : 3 * a + 3] = part
+    return out
+
+
+def _checked(belief: Belief) -> Belief:
+    """Refuses what cannot be planned for."""
+    for axis, damping in zip(AXES, belief.truth.gamma[1::2], strict=True):
+        if not damping > 0:
+            raise PlanError(
+                f"{belief.source}: the damping of {axis} is {damping:g}: such a vehicle runs away and no flight of it "
+                "can be planned; give a model by the likelihood, which keeps it positive"
+            )
+    if not (np.all(np.isfinite(belief.covariance)) and np.all(np.diag(belief.covariance) >= 0)):
+        raise PlanError(f"{belief.source}: its covariance is no covariance; plan from a model that was fitted")
+    return belief
+
+
+def _four(values: Sequence[float] | Array) -> Four:
+    if len(values) != 4:
+        raise ValueError(f"{len(values)} values where there must be one for each of x, y, z, yaw")
+    x, y, z, yaw = map(float, values)
+    return x, y, z, yaw
+
+
+def _plain(values: Sequence[float] | Array) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]

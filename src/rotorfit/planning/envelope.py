@@ -1,0 +1,273 @@
+"""Envelope: where a plan is expected to lead, how fast, and whether it stays in its space when the belief is off.
+
+The plan is flown by the likeliest vehicle in still air, and by vehicles drawn from the belief, each with a trim and a
+wind of its own; its feedback believes in the likeliest all the while.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.progress import Progress
+from rotorfit.planning.belief import Belief, sample_vehicles
+from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.precision import fly_plan, path
+from rotorfit.planning.signals import scaled
+from rotorfit.simulation.paper_vehicle import Truth, noise_free
+
+DRAWS = 50
+"""Vehicles drawn."""
+
+ALLOWED = 0.05
+"""Share of them that may leave the space or break a speed limit."""
+
+FINENESS = 0.02
+"""The largest amplitude is found to this share of itself."""
+
+LIMITS = ("x", "y", "z", "speed", "climb")
+"""What a flight can violate: a side of the box, the speed along x and y, the speed along z."""
+
+_GRID = 0.1  # s between the points of the predicted path
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Predicted motion. N times, D draws.
+
+    Attributes:
+        time: From the start of the plan, shape (N,) [s].
+        nominal: Path of the likeliest vehicle in still air, shape (N, 4) [m, rad].
+        low: 2.5 % of the draws are below, at each time alone, shape (N, 4).
+        high: 2.5 % are above.
+        extent: The same for the least and the greatest value of a whole flight: 2.5 % reach further down, 2.5 % further
+            up, shape (2, 4).
+        speed: Greatest speed along x and y, along z, and rate of yaw of the nominal flight, shape (3,) [m/s, rad/s].
+        speed_high: That of 95 % of the draws is not greater, shape (3,).
+        outside: Share of the draws that violate each of `LIMITS`, shape (5,).
+        hasty: Share of the draws whose speed along x, or y, is above the limit over the root of 2, shape (2,).
+        leaving: Share of the draws that violate any.
+        saturated: Share of the commands, over all draws, that full scale bounds on some axis.
+        draws: D.
+    """
+
+    time: Array
+    nominal: Array
+    low: Array
+    high: Array
+    extent: Array
+    speed: Array
+    speed_high: Array
+    outside: Array
+    hasty: Array
+    leaving: float
+    saturated: float
+    draws: int
+
+    @property
+    def fits(self) -> bool:
+        """Whether no more draws than are allowed leave the space."""
+        return self.leaving <= ALLOWED
+
+
+def predicted_path(
+    plan: Plan, belief: Belief, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+) -> Envelope:
+    """Where the plan leads.
+
+    Args:
+        plan: What would be flown.
+        belief: Of the vehicle, its air and its room.
+        draws: Vehicles besides the likeliest, at least 1.
+        seed: Of the draws and their wind.
+        progress: Called with a fraction and a text; raising in it cancels.
+    """
+    vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
+    time = np.arange(0.0, plan.duration, _GRID)
+    paths, speeds, broken, saturated = [], [], [], []
+    for number, truth in enumerate(vehicles):
+        if progress:
+            progress(number / len(vehicles), "predicting the path")
+        where, fastest, violated, bounded = _one(plan, truth, seed + number, time)
+        paths.append(where)
+        speeds.append(fastest)
+        broken.append(violated)
+        saturated.append(bounded)
+    others, ends = np.array(paths[1:]), np.array([[each.min(axis=0), each.max(axis=0)] for each in paths[1:]])
+    low, high = np.quantile(others, [0.025, 0.975], axis=0)
+    shares = np.mean(broken[1:], axis=0)
+    return Envelope(
+        time=time, nominal=paths[0], low=low, high=high,
+        extent=np.stack([np.quantile(ends[:, 0], 0.025, axis=0), np.quantile(ends[:, 1], 0.975, axis=0)]),
+        speed=speeds[0], speed_high=np.quantile(np.array(speeds[1:]), 0.95, axis=0),
+        outside=shares[:5], hasty=shares[5:], leaving=float(np.mean(np.any(np.array(broken[1:])[:, :5] > 0, axis=1))),
+        saturated=float(np.mean(saturated[1:])), draws=draws,
+    )  # fmt: skip
+
+
+def _one(plan: Plan, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
+    """One flight: path (N, 4), greatest speeds (3,), violated limits and haste (7,), share of bounded commands."""
+    tracker, space = tracker_of(plan), plan.space
+    flight = fly_plan(tracker, truth, seed)
+    pose, velocity = path(plan, flight), flight.velocity
+    stamp = flight.pose_stamp * 1e-9
+    flat = np.hypot(velocity[:, 0], velocity[:, 1])
+    fastest = np.array([flat.max(), np.abs(velocity[:, 2]).max(), np.abs(velocity[:, 3]).max()])
+    hasty = np.abs(velocity[:, :2]).max(axis=0) > space.speed / np.sqrt(2)
+    inside = (pose[:, :3] >= np.array(space.lower)) & (pose[:, :3] <= np.array(space.upper))
+    violated = np.concatenate([~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]), hasty])
+    bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
+    where = np.stack([np.interp(time, stamp, pose[:, a]) for a in range(4)], axis=1)
+    return where, fastest, violated.astype(float), bounded
+
+
+def with_amplitudes(plan: Plan, factors: Mapping[str, float]) -> Plan:
+    """The plan with the signals of each axis times a factor."""
+    signals = (replace(each, signal=scaled(each.signal, factors[each.axis])) for each in plan.excitations)
+    return replace(plan, excitations=tuple(signals))
+
+
+def largest_amplitudes(
+    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+) -> dict[str, float]:
+    """The largest factors on the signals with which the plan stays in its space, axis by axis, by bisection.
+
+    Each axis shrinks only where it violates a limit itself: x and y the sides of the box along them and the speed, z
+    its side and the climb. What then still leaves, as where the heading turns, shrinks all together.
+
+    Args:
+        plan: At the amplitude that is 1.
+        belief: Of the vehicle, its air and its room.
+        upper: Largest factor that is looked at.
+        draws: As `predicted_path` has them; the same vehicles and winds are flown with every factor. The search
+            looks at half of them first.
+        seed: As there.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        Axis to factor, right to 2 % of itself; all 0 where even the hover leaves.
+    """
+    axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
+    low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
+    factors = high
+    for step in range(_STEPS):
+        if progress:
+            progress(0.5 * step / _STEPS, "looking for the largest amplitude")
+        if step == 1 and not predicted_path(with_amplitudes(plan, low), belief, draws, seed).fits:
+            return low
+        foreseen = predicted_path(with_amplitudes(plan, factors), belief, max(draws // 2, 1), seed)
+        for axis in axes:
+            low, high = (
+                (low, high | {axis: factors[axis]})
+                if _guilty(axis, axes, foreseen)
+                else (low | {axis: factors[axis]}, high)
+            )
+        if all(high[axis] - low[axis] <= FINENESS * low[axis] for axis in axes):
+            break
+        factors = {axis: (low[axis] + high[axis]) / 2 for axis in axes}
+    if min(low.values()) <= 0:
+        return dict.fromkeys(axes, 0.0)
+    plan, rest = with_amplitudes(plan, low), _second_half(progress)
+    if not predicted_path(plan, belief, draws, seed).fits:
+        common = largest_amplitude(plan, belief, 1.0, draws, seed, rest)
+        return {axis: common * factor for axis, factor in low.items()}
+    plane = [axis for axis in axes if axis in ("x", "y")]
+    if len(plane) < 2:
+        return low
+    spare = min(np.sqrt(2), upper / max(low[axis] for axis in plane))  # they need not be fastest at the same time
+    more = largest_amplitude(plan, belief, spare, draws, seed, rest, plane) if spare > 1 else 1.0
+    return {axis: (max(more, 1.0) if axis in plane else 1.0) * factor for axis, factor in low.items()}
+
+
+def _guilty(axis: str, axes: Sequence[str], foreseen: Envelope) -> bool:
+    """Whether an axis violates a limit itself; x and y that are flown together share the speed in equal parts."""
+    outside = dict(zip(LIMITS, foreseen.outside, strict=True))
+    if axis == "yaw":
+        return False
+    if axis == "z":
+        return bool(max(outside["z"], outside["climb"]) > ALLOWED)
+    speed = foreseen.hasty["xy".index(axis)] if {"x", "y"} <= set(axes) else outside["speed"]
+    return bool(max(outside[axis], speed) > ALLOWED)
+
+
+_STEPS = 12
+
+
+def _second_half(progress: Progress | None) -> Progress | None:
+    if progress is None:
+        return None
+    outer = progress
+    return lambda fraction, text: outer(0.5 + 0.5 * fraction, text)
+
+
+def largest_amplitude(
+    plan: Plan,
+    belief: Belief,
+    upper: float = 1.0,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: Progress | None = None,
+    axes: Sequence[str] = AXES,
+) -> float:
+    """The largest factor on the signals of some axes alike with which the plan stays in its space.
+
+    The other arguments and the search are as above.
+    """
+
+    def stays(factor: float, step: int) -> bool:
+        if progress:
+            progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
+        factors = {axis: factor if axis in axes else 1.0 for axis in AXES}
+        return predicted_path(with_amplitudes(plan, factors), belief, draws, seed).fits
+
+    if stays(upper, 0):
+        return upper
+    if not stays(0.0, 0):
+        return 0.0
+    low, high = 0.0, upper
+    for step in range(1, _STEPS):
+        middle = max((low + high) / 2, 0.8 * high)  # most often little has to be taken off
+        low, high = (middle, high) if stays(middle, step) else (low, middle)
+        if low and high - low <= FINENESS * low:
+            break
+    return low
+
+
+def refuse_if_outside(
+    plan: Plan, belief: Belief, envelope: Envelope, amplitude: float = 1.0, draws: int = DRAWS, seed: int = 0
+) -> None:
+    """Refuses a plan that leaves its space under the uncertainty of the belief.
+
+    Args:
+        plan: What would be flown.
+        belief: Of the vehicle, its air and its room.
+        envelope: Its prediction.
+        amplitude: Which the plan has now.
+        draws: Of the search for the amplitude that fits.
+        seed: Of it.
+
+    Raises:
+        PlanError: With the largest amplitude that fits.
+    """
+    if envelope.fits:
+        return
+    fitting = amplitude * largest_amplitude(plan, belief, 1.0, draws, seed)
+    worst = LIMITS[int(np.argmax(envelope.outside))]
+    share = f"{100 * envelope.leaving:.0f} % of {envelope.draws} vehicles that are believed possible"
+    where = f"break the limit of {worst}" if worst in ("speed", "climb") else f"leave the box along {worst}"
+    remedy = (
+        f"the largest amplitude that fits is {_floored(fitting)}: give --amplitude {_floored(fitting)}, or none to "
+        "have it scaled axis by axis"
+        if fitting > 0
+        else "no amplitude fits, even the hover drifts out: give a larger box, a shorter duration, or feedback"
+    )
+    raise PlanError(f"plan {plan.name}: {share} {where}, at most {100 * ALLOWED:.0f} % may; {remedy}")
+
+
+def _floored(value: float) -> str:
+    """Two significant digits, never more than the value, so that what is offered does fit."""
+    grain = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / grain + 1e-9) * grain:.2g}"

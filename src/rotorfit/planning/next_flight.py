@@ -1,0 +1,164 @@
+"""The next-best flight after a model: which axes are worst known beside what is wanted, and what shrinks that most."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import Plan, Space
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.progress import Progress, part_of
+from rotorfit.planning.belief import Belief
+from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_flight
+from rotorfit.planning.precision import inverse_of, predicted_errors
+
+Table = Mapping[str, Mapping[str, float]]
+
+WANTED = (0.02, 0.05, 0.005)
+"""Standard errors that are wanted: of input and damping as shares, of the delay [s]. A judgement: a controller that is
+designed for a phase margin of 45 degrees feels none of them."""
+
+TRIED = ("multisine", "chirp", "optimal")
+"""Designs that are compared where the user names none: those without hard steps, see `planning.HARD`."""
+
+
+@dataclass(frozen=True)
+class NextFlight:
+    """A proposal.
+
+    Attributes:
+        plan: The flight.
+        before: Axis to coefficient to standard error as the model has it; of what it does not know, as believed.
+        after: The same with the flight added.
+        wanted: What is wanted.
+        tried: Design to what it leaves: the root mean square of error over wanted, over the flown axes.
+        reason: Why these axes, one sentence.
+    """
+
+    plan: Plan
+    before: Table
+    after: Table
+    wanted: Table
+    tried: Mapping[str, float]
+    reason: str
+
+
+def next_flight(
+    card: Card,
+    space: Space,
+    belief: Belief,
+    duration: float,
+    *,
+    design: str | None = None,
+    axes: Sequence[str] | None = None,
+    amplitude: float | None = None,
+    open_loop: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> NextFlight:
+    """Proposes the flight that shrinks most what is worst known beside what is wanted.
+
+    Of x with y, z and yaw it takes the group with the largest error over wanted; of the designs the one that leaves
+    least; and no more of the duration than is needed to reach what is wanted.
+
+    Args:
+        card: Of the model.
+        space: Fence and limits.
+        belief: From the model.
+        duration: At most [s].
+        design: Named by the user; None compares `TRIED`.
+        axes: Named by the user; None chooses.
+        amplitude: As `plan_flight` has it.
+        open_loop: As there.
+        seed: As there.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Raises:
+        PlanError: As `plan_flight`; none of the designs stays in the space.
+    """
+    wanted = wanted_errors(belief)
+    before = np.sqrt(np.diag(belief.covariance))
+    group = tuple(axes) if axes else worst_group(before / wanted, tuple(card.command))
+    designs = (design,) if design else TRIED
+    plans, left, refused = {}, {}, []
+    for place, name in enumerate(designs):
+        part = part_of(progress, place, len(designs) + 1)
+        try:
+            plans[name] = plan_flight(
+                card, space, name, group, duration, belief,
+                amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
+            )  # fmt: skip
+        except PlanError as error:
+            refused.append(error)
+            continue
+        left[name] = _left(errors_after(plans[name], belief), wanted, group)
+    if not plans:
+        raise refused[0]
+    best = min(left, key=lambda name: left[name])
+    plan = plans[best]
+    shorter = _enough(plan, belief, wanted, group)
+    if shorter < duration:
+        part = part_of(progress, len(designs), len(designs) + 1)
+        plan = plan_flight(
+            card, space, best, group, shorter, belief,
+            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
+        )  # fmt: skip
+    return NextFlight(
+        plan=plan,
+        before=_table(before),
+        after=_table(errors_after(plan, belief)),
+        wanted=_table(wanted),
+        tried=left,
+        reason=_reason(before / wanted, group, axes is not None),
+    )
+
+
+def wanted_errors(belief: Belief) -> Array:
+    """Standard errors that are wanted of the twelve coefficients, shape (12,)."""
+    scale = np.abs(belief.coefficients.reshape(4, 3)) * np.array([*WANTED[:2], 0.0])
+    scale[:, 2] = WANTED[2]
+    return np.asarray(scale.ravel())
+
+
+def worst_group(ratio: Array, commanded: Sequence[str]) -> tuple[str, ...]:
+    """Of x with y, z and yaw, as far as commanded, the axes with the largest ratio of error to wanted, ratio (12,)."""
+    groups = [group for each in TOGETHER if (group := tuple(axis for axis in each if axis in commanded))]
+    return max(groups, key=lambda group: max(ratio[3 * AXES.index(axis) + i] for axis in group for i in range(3)))
+
+
+def errors_after(plan: Plan, belief: Belief) -> Array:
+    """Standard errors of the twelve coefficients with the flight added to what is believed, shape (12,)."""
+    known = inverse_of(belief.covariance)
+    out = predicted_errors([plan], belief, seed=plan.seed, before=known)
+    return np.array([out.stderr[axis][name] for axis in AXES for name in COEFFICIENTS])
+
+
+def _left(errors: Array, wanted: Array, axes: Sequence[str]) -> float:
+    rows = (errors / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
+    return float(np.sqrt(np.mean(rows**2)))
+
+
+def _enough(plan: Plan, belief: Belief, wanted: Array, axes: Sequence[str]) -> float:
+    """The duration that reaches what is wanted on all axes, in steps of 10 s, as information grows with time [s]."""
+    rows = (errors_after(plan, belief) / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
+    needed = 10 * np.ceil(plan.duration * float(rows.max()) ** 2 / 10)
+    return float(np.clip(needed, max(2 * SHORTEST, 20.0), plan.duration)) if plan.duration > 20 else plan.duration
+
+
+def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
+    rows = {axis: ratio[3 * AXES.index(axis) : 3 * AXES.index(axis) + 3] for axis in group}
+    axis = max(group, key=lambda each: float(rows[each].max()))
+    name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
+    chosen = "the axes that were asked for" if named else "the axes that are worst known"
+    return (
+        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times what is wanted"
+    )
+
+
+def _table(errors: Array) -> dict[str, dict[str, float]]:
+    return {
+        axis: {name: float(errors[3 * a + i]) for i, name in enumerate(COEFFICIENTS)} for a, axis in enumerate(AXES)
+    }

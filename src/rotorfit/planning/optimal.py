@@ -1,0 +1,391 @@
+"""The commands of one axis that tell its coefficients best, within a room: optimal experiment design.
+
+Over levels c held for one step each, and commands u that are these levels behind a window,
+
+    maximise   J(M(u)),  M_ij = u' Q_ij u,  u = window * c        (`axis_information`)
+    such that  |c| <= command, lower <= p <= upper, |v| <= speed at every step, from rest at 0 to rest at 0
+
+with p, v the motion that c would lead to by the believed dynamics. That of u is a weighted mean of it over the window,
+so it stays inside, too. The window keeps out what is fast: a vehicle with inner loops follows hard steps less than its
+model does. M is a convex quadratic form of u, so J rises towards the corners
+of the convex set of flights that stay inside. A linear programme finds the best corner by the gradient of J; a line
+search on the way to it, on the exact J, can only climb; where no corner is better to first order, the climb ends. That
+is a local optimum, of which there are many: several signals start the climb, then parts of the best are disturbed and
+the climb repeated.
+
+Source: G. C. Goodwin, R. L. Payne, Dynamic System Identification (1977), ch. 6; L. Ljung, System Identification, 2nd
+ed. (1999), ch. 13; M. Frank, P. Wolfe, Naval Research Logistics Quarterly 3 (1956), pp. 95-110, for the climb; I. R.
+Manchester, Input design for system identification via convex relaxation (2010), arXiv 1009.5614, for how the same
+problem is bounded from above (`bench/bench_optimal.py`).
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Steps
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.progress import Progress
+from rotorfit.planning.axis_information import (
+    EARLY,
+    AxisBelief,
+    AxisInformation,
+    against_feedback,
+    axis_information,
+    extremes,
+    transitions,
+)
+from rotorfit.planning.belief import Belief, levels_of
+
+Criterion = Literal["d", "a"]
+
+TARGETS = np.array([0.05, 0.10, 0.03])
+"""Standard errors of input and damping (shares) and delay [s] that criterion A counts as equally bad: the limits below
+which the benchmarks call an axis well excited. D does not depend on them."""
+
+LONGEST = 60.0
+"""Longest flight that is designed in one piece [s]; a longer one chains equal pieces, which start and end at rest."""
+
+SHORTEST = 4.0
+"""Shortest flight that is designed [s]."""
+
+STARTS, ROUNDS = 9, 27
+"""Signals that start the climb, and disturbances of the best afterwards."""
+
+SETTLED = 1e-6
+"""A climb ends where the linear programme promises less than this share of the standard errors."""
+
+SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 121)])
+"""Shares of the way to a corner that the line search looks at."""
+
+LONGEST_CLIMB = 100
+"""Steps of a climb; 5 to 20 are usual."""
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """What one axis must stay within.
+
+    Attributes:
+        command: Largest size of the command, in its unit.
+        lower: Lowest position relative to the start, negative [m, rad].
+        upper: Highest position relative to the start, positive [m, rad].
+        speed: Largest speed [m/s, rad/s]; may be infinite.
+    """
+
+    command: float
+    lower: float
+    upper: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class OptimalSignal:
+    """An optimal design of one axis.
+
+    Attributes:
+        signal: The commands, in their unit; 0 at the end.
+        criterion: What was optimised: `d` or `a`.
+        score: -log of the mean standard error, in units of `TARGETS`: geometric mean for D, root mean square for A.
+        gap: How much of the score the last linear programme still promised: 0 at a local optimum.
+        history: Score after each step of the climb that led to the best, rising.
+        scores: Local optima that were found, in the order in which they were found.
+        errors: Predicted standard errors of input and damping (shares) and delay [s], disturbance levels known.
+        pieces: So many equal pieces are chained.
+    """
+
+    signal: Steps
+    criterion: Criterion
+    score: float
+    gap: float
+    history: tuple[float, ...]
+    scores: tuple[float, ...]
+    errors: tuple[float, float, float]
+    pieces: int
+
+
+def optimal_signal(
+    dynamics: tuple[float, float, float],
+    levels: Array,
+    limits: AxisLimits,
+    duration: float,
+    criterion: Criterion = "d",
+    seed: int = 0,
+    progress: Progress | None = None,
+    *,
+    step: float = 0.1,
+    smooth: float = 0.0,
+    pose_rate: float = 120.0,
+    known: Array | None = None,
+) -> OptimalSignal:
+    """Designs the commands of one axis.
+
+    Args:
+        dynamics: Input, damping and delay as believed; the damping positive.
+        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `point.Point`.
+        limits: What the motion by the believed dynamics must stay within, without wind. Shrink them by what wind and
+            doubt about the dynamics may add.
+        duration: Of the signal [s]; the vehicle is at rest again one delay after its end, at the latest.
+        criterion: `d` for the smallest volume of the confidence ellipsoid of input, damping and delay, `a` for the
+            smallest sum of their variances in units of `TARGETS`.
+        seed: Of starts and disturbances. Different seeds give different signals of nearly the same score.
+        progress: Told the share of the climbs that is done; raising in it cancels.
+        step: How long a command holds at least [s].
+        smooth: Width of the Hann window that the levels pass [s]: what is faster than 2 pi over it loses more than half
+            of its amplitude, what is twice as fast nearly all. Up to a step: none, the commands are hard steps.
+        pose_rate: Fresh poses a second [1/s].
+        known: Information about (input / g, log b, tau) that earlier flights have given, shape (3, 3).
+
+    Raises:
+        PlanError: Limits without room, or a flight that is too short.
+    """
+    _check(dynamics, limits, duration)
+    pieces = int(np.ceil(duration / LONGEST - 1e-9))
+    belief = AxisBelief(*dynamics)
+    form, window = axis_information(belief, levels, duration / pieces, step, pose_rate), _window(smooth, step)
+    prior = np.zeros((3, 3)) if known is None else np.asarray(known) / pieces
+    problem = _Problem(form.behind(window), limits, criterion, prior, window)
+    best, scores = _search(problem, np.random.default_rng(seed), progress)
+    command = problem.inside(best.command)
+    total = pieces * (problem.prior + form.information(command))
+    errors = np.sqrt(np.diag(np.linalg.inv(total)))
+    return OptimalSignal(
+        signal=_chained(command, step, duration / pieces, pieces),
+        criterion=criterion,
+        score=problem.score(form.information(command)) + 0.5 * float(np.log(pieces)),
+        gap=best.gap,
+        history=best.history,
+        scores=scores,
+        errors=(float(errors[0]), float(errors[1]), float(errors[2])),
+        pieces=pieces,
+    )
+
+
+def optimal_excitations(
+    belief: Belief,
+    room: Mapping[str, AxisLimits],
+    start: float,
+    duration: float,
+    feedback: Feedback | None,
+    criterion: Criterion = "d",
+    seed: int = 0,
+    progress: Progress | None = None,
+    smooth: Mapping[str, float] | None = None,
+    step: float = 0.1,
+) -> tuple[AxisExcitation, ...]:
+    """Designs several axes that are flown together, ready for a plan without a ramp.
+
+    Each axis has a seed of its own, so that their commands differ. On an axis with feedback the signal also holds what
+    keeps the feedback from undoing the motion (`held_motion.against_feedback`).
+
+    Args:
+        belief: Of the vehicle, its air and its room.
+        room: Axis to its limits.
+        start: Of the signals in the plan [s].
+        duration: Of the signals [s].
+        feedback: Of the plan; it must believe in the same input gains.
+        criterion: As `optimal_signal` has it.
+        seed: Of the searches.
+        progress: Called with a fraction and a text; raising in it cancels.
+        smooth: Axis to the width of its window [s], see `optimal_signal`; None for hard steps.
+        step: How long a command holds at least, a multiple of the period of the plan's commands [s].
+
+    Raises:
+        PlanError: Limits without room, or a duration that is too short.
+    """
+    truth, out = belief.truth, []
+    for place, (axis, limits) in enumerate(room.items()):
+        a = AXES.index(axis)
+        dynamics = AxisBelief(truth.gamma[2 * a], truth.gamma[2 * a + 1], truth.delay[a])
+        part = None if progress is None else functools.partial(_told, progress, place, len(room))
+        signal = optimal_signal(
+            dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
+            step=step, smooth=smooth[axis] if smooth else 0.0, pose_rate=truth.pose_rate * (1 - truth.stale_share),
+        ).signal  # fmt: skip
+        if feedback is not None and axis in feedback.axes:
+            signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
+        out.append(AxisExcitation(axis, "command", start, duration, signal))
+    return tuple(out)
+
+
+def _told(progress: Progress, place: int, of: int, share: float, text: str) -> None:
+    progress((place + share) / of, text)
+
+
+def _check(dynamics: tuple[float, float, float], limits: AxisLimits, duration: float) -> None:
+    gain, damping, delay = dynamics
+    if not (gain != 0 and damping > 0 and delay >= 0):
+        raise PlanError(
+            f"an optimal design needs an input gain, a positive damping and a delay, not {gain:g}, {damping:g} 1/s, "
+            f"{delay:g} s: correct what is believed of the axis, or choose another design"
+        )
+    if not (limits.lower < 0 < limits.upper and limits.command > 0 and limits.speed > 0):
+        raise PlanError(
+            f"no room to fly: positions {limits.lower:g} to {limits.upper:g} about the start, commands to "
+            f"{limits.command:g}, speeds to {limits.speed:g}: start further inside the room, or raise the limits"
+        )
+    if duration < SHORTEST:
+        raise PlanError(f"{duration:g} s is too short for an optimal design: give it {SHORTEST:g} s or more")
+
+
+@dataclass(frozen=True)
+class _Climb:
+    """Where a climb ended: the levels, before their window."""
+
+    command: Array
+    gap: float
+    history: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """One piece of a flight: what its levels tell behind their window, and what they must keep to."""
+
+    form: AxisInformation
+    limits: AxisLimits
+    criterion: Criterion
+    prior: Array
+    window: Array
+
+    @property
+    def n(self) -> int:
+        """Number of levels."""
+        return int(self.form.form.shape[-1])
+
+    def score(self, information: Array) -> float:
+        """-log of the mean standard error in units of `TARGETS`; -inf where something cannot be known."""
+        scaled = (information + self.prior) * np.outer(TARGETS, TARGETS)
+        sign, log_determinant = np.linalg.slogdet(scaled)
+        if sign <= 0:
+            return -np.inf
+        if self.criterion == "d":
+            return float(log_determinant) / 6
+        return -0.5 * float(np.log(np.trace(np.linalg.inv(scaled)) / 3))
+
+    def slope(self, information: Array) -> Array:
+        """Derivative of the score by the information, shape (3, 3)."""
+        scale = np.outer(TARGETS, TARGETS)
+        inverse = np.linalg.inv((information + self.prior) * scale)
+        if self.criterion == "d":
+            return np.asarray(inverse * scale / 6)
+        return np.asarray(inverse @ inverse * scale / (2 * np.trace(inverse)))
+
+    @functools.cached_property
+    def motion(self) -> tuple[Any, Array]:
+        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, the positions and the speeds after each of them.
+
+        Each in units of its limit, which the solver takes better than SI.
+        """
+        from scipy.sparse import csc_array, eye_array, hstack, vstack
+
+        N, limits = self.n, self.limits
+        gain, damping, _ = self.form.dynamics
+        f, k, h = transitions(damping, np.array(self.form.step))
+        room = max(limits.upper, -limits.lower)
+        fastest = limits.speed if np.isfinite(limits.speed) else (limits.upper - limits.lower) / self.form.step
+        push = gain * limits.command
+        one, before = eye_array(N), eye_array(N, k=-1)
+        position = hstack([-h * push / room * one, one - before, -k * fastest / room * before])
+        speed = hstack([-k * push / fastest * one, 0 * one, one - f * before])
+        bounds = np.repeat([[-1.0, 1.0], [limits.lower / room, limits.upper / room], [-1.0, 1.0]], N, axis=0)
+        bounds[[2 * N - 1, 3 * N - 1]] = 0.0  # at rest where it began
+        return csc_array(vstack([position, speed])), bounds
+
+    def corner(self, direction: Array) -> Array:
+        """The flight inside the limits that goes furthest in a direction of its commands, shape (N,)."""
+        from scipy.optimize import linprog
+
+        equations, bounds = self.motion
+        cost = np.concatenate([-direction / np.abs(direction).max(), np.zeros(2 * self.n)])
+        for presolve in (False, True):  # either may end "Unknown" at a degenerate corner: HiGHS issues 1528, 2108
+            found = linprog(
+                cost, A_eq=equations, b_eq=np.zeros(2 * self.n), bounds=bounds, method="highs-ds",
+                options={"presolve": presolve},
+            )  # fmt: skip
+            if found.x is not None:
+                return np.asarray(self.limits.command * found.x[: self.n])
+        raise PlanError(f"the linear programme of the optimal design failed ({found.message}): change the limits")
+
+    def climb(self, command: Array) -> _Climb:
+        """From a flight inside the limits to a local optimum; the score never falls."""
+        history: list[float] = []
+        products, gap = self.form.products(command), np.inf
+        for _ in range(LONGEST_CLIMB):
+            information = products @ command
+            history.append(self.score(information))
+            gradient = 2 * np.einsum("ij,ijk->k", self.slope(information), products)
+            direction = self.corner(gradient) - command
+            gap = max(float(gradient @ direction), 0.0)
+            if gap < SETTLED:
+                break
+            ahead = self.form.products(direction)
+            way = [information + s * 2 * (products @ direction) + s * s * (ahead @ direction) for s in SHARES]
+            best = int(np.argmax([self.score(each) for each in way]))
+            if best == 0:
+                break
+            command, products = command + SHARES[best] * direction, products + SHARES[best] * ahead
+        return _Climb(command, gap, tuple(history))
+
+    def inside(self, level: Array) -> Array:
+        """The commands, a little smaller where the motion between the steps, or rounding, leaves the limits."""
+        limits, command = self.limits, np.convolve(level, self.window)
+        low, high, speed = extremes(self.form.dynamics, command, self.form.step)
+        reach = (np.abs(command).max() / limits.command, low / limits.lower, high / limits.upper, speed / limits.speed)
+        return np.asarray(command / max(1.0, *reach))
+
+
+def _window(width: float, step: float) -> Array:
+    """Hann's window, of sum 1, on the steps; a single 1 where it is no wider than one."""
+    count = max(1, round(width / step))
+    window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2
+    return np.asarray(window / window.sum())
+
+
+def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | None) -> tuple[_Climb, tuple[float, ...]]:
+    """Climbs from several signals, then again and again from the best with a part of it disturbed."""
+    climbs = []
+    best: _Climb | None = None
+    for i in range(STARTS + ROUNDS):
+        if progress is not None:
+            progress(i / (STARTS + ROUNDS), f"optimal design: climb {i + 1} of {STARTS + ROUNDS}")
+        direction = _start(problem, rng, i) if best is None or i < STARTS else _disturbed(problem, best.command, rng)
+        climb = problem.climb(problem.corner(direction))
+        climbs.append(climb.history[-1])
+        if best is None or climbs[-1] > best.history[-1]:
+            best = climb
+    assert best is not None
+    return best, tuple(climbs)
+
+
+def _start(problem: _Problem, rng: np.random.Generator, i: int) -> Array:
+    """In turn: square waves of any period, random walks, binary noise."""
+    if i % 3 == 0:
+        period = np.exp(rng.uniform(np.log(0.5), np.log(12.0)))
+        t = problem.form.step * np.arange(problem.n)
+        return np.asarray(np.sin(2 * np.pi * (t / period + rng.random())))
+    if i % 3 == 1:
+        return np.asarray(np.cumsum(rng.standard_normal(problem.n)))
+    return np.asarray(rng.choice([-1.0, 1.0], problem.n))
+
+
+def _disturbed(problem: _Problem, command: Array, rng: np.random.Generator) -> Array:
+    """The gradient at a flight, with a random walk added over a stretch of a thirtieth to a quarter of it."""
+    products = problem.form.products(command)
+    gradient = np.einsum("ij,ijk->k", problem.slope(products @ command), products)
+    length = int(rng.integers(problem.n // 30 + 1, problem.n // 4 + 2))
+    first = int(rng.integers(0, problem.n - length + 1))
+    walk = np.cumsum(rng.standard_normal(length)) / np.sqrt(length)
+    gradient[first : first + length] += rng.uniform(1, 6) * np.abs(gradient).mean() * walk
+    return np.asarray(gradient)
+
+
+def _chained(command: Array, step: float, period: float, pieces: int) -> Steps:
+    """Equal pieces one after the other; a level that repeats the one before is left out."""
+    level = np.append(command, 0.0)
+    kept = np.flatnonzero(np.diff(level, prepend=0.0))
+    time = np.concatenate([piece * period + step * kept for piece in range(pieces)])
+    return Steps(tuple(np.maximum(time - EARLY, 0.0).tolist()), tuple(np.tile(level[kept], pieces).tolist()))

@@ -1,0 +1,236 @@
+"""What a plan commands at an instant: its signals with their ramps, and the feedback on the measured pose.
+
+    u = signals + (K (r - p) + D (r' - v) + r'' + b r') / g        on the axes of the feedback
+
+with p the last measured pose, v its filtered differences, r the reference, and g, b the believed input and damping of
+the vehicle, all in the heading frame. Full scale bounds the sum. `fly` runs these functions on a link; the flights that
+planning predicts run the same law (`paper_vehicle.Controller`).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import AxisExcitation, Plan, motion, value
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.limits import meaning_of
+from rotorfit.files.cards import card_from_mapping
+
+Three = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """A plan with what its feedback needs to know, ready to be flown.
+
+    Attributes:
+        plan: What is flown.
+        gamma: Believed input and damping of x, y, z, yaw in turn, shape (8,), as the paper's.
+        full_scale: Largest command of each axis, shape (4,) [unit of the card's command].
+    """
+
+    plan: Plan
+    gamma: Array
+    full_scale: Array
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What the feedback remembers from one pose to the next.
+
+    Attributes:
+        origin: Where the plan began: x, y, z, yaw, shape (4,) [m, rad]. The reference is relative to it: its x and y
+            are forward and left of the heading there.
+        time: Of the last pose, from the start of the plan [s].
+        pose: The last pose, world, yaw unwrapped, shape (4,).
+        velocity: By its filtered differences, world, shape (4,) [m/s, rad/s].
+        saturated: Commands so far that full scale has bounded on some axis.
+    """
+
+    origin: Array
+    time: float
+    pose: Array
+    velocity: Array
+    saturated: int = 0
+
+
+def tracker_of(plan: Plan) -> Tracker:
+    """A plan ready to be flown, by its own card and belief.
+
+    Raises:
+        PlanError: The plan has no belief in gamma, and feedback.
+        CardError: Its card is wrong.
+    """
+    gamma = plan.belief.get("gamma")
+    if gamma is None and plan.feedback:
+        raise PlanError(f"plan {plan.name}: feedback needs the gamma of its belief, and there is none; plan it again")
+    card = card_from_mapping(plan.card, f"of plan {plan.name}")
+    return Tracker(plan, np.array(gamma or (1.0, 0.0) * 4, float), np.array([full_scale(card, axis) for axis in AXES]))
+
+
+def full_scale(card: Card, axis: str) -> float:
+    """Largest command of an axis: 1 for a fraction, else the limit of the card in SI; infinite where it has none."""
+    meaning = meaning_of(card, axis)
+    if meaning.asked is None or meaning.limit:
+        return 1.0
+    keys = {"tilt": ("tilt",), "velocity": ("speed",), "vertical_speed": ("vertical_speed", "speed")}
+    return next((card.limits[key] for key in keys.get(meaning.asked, (meaning.asked,)) if key in card.limits), np.inf)
+
+
+def command_at(plan: Plan, t: Array) -> Array:
+    """The signals that are commands, with their ramps, at times from the start of the plan.
+
+    Args:
+        plan: What is flown.
+        t: Shape (N,) [s].
+
+    Returns:
+        Forward, left, up, counter-clockwise, shape (N, 4) [unit of the card's command].
+    """
+    out = np.zeros((t.size, 4))
+    for excitation in plan.excitations:
+        if excitation.target == "command":
+            weight = window(excitation, plan.ramp, t)[0]
+            out[:, AXES.index(excitation.axis)] += weight * value(excitation.signal, t - excitation.start)
+    return out
+
+
+def reference_at(plan: Plan, t: Array) -> Three:
+    """What the feedback tracks at times from the start of the plan, as an offset from where it began.
+
+    Args:
+        plan: What is flown.
+        t: Shape (N,) [s].
+
+    Returns:
+        Position, velocity and acceleration, forward, left, up and counter-clockwise of the start, each shape (N, 4).
+    """
+    position, velocity, acceleration = np.zeros((3, t.size, 4))
+    for excitation in plan.excitations:
+        if excitation.target == "position":
+            a = AXES.index(excitation.axis)
+            w, dw, ddw = window(excitation, plan.ramp, t)
+            s, ds, dds = motion(excitation.signal, t - excitation.start)
+            position[:, a] += w * s
+            velocity[:, a] += dw * s + w * ds
+            acceleration[:, a] += ddw * s + 2 * dw * ds + w * dds
+    return position, velocity, acceleration
+
+
+def window(excitation: AxisExcitation, ramp: float, t: Array) -> Three:
+    """The factor that grows from 0 to 1 and fades again, with its first and second derivative, each shape (N,).
+
+    10 s^3 - 15 s^4 + 6 s^5 of the share s of the ramp: the least polynomial at whose ends velocity and acceleration
+    vanish, so that a ramped position can be tracked. 0 outside the excitation.
+    """
+    since, left = t - excitation.start, excitation.start + excitation.duration - t
+    inside = ((since >= 0) & (left > 0)).astype(float)
+    if ramp <= 0:
+        return inside, np.zeros(t.shape), np.zeros(t.shape)
+    length = min(ramp, excitation.duration / 2)
+    nearer = np.minimum(since, left)
+    s = np.clip(nearer / length, 0.0, 1.0)
+    sign = np.where(since <= left, 1.0, -1.0)
+    grown = s**3 * (10 - 15 * s + 6 * s**2)
+    slope = sign * 30 * s**2 * (1 - s) ** 2 / length
+    bend = 60 * s * (1 - s) * (1 - 2 * s) / length**2
+    return inside * grown, inside * slope, inside * bend
+
+
+def begin(pose: Array) -> Tracking:
+    """The start of a plan at a pose, shape (4,), at rest."""
+    if pose.shape != (4,):
+        raise ValueError("a pose is x, y, z, yaw")
+    return Tracking(pose.copy(), 0.0, pose.copy(), np.zeros(4))
+
+
+def observed(tracker: Tracker, state: Tracking, t: float, pose: Array) -> Tracking:
+    """Takes in a measured pose.
+
+    Args:
+        tracker: What is flown.
+        state: Before it.
+        t: When it was measured, from the start of the plan [s]; one that is not later than the last is left out.
+        pose: World x, y, z, yaw, shape (4,); yaw may be wrapped.
+    """
+    since = t - state.time
+    if since <= 0:
+        return state
+    change = pose - state.pose
+    change[3] = (change[3] + np.pi) % (2 * np.pi) - np.pi
+    filter_time = tracker.plan.feedback.filter_time if tracker.plan.feedback else 0.0
+    velocity = state.velocity + (change - state.velocity * since) / (filter_time + since)
+    return replace(state, time=t, pose=state.pose + change, velocity=velocity)
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What a plan wants at one instant, each of shape (4,).
+
+    Attributes:
+        command: Of the signals, heading frame [unit of the card's command].
+        reference: Position, velocity and acceleration of the reference, as `reference_at`.
+    """
+
+    command: Array
+    reference: Three
+
+
+def instants(plan: Plan, t: Array) -> list[Instant]:
+    """What a plan wants at times from its start, shape (N,) [s], all worked out at once: a loop has no time to."""
+    position, velocity, acceleration = reference_at(plan, t)
+    told = zip(position, velocity, acceleration, strict=True)
+    return [Instant(row, three) for row, three in zip(command_at(plan, t), told, strict=True)]
+
+
+def steered(tracker: Tracker, state: Tracking, t: float) -> tuple[Tracking, Array]:
+    """The command of an instant.
+
+    Args:
+        tracker: What is flown.
+        state: After the last pose.
+        t: From the start of the plan [s].
+
+    Returns:
+        The state, in which a command that full scale bounds is counted; and the command, shape (4,).
+    """
+    return obeyed(tracker, state, instants(tracker.plan, np.array([t]))[0])
+
+
+def obeyed(tracker: Tracker, state: Tracking, instant: Instant) -> tuple[Tracking, Array]:
+    """As `steered`, of an instant that was worked out before."""
+    wanted = instant.command
+    if tracker.plan.feedback:
+        wanted = wanted + demanded(tracker, state, instant) / tracker.gamma[::2]
+    command = np.minimum(np.maximum(wanted, -tracker.full_scale), tracker.full_scale)
+    bounded = bool((command != wanted).any())
+    return replace(state, saturated=state.saturated + 1) if bounded else state, command
+
+
+def demanded(tracker: Tracker, state: Tracking, instant: Instant) -> Array:
+    """Acceleration that the feedback asks for, heading frame, 0 where it does not act, shape (4,)."""
+    feedback = tracker.plan.feedback
+    if feedback is None:
+        return np.zeros(4)
+    here, start = state.pose[3], state.origin[3]
+    position, velocity, acceleration = instant.reference
+    error = _turned(state.origin - state.pose, -here) + _turned(position, start - here)
+    wanted = _turned(velocity, start - here)
+    missing = wanted - _turned(state.velocity, -here)
+    asked = np.multiply(feedback.stiffness, error) + np.multiply(feedback.damping, missing)
+    asked += _turned(acceleration, start - here) + tracker.gamma[1::2] * wanted
+    return np.array([value if axis in feedback.axes else 0.0 for axis, value in zip(AXES, asked, strict=True)])
+
+
+def step(tracker: Tracker, state: Tracking, t: float, pose: Array) -> tuple[Tracking, Array]:
+    """`observed` and `steered` in one, where each command has a pose of its own."""
+    return steered(tracker, observed(tracker, state, t, pose), t)
+
+
+def _turned(four: Array, angle: float) -> Array:
+    """x and y turned counter-clockwise by an angle; z and yaw as they are."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])

@@ -1,0 +1,403 @@
+"""Planning: card, space, design, axes, duration and belief -> Plan that stays in its space, with what it will tell."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import PlanError
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Signal, Space
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.progress import Progress, part_of
+from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
+from rotorfit.planning.envelope import (
+    ALLOWED,
+    Envelope,
+    largest_amplitudes,
+    predicted_path,
+    refuse_if_outside,
+    with_amplitudes,
+)
+from rotorfit.planning.optimal import AxisLimits, optimal_excitations
+from rotorfit.planning.plan_control import full_scale
+from rotorfit.planning.precision import Precision, excited_axes, predicted_errors
+from rotorfit.planning.signals import DESIGNS, crest_factor, designed, ident_reference, paper_sines, scaled
+
+RATE, RAMP, QUIET = 50.0, 2.0, 1.0
+"""Commands a second; how long signals grow and fade [s]; hover before and after them [s]."""
+
+SHORTEST = 10.0
+"""Shortest plan [s]: the estimator needs 0.7 s at its ends, ramps and hover take 6 s."""
+
+SHARE_OF_SCALE = 0.8
+"""Largest command of a signal, as a share of full scale: the rest is left for the feedback."""
+
+LARGEST = (3.0, 3.0, 3.0, 4.0)
+"""Largest acceleration that a signal asks for [m/s^2, rad/s^2]: a tilt of 17 degrees, where its tangent is still 3 %
+from linear."""
+
+FAST, FASTEST, SLOWEST = 0.7, 5.0, 2.5
+"""The band ends at 0.7 over the delay, and between these bounds [rad/s].
+
+Faster signals would tell more of the model's vehicle, but the wrong thing of a real one: what the model calls a delay
+is in part an attitude loop, which follows slow commands whole and fast ones no longer.
+"""
+
+HARD = ("doublets", "3211", "prbs")
+"""Designs of hard steps, whose harmonics lie above any band."""
+
+HARD_NOTE = (
+    "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
+    "likelihood, which weighs what is fast most, may take that for a smaller input gain; multisine, chirp and optimal "
+    "have no such part"
+)
+
+CENTRING = Feedback(AXES, (0.3, 0.3, 0.6, 0.6), (0.5, 0.5, 1.0, 1.0))
+"""Soft feedback on excited axes."""
+
+IDENT = Feedback(AXES, (1.33, 1.40, 3.50, 1.75), (1.50, 1.50, 2.00, 2.00))
+"""Gains of the tracking controller of the ident manoeuvre.
+
+Source: jrsbenevides/drone_dev, config/bebopParameters.yaml, KpFL and KdFL of its feedback linearisation.
+"""
+
+RESERVE = 0.85
+"""Share of the space that an optimal design uses at the likeliest vehicle: the rest is for the doubt about it."""
+
+YAW_REACH, YAW_RATE = np.pi / 2, 1.5
+"""How far and how fast an optimal design turns [rad, rad/s]."""
+
+OPTIMAL: Mapping[str, Literal["d", "a"]] = {"optimal": "d", "optimal_a": "a"}
+"""Designs that are searched for, and by which criterion, see `optimal`."""
+
+NEARLY = 0.95
+"""Share of the full amplitude from which on an open loop is good enough."""
+
+TOGETHER = (("x", "y"), ("z",), ("yaw",))
+"""What the paper flies together. Source: paper, section 4."""
+
+
+def plan_flight(
+    card: Card,
+    space: Space,
+    design: str,
+    axes: Sequence[str],
+    duration: float,
+    belief: Belief,
+    *,
+    amplitude: float | None = None,
+    open_loop: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plans one flight.
+
+    The signals are as large as full scale and the space allow: 19 of 20 vehicles that are believed possible stay
+    inside. Where the open loop would have to be smaller than with a soft centring feedback, and tells less, there is
+    such feedback; axes that are not flown are held.
+
+    Args:
+        card: Of the vehicle: meaning and limits of its commands.
+        space: Fence, limits and start.
+        design: One of `excitation.DESIGNS`.
+        axes: That are excited, together.
+        duration: Of the whole plan [s].
+        belief: Of the vehicle, its air and its room.
+        amplitude: Factor on the full amplitude of the design, of all axes; None for as large as fits, at most 1.
+        open_loop: No feedback at all.
+        seed: Of sequences, and of the vehicles and winds of the prediction.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The plan with its prediction.
+
+    Raises:
+        PlanError: A design, axis, duration or amplitude that cannot be flown; with an amplitude, one that leaves the
+            space; without, no amplitude that stays.
+    """
+    _check_request(card, space, design, axes, duration, amplitude)
+    if open_loop and design == "ident":
+        raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
+    belief = belief_from_mapping(belief_mapping(belief), f"plan on {', '.join(axes)}")  # as its file will hold it
+    wanted = _Wanted(
+        card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed
+    )
+    loops = _loops(wanted, open_loop)
+    choices: dict[str, _Choice] = {}
+    for place, (word, loop) in enumerate(loops.items()):
+        choices[word] = _choice(wanted, loop, part_of(progress, place, len(loops) + 1))
+        if amplitude is None and min(choices[word].factors.values()) >= NEARLY:
+            break
+    return _best(choices, belief, amplitude, part_of(progress, len(loops), len(loops) + 1))
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What is asked of `plan_flight`."""
+
+    card: Card
+    space: Space
+    design: str
+    axes: tuple[str, ...]
+    duration: float
+    belief: Belief
+    amplitude: float | None
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """A plan with one of the possible loops, and the factor of each axis on its full amplitude; 0 if none fits."""
+
+    plan: Plan
+    factors: Mapping[str, float]
+
+
+def _loops(wanted: _Wanted, open_loop: bool) -> dict[str, Feedback | None]:
+    """The feedbacks that are tried, the one that takes least from the signals first."""
+    if wanted.design == "ident":
+        return {"tracking": replace(IDENT, axes=tuple(wanted.card.command))}
+    if open_loop:
+        return {"open": None}
+    held = tuple(axis for axis in AXES if axis not in wanted.axes and axis in wanted.card.command)
+    return {"open": Feedback(held) if held else None, "centred": replace(CENTRING, axes=tuple(wanted.card.command))}
+
+
+def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -> _Choice:
+    """The plan with a loop, at the amplitude that is asked for or at the largest that fits."""
+    belief, length = wanted.belief, wanted.duration - 2 * QUIET
+    plan = Plan(
+        f"{wanted.design} on {', '.join(wanted.axes)}", wanted.design, wanted.card.raw, RATE, wanted.duration,
+        0.0 if wanted.design in OPTIMAL else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
+    )  # fmt: skip
+    if wanted.design in OPTIMAL:
+        hover = predicted_path(plan, belief, seed=wanted.seed)
+        if not hover.fits:
+            return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
+        limits, criterion = _limits(wanted, hover), OPTIMAL[wanted.design]
+        smooth = {axis: 2 * np.pi / fastest(belief, axis) for axis in wanted.axes}
+        excitations = optimal_excitations(
+            belief, limits, QUIET, length, loop, criterion, wanted.seed, part_of(progress, 0, 2), smooth
+        )
+        progress = part_of(progress, 1, 2)
+    else:
+        excitations = _ident(wanted.axes, length) if wanted.design == "ident" else _classic(wanted, length)
+    plan = replace(plan, excitations=excitations)
+    if wanted.amplitude is not None:
+        factors = dict.fromkeys(wanted.axes, wanted.amplitude)
+    else:
+        factors = largest_amplitudes(plan, belief, seed=wanted.seed, progress=progress)
+    return _Choice(with_amplitudes(plan, factors), factors)
+
+
+def _limits(wanted: _Wanted, hover: Envelope) -> dict[str, AxisLimits]:
+    """What the optimal design of each axis may use: the space less what a hover drifts in it, less a reserve."""
+    out, space = {}, wanted.space
+    for axis in wanted.axes:
+        a = AXES.index(axis)
+        command = full_amplitude(wanted.card, wanted.belief, axis)
+        if axis == "yaw":
+            out[axis] = AxisLimits(command, -YAW_REACH, YAW_REACH, YAW_RATE)
+            continue
+        together = {"x", "y"} <= set(wanted.axes) and axis != "z"
+        speed = space.climb if axis == "z" else space.speed / (np.sqrt(2) if together else 1)
+        low, high = space.lower[a] - hover.extent[0, a], space.upper[a] - hover.extent[1, a]
+        out[axis] = AxisLimits(command, *(float(RESERVE * each) for each in (low, high, speed)))
+    return out
+
+
+def _check_request(
+    card: Card, space: Space, design: str, axes: Sequence[str], duration: float, amplitude: float | None
+) -> None:
+    """Refuses what cannot be flown whatever is believed."""
+    if design not in DESIGNS:
+        raise PlanError(f"no design {design!r}; designs are {', '.join(DESIGNS)}")
+    if card.command_frame != "heading":
+        raise PlanError(f"card {card.name}: its commands are in the world frame; plans are for the heading frame only")
+    if missing := [axis for axis in axes if axis not in card.command]:
+        raise PlanError(f"card {card.name}: it has no command for {', '.join(missing)}; leave it out of --axes")
+    if duration < SHORTEST:
+        raise PlanError(f"a plan of {duration:g} s is too short to tell anything; give --duration {SHORTEST:g} or more")
+    if amplitude is not None and not amplitude > 0:
+        raise PlanError(f"an amplitude of {amplitude:g} excites nothing; give one above 0")
+    inside = all(low < at < high for low, at, high in zip(space.lower, space.start, space.upper, strict=False))
+    if not inside:
+        raise PlanError(f"the start {space.start[:3]} is not inside the box {space.lower} to {space.upper}")
+
+
+def _classic(wanted: _Wanted, length: float) -> tuple[AxisExcitation, ...]:
+    """The signals of designs with a fixed form, at full amplitude."""
+    out = []
+    for place, axis in enumerate(wanted.axes):
+        scale = full_scale(wanted.card, axis)
+        if wanted.design == "two_sines":
+            signal: Signal = _within_scale(paper_sines(axis), scale)
+        else:
+            size = full_amplitude(wanted.card, wanted.belief, axis)
+            band = band_of(wanted.belief, wanted.space, axis, size)
+            signal = designed(wanted.design, size, length, band, place, len(wanted.axes), wanted.seed)
+        out.append(AxisExcitation(axis, "command", QUIET, length, signal))
+    return tuple(out)
+
+
+def _within_scale(signal: Signal, scale: float) -> Signal:
+    """The paper's yaw adds up to 1.2 of full scale: such sums are made to fit."""
+    peak = float(np.sum(np.abs(getattr(signal, "amplitude", 0.0))))
+    return scaled(signal, min(1.0, scale / peak))
+
+
+def _ident(axes: Sequence[str], length: float) -> tuple[AxisExcitation, ...]:
+    """x with y, then z, then yaw, one after the other in equal parts, as drone_dev flies them."""
+    parts = [tuple(axis for axis in group if axis in axes) for group in TOGETHER]
+    parts = [part for part in parts if part]
+    share = length / len(parts)
+    return tuple(
+        AxisExcitation(axis, "position", QUIET + i * share, share, ident_reference(axis))
+        for i, part in enumerate(parts)
+        for axis in part
+    )
+
+
+def full_amplitude(card: Card, belief: Belief, axis: str) -> float:
+    """Largest command that a signal of an axis takes [unit of the card's command]."""
+    a = AXES.index(axis)
+    return float(min(SHARE_OF_SCALE * full_scale(card, axis), LARGEST[a] / abs(belief.truth.gamma[2 * a])))
+
+
+def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[float, float]:
+    """Lowest and highest frequency worth exciting on an axis [rad/s].
+
+    The delay is told by what is fast, up to `fastest`. The damping is told by what is as slow
+    as it, but slow content costs room and speed, and the whole signal would have to shrink for it: the band begins
+    where a sine of the full amplitude fills a quarter of the way to the nearest wall, or reaches the speed limit.
+    """
+    a = AXES.index(axis)
+    gain, damping = abs(belief.truth.gamma[2 * a]), belief.truth.gamma[2 * a + 1]
+    high = fastest(belief, axis)
+    if axis == "yaw":
+        reach, speed = YAW_REACH, YAW_RATE
+    else:
+        reach = min(space.start[a] - space.lower[a], space.upper[a] - space.start[a])
+        speed = space.climb if axis == "z" else space.speed
+    size = gain * amplitude / (reach / 4)  # w sqrt(w^2 + b^2), where a quarter is filled
+    fills = np.sqrt((np.sqrt(damping**4 + 4 * size**2) - damping**2) / 2)
+    races = np.sqrt(max((gain * amplitude / speed) ** 2 - damping**2, 0.0))
+    return float(min(max(fills, races, damping / 2), high / 3)), high
+
+
+def fastest(belief: Belief, axis: str) -> float:
+    """Highest frequency that signals of an axis hold much of [rad/s]."""
+    return float(np.clip(FAST / max(belief.truth.delay[AXES.index(axis)], 1e-3), SLOWEST, FASTEST))
+
+
+def _best(choices: Mapping[str, _Choice], belief: Belief, amplitude: float | None, progress: Progress | None) -> Plan:
+    """The loop whose standard errors are least, with its prediction, and why."""
+    possible = {word: choice for word, choice in choices.items() if min(choice.factors.values()) > 0}
+    if not possible:
+        raise PlanError(
+            f"plan {next(iter(choices.values())).plan.name}: no amplitude stays inside for 19 of 20 vehicles that are "
+            "believed possible, even the hover drifts out; give a larger box or a shorter duration"
+        )
+    if amplitude is not None and len(possible) == 2:
+        plan = possible["open"].plan
+        possible.pop("centred" if predicted_path(plan, belief, seed=plan.seed).fits else "open")
+    word = min(possible, key=lambda each: mean_error(possible[each].plan, belief))
+    chosen = possible[word]
+    notes = [HARD_NOTE] if chosen.plan.design in HARD else []
+    if word == "centred":
+        notes.append(_centring_note(chosen, possible.get("open"), belief, amplitude))
+    if amplitude is None and not 0.995 <= min(chosen.factors.values()) <= max(chosen.factors.values()) <= 1.005:
+        sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
+        notes.append(f"scaled to fit the space, of full amplitude: {sizes}")
+    return predicted(chosen.plan, belief, chosen.factors, notes, progress)
+
+
+def _centring_note(chosen: _Choice, without: _Choice | None, belief: Belief, amplitude: float | None) -> str:
+    """What the feedback on excited axes is for, and what it costs."""
+    bare = replace(chosen.plan, feedback=None)
+    cost = 100 * (mean_error(chosen.plan, belief) / mean_error(bare, belief) - 1)
+    text = f"soft feedback centres the excited axes; at the same signals it changes the mean error by {cost:+.0f} %"
+    if amplitude is not None:
+        return f"{text}; without it the flight leaves the space"
+    if without is None:
+        return f"{text}; without it even the hover drifts out"
+    return f"{text}; without it the largest amplitude is {min(without.factors.values()):.2g}"
+
+
+def mean_error(plan: Plan, belief: Belief) -> float:
+    """Geometric mean of the standard errors of the excited axes at the likeliest vehicle."""
+    table = predicted_errors([plan], belief, draws=0, seed=plan.seed).nominal
+    errors = [table[axis][name] for axis in excited_axes(plan) if axis in table for name in COEFFICIENTS]
+    return float(np.exp(np.mean(np.log(errors)))) if errors else np.inf
+
+
+def predicted(
+    plan: Plan, belief: Belief, factors: Mapping[str, float], notes: Sequence[str], progress: Progress | None = None
+) -> Plan:
+    """The plan with what it is expected to tell and where it leads.
+
+    Raises:
+        PlanError: It leaves its space.
+    """
+    envelope = predicted_path(plan, belief, seed=plan.seed, progress=part_of(progress, 0, 2))
+    refuse_if_outside(plan, belief, envelope, max(factors.values()), seed=plan.seed)
+    precision = predicted_errors([plan], belief, seed=plan.seed, progress=part_of(progress, 1, 2))
+    return replace(plan, predicted=prediction_mapping(plan, envelope, precision, factors, notes))
+
+
+def prediction_mapping(
+    plan: Plan, envelope: Envelope, precision: Precision, factors: Mapping[str, float], notes: Sequence[str]
+) -> dict[str, Any]:
+    """What planning expects, in the plain types of a plan."""
+    axes = excited_axes(plan)
+    crest = {each.axis: _plain(crest_factor(each.signal, each.duration)) for each in plan.excitations}
+    return {
+        "stderr": _rounded({axis: precision.stderr[axis] for axis in axes if axis in precision.stderr}),
+        "nominal": _rounded({axis: precision.nominal[axis] for axis in axes if axis in precision.nominal}),
+        "vehicles": precision.draws,
+        "amplitude": {axis: _plain(factor) for axis, factor in factors.items()},
+        "crest_factor": crest,
+        "extent": {axis: [_plain(end) for end in envelope.extent[:, a]] for a, axis in enumerate(AXES)},
+        "speed": dict(zip(("horizontal", "vertical", "yaw"), map(_plain, envelope.speed), strict=True)),
+        "speed_high": dict(zip(("horizontal", "vertical", "yaw"), map(_plain, envelope.speed_high), strict=True)),
+        "leaving": _plain(envelope.leaving),
+        "allowed": ALLOWED,
+        "saturated": _plain(envelope.saturated),
+        "draws": envelope.draws,
+        "notes": list(notes),
+    }
+
+
+def plan_flights(
+    card: Card,
+    space: Space,
+    design: str,
+    axes: Sequence[str],
+    duration: float,
+    belief: Belief,
+    *,
+    amplitude: float | None = None,
+    open_loop: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[Plan]:
+    """The same as separate flights: x with y, z, yaw, as the paper; arguments as `plan_flight`."""
+    groups = [group for each in TOGETHER if (group := tuple(axis for axis in each if axis in axes))]
+    return [
+        plan_flight(
+            card, space, design, group, duration, belief,
+            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part_of(progress, i, len(groups)),
+        )
+        for i, group in enumerate(groups)
+    ]  # fmt: skip
+
+
+def _rounded(table: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    return {axis: {name: _plain(value) for name, value in row.items()} for axis, row in table.items()}
+
+
+def _plain(value: float) -> float:
+    return float(f"{value:.4g}")

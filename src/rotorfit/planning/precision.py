@@ -1,0 +1,211 @@
+"""Precision: how well a plan will let each coefficient be known, before it is flown.
+
+The plan is flown by vehicles that are believed possible, with their wind and noise, its feedback on the measured pose
+included; the information that the likelihood has in each flight at the very vehicle that flew it, inverted, is the
+covariance that an efficient estimator reaches (Cramer-Rao). Trim and start velocities are unknown, as in a fit. So are
+the levels of the disturbance; that costs nothing to first order, because the information of coefficients and levels is
+block diagonal.
+
+Rehearsal: a plan flown by the paper's vehicle, in a room that is believed possible.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_plan import Four, Plan
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.progress import Progress
+from rotorfit.files.cards import load_card
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.planning.belief import NAMES, Belief, levels_of, sample_vehicles
+from rotorfit.planning.plan_control import Tracker, command_at, reference_at, tracker_of
+from rotorfit.simulation.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, as_log, simulate_flight
+
+COARSE = 0.02  # s, longest step of the integration: with it a path of 60 s is right to a tenth of a millimetre
+
+
+def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
+    """Flies a plan, its feedback and full scale included.
+
+    Args:
+        tracker: The plan, and what its feedback believes.
+        truth: What is flown; commands come at the rate of the plan.
+        seed: Of wind and noise.
+
+    Returns:
+        The flight, from rest at `paper_vehicle.HOVER_HEIGHT` above the origin, with the heading of the plan's start.
+    """
+    plan, feedback = tracker.plan, tracker.plan.feedback
+    truth = replace(truth, command_rate=plan.rate, command_jitter=min(truth.command_jitter, 0.2 / plan.rate))
+    scale = _four(tracker.full_scale)
+    controller = Controller(axes=(), full_scale=scale)
+    if feedback:
+        controller = Controller(
+            feedback.stiffness, feedback.damping, feedback.filter_time, feedback.axes,
+            tuple(map(float, tracker.gamma)), functools.partial(reference_at, plan), scale,
+        )  # fmt: skip
+    return simulate_flight(
+        truth, functools.partial(command_at, plan), plan.duration, seed,
+        controller=controller, initial_yaw=plan.space.start[3], max_step=COARSE,
+    )  # fmt: skip
+
+
+def recorded_flight(flight: SimulatedFlight) -> Flight:
+    """The flight as the estimator gets it, from its log."""
+    return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
+
+
+def path(plan: Plan, flight: SimulatedFlight) -> Array:
+    """True pose in the room of the plan, shape (N, 4) [m, rad]."""
+    begin = np.array([0.0, 0.0, HOVER_HEIGHT, plan.space.start[3]])
+    return np.asarray(flight.true_pose - begin + np.array(plan.space.start))
+
+
+def excited_axes(plan: Plan) -> tuple[str, ...]:
+    """The axes that have a signal of their own."""
+    return tuple(axis for axis in AXES if any(each.axis == axis for each in plan.excitations))
+
+
+def _four(values: Array) -> Four:
+    x, y, z, yaw = map(float, values)
+    return x, y, z, yaw
+
+
+DRAWS = 6
+"""Vehicles drawn from the belief, besides the likeliest, over which the predicted variance is averaged."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """What is known after the flights, as expected before them.
+
+    Attributes:
+        axes: Those that are excited, or were known before.
+        stderr: Axis to coefficient to standard error: the root of the variance, averaged over the likeliest vehicle and
+            draws of the belief. Of a coefficient whose variance is not finite on some draw, infinite.
+        nominal: The same for the likeliest vehicle alone.
+        covariance: Of the twelve coefficients at the likeliest vehicle, shape (12, 12); infinite where none is known.
+        draws: Over how many vehicles `stderr` is averaged.
+    """
+
+    axes: tuple[str, ...]
+    stderr: Mapping[str, Mapping[str, float]]
+    nominal: Mapping[str, Mapping[str, float]]
+    covariance: Array
+    draws: int
+
+
+def predicted_errors(
+    plans: Sequence[Plan],
+    belief: Belief,
+    draws: int = DRAWS,
+    seed: int = 0,
+    before: Array | None = None,
+    progress: Progress | None = None,
+) -> Precision:
+    """Standard errors that a fit of all these flights together is expected to have.
+
+    Args:
+        plans: One flight each.
+        belief: Of the vehicle, its air and its room.
+        draws: Vehicles besides the likeliest.
+        seed: Of the draws, the wind and the noise.
+        before: Information from earlier flights, shape (12, 12).
+        progress: Called with a fraction and a text; raising in it cancels.
+    """
+    vehicles = [belief.truth, *sample_vehicles(belief, draws, seed)]
+    variances, covariance = [], np.zeros((12, 12))
+    for number, truth in enumerate(vehicles):
+        if progress:
+            progress(number / len(vehicles), "predicting the standard errors")
+        total = np.zeros((12, 12)) if before is None else before.copy()
+        for place, plan in enumerate(plans):
+            total += information(plan, truth, belief, seed + 1000 * number + place)
+        inverse = inverse_of(total)
+        covariance = inverse if number == 0 else covariance
+        variances.append(np.diag(inverse))
+    known = tuple(axis for a, axis in enumerate(AXES) if np.all(np.isfinite(variances[0][3 * a : 3 * a + 3])))
+    return Precision(
+        axes=known,
+        stderr=_table(np.sqrt(np.mean(variances, axis=0)), known),
+        nominal=_table(np.sqrt(variances[0]), known),
+        covariance=covariance,
+        draws=len(vehicles),
+    )
+
+
+def _table(errors: Array, axes: Sequence[str]) -> dict[str, dict[str, float]]:
+    return {axis: {name: float(errors[NAMES.index(f"{axis}.{name}")]) for name in COEFFICIENTS} for axis in axes}
+
+
+def inverse_of(information: Array) -> Array:
+    """Covariance from information, shape (12, 12); infinite on the diagonal where there is none."""
+    known = np.diag(information) > 0
+    out = np.diag(np.where(known, 0.0, np.inf))
+    scale = np.sqrt(np.diag(information)[known])
+    part = np.linalg.inv(information[np.ix_(known, known)] / np.outer(scale, scale)) / np.outer(scale, scale)
+    out[np.ix_(known, known)] = part
+    return out
+
+
+def information(plan: Plan, truth: Truth, belief: Belief, seed: int) -> Array:
+    """Information about input, damping and delay of x, y, z, yaw that one flight of a vehicle has, shape (12, 12).
+
+    Rows of axes without a signal of their own are 0: what their feedback shakes tells little, and is not counted on.
+    """
+    return information_of(recorded_flight(fly_plan(tracker_of(plan), truth, seed)), truth, belief, excited_axes(plan))
+
+
+def information_of(flight: Flight, truth: Truth, belief: Belief, axes: Sequence[str]) -> Array:
+    """Information about the coefficients of some axes in a recorded flight, at the vehicle that flew it, (12, 12).
+
+    As in a fit, x and y are taken together where the heading turns.
+    """
+    from rotorfit.estimation.likelihood.blocks import record
+
+    out = np.zeros((12, 12))
+    plane = record(flight, ("x", "y"))
+    pair = tuple(axis for axis in ("x", "y") if axis in axes)
+    turned = plane is not None and not plane.held and pair
+    groups = [("x", "y")] if turned else [(axis,) for axis in pair]
+    for group in (*groups, *((axis,) for axis in ("z", "yaw") if axis in axes)):
+        part = _group_information(flight, truth, belief, group)
+        at = [NAMES.index(f"{axis}.{name}") for axis in group for name in COEFFICIENTS]
+        out[np.ix_(at, at)] = part
+    dropped = [a for a, name in enumerate(NAMES) if name.split(".")[0] not in axes]
+    out[dropped], out[:, dropped] = 0.0, 0.0
+    return out
+
+
+def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequence[str]) -> Array:
+    """Information of the axes of a group, all else unknown, in the order axis by axis, shape (3 K, 3 K)."""
+    from rotorfit.estimation.likelihood.axis_estimate import free_of
+    from rotorfit.estimation.likelihood.blocks import record
+    from rotorfit.estimation.likelihood.likelihood import inverted, score
+    from rotorfit.estimation.likelihood.parameters import Point
+
+    rec, K = record(flight, group), len(group)
+    if rec is None:
+        return np.zeros((3 * K, 3 * K))
+    places = [AXES.index(axis) for axis in group]
+    gamma = np.array(truth.gamma).reshape(4, 2)[places]
+    levels = np.stack([levels_of(belief, truth, axis) for axis in group])
+    point = Point(
+        gamma[:, 0], np.log(gamma[:, 1]), np.array(truth.delay)[places], np.array(truth.trim)[None, places],
+        np.zeros((rec.starts.size, K)), np.log(levels),
+    )  # fmt: skip
+    at_rest, start = score([rec], point), slice(point.n - point.start.size, point.n)
+    # The damping is told by the speed at the start, too: by a quarter more where a flight begins fast. The position is
+    # linear in that speed, so one step finds it.
+    speed = np.asarray(np.linalg.solve(at_rest.information[start, start], at_rest.gradient[start]), float)
+    point = replace(point, start=speed.reshape(point.start.shape))
+    full = score([rec], point).information[: point.n, : point.n]
+    covariance = inverted(full, free_of([rec], [True] * K)[: point.n])[: 3 * K, : 3 * K]
+    scale = np.concatenate([np.ones(K), gamma[:, 1], np.ones(K)])  # the likelihood has the logarithm of the damping
+    order = np.arange(3 * K).reshape(3, K).T.ravel()
+    return np.asarray(np.linalg.inv(covariance * np.outer(scale, scale))[np.ix_(order, order)])

@@ -1,0 +1,304 @@
+"""Chart -> Drawing: coordinates, ticks and paths of a small vector picture; the template writes them down."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.frames import Array, Indices
+from rotorfit.reporting.views import Chart, RowChart
+
+FINENESS = 4
+"""Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
+
+COLUMNS = 250
+"""Stretches of a long line, each drawn by its extremes."""
+
+MIN_SPACE = 18
+"""Least distance of two horizons that are both written below the axis."""
+
+FEW_HORIZONS = 5
+"""So many horizons at the most are each written below the axis; more are a curve with plain ticks."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Place along an axis [units of the picture] and its text."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A marked point with what it says."""
+
+    x: float
+    y: float
+    role: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place where pointer and arrow keys find figures: along the x axis, or of a chart of rows along y."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture in its own units, y downwards; paths and dots are relative to the frame's upper left corner.
+
+    Attributes:
+        width: Of the picture.
+        height: Of the picture.
+        left: Of the frame.
+        top: Of the frame.
+        inner_width: Of the frame.
+        inner_height: Of the frame.
+        fineness: Steps of the paths' coordinates per unit.
+        paths: Role and path, in the order of drawing.
+        dots: Points.
+        levels: Horizontal lines.
+        shade: Left end and width of the marked range; None for none.
+        x_ticks: Along the bottom.
+        y_ticks: Along the left.
+        x_label: With unit.
+        y_label: With unit.
+        stops: In the order of their places.
+        along: The axis of the stops.
+    """
+
+    width: int
+    height: int
+    left: int
+    top: int
+    inner_width: int
+    inner_height: int
+    fineness: int
+    paths: tuple[tuple[str, str], ...]
+    dots: tuple[Dot, ...]
+    levels: tuple[Tick, ...]
+    shade: tuple[float, float] | None
+    x_ticks: tuple[Tick, ...]
+    y_ticks: tuple[Tick, ...]
+    x_label: str
+    y_label: str
+    stops: tuple[Stop, ...] = ()
+    along: str = "x"
+
+
+def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) -> Drawing:
+    """The picture of a chart.
+
+    Args:
+        chart: What to draw.
+        width: Of the picture, in its own units, about a pixel each.
+        height: Likewise.
+        columns: Stretches of a long line, each drawn by its extremes.
+    """
+    left, top, inner_width, inner_height = 46, 8, width - 46 - 10, height - 8 - 38
+    x_range, y_range = _x_range(chart), _y_range(chart)
+
+    def place_x(x: Array | float) -> Array:
+        return np.asarray((np.asarray(x) - x_range[0]) / (x_range[1] - x_range[0]) * inner_width)
+
+    def place_y(y: Array | float) -> Array:
+        y, (low, high) = (np.log10(y), np.log10(y_range)) if chart.y_log else (np.asarray(y), y_range)
+        return np.asarray((high - y) / (high - low) * inner_height)
+
+    x_ticks = ticks(*x_range, inner_width // 60)
+    if chart.kind.startswith("horizon") and chart.x.size <= FEW_HORIZONS:
+        x_ticks = [
+            (float(x), f"{x:g}") for x in chart.x if x == chart.x[0] or place_x(x) - place_x(chart.x[0]) > MIN_SPACE
+        ]
+    y_ticks = (log_ticks if chart.y_log else ticks)(*y_range, inner_height // 32)
+    paths = tuple(
+        (line.role, _bars(place_x(chart.x), place_y(line.y), float(place_y(0.0))))
+        if chart.kind == "correlation" and line.role != "band"
+        else (line.role, _path(place_x(chart.x), place_y(line.y), inner_height, columns))
+        for line in chart.lines
+    )
+    dots = [
+        Dot(
+            float(place_x(mark.x)),
+            float(np.clip(place_y(mark.y), 4, inner_height - 4)),
+            mark.role if y_range[0] <= mark.y <= y_range[1] else f"{mark.role} beyond",
+            mark.text,
+        )
+        for mark in chart.marks
+    ]
+    if chart.kind.startswith("horizon"):
+        dots += [
+            Dot(float(place_x(x)), float(place_y(y)), line.role, f"{line.name}, {x:g} s: {y:.3g} {_unit(chart)}")
+            for line in chart.lines
+            for x, y in zip(chart.x, line.y, strict=True)
+            if np.isfinite(y) and line.role != "band"
+        ]
+    shade = None
+    if chart.span is not None:
+        ends = np.clip(place_x(np.clip(np.array(chart.span), *x_range)), 0, inner_width)
+        shade = (float(ends[0]), float(ends[1] - ends[0]))
+    return Drawing(
+        width, height, left, top, inner_width, inner_height, FINENESS, paths, tuple(dots),
+        levels=tuple(Tick(float(place_y(value)), text) for value, text in chart.levels),
+        shade=shade,
+        x_ticks=tuple(Tick(float(place_x(value)), text) for value, text in x_ticks),
+        y_ticks=tuple(Tick(float(place_y(value)), text) for value, text in y_ticks),
+        x_label=chart.x_label,
+        y_label=chart.y_label,
+        stops=() if chart.kind in ("velocity", "acceleration") else _stops(chart, place_x),
+    )  # fmt: skip
+
+
+def drawn_rows(chart: RowChart, width: int) -> Drawing:
+    """The picture of a chart of rows.
+
+    Args:
+        chart: What to draw.
+        width: Of the picture, in its own units, about a pixel each.
+    """
+    left, top, row = min(170, 18 + round(7.0 * max((len(each.name) for each in chart.rows), default=0))), 4, 24
+    inner_width, inner_height = width - left - 14, row * len(chart.rows)
+    values = [value for each in chart.rows for _, value in each.dots if value is not None]
+    values += [end for each in chart.rows for end in (each.low, each.high) if end is not None]
+    values += [chart.level[0]] if chart.level else []
+    low, high = (min(values), max(values)) if values else (0.5, 2.0)
+    if chart.x_log:
+        low, high = low / 1.3, high * 1.3
+    else:
+        margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+        low, high = low - margin, high + margin
+
+    def place(x: float) -> float:
+        at = np.log(x / low) / np.log(high / low) if chart.x_log else (x - low) / (high - low)
+        return float(np.clip(at, 0, 1)) * inner_width
+
+    paths, dots, middles = [], [], [row * (k + 0.5) for k in range(len(chart.rows))]
+    for each, y in zip(chart.rows, middles, strict=True):
+        known = [(role, value) for role, value in each.dots if value is not None]
+        if each.low is not None or each.high is not None:
+            ends = (0 if each.low is None else place(each.low), inner_width if each.high is None else place(each.high))
+            a, b, at = (round(FINENESS * value) for value in (*ends, y))
+            paths.append((f"interval {each.dots[0][0]}", f"M{a} {at}H{b}"))
+        dots += [Dot(place(value), y, role, each.text) for role, value in known]
+    if chart.level:
+        paths.insert(0, ("mark", f"M{round(FINENESS * place(chart.level[0]))} 0v{FINENESS * inner_height}"))
+    x_ticks = (log_ticks if chart.x_log else ticks)(low, high, max(2, inner_width // 60))
+    return Drawing(
+        width, top + inner_height + 38, left, top, inner_width, inner_height, FINENESS, tuple(paths), tuple(dots),
+        levels=(),
+        shade=None,
+        x_ticks=tuple(Tick(place(value), text) for value, text in x_ticks),
+        y_ticks=tuple(Tick(y, each.name) for each, y in zip(chart.rows, middles, strict=True)),
+        x_label=chart.x_label,
+        y_label="",
+        stops=tuple(Stop(y, each.text) for each, y in zip(chart.rows, middles, strict=True)),
+        along="y",
+    )  # fmt: skip
+
+
+def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop, ...]:
+    """What the lines say at each x."""
+    name, _, unit = chart.x_label.partition(" [")
+    unit = unit.rstrip("]")
+    shown = [line for line in chart.lines if line.role != "band"]
+    band = next((line.y for line in chart.lines if line.role == "band"), None) if chart.kind == "correlation" else None
+    stops = []
+    for i, x in enumerate(chart.x):
+        parts = [f"{line.name} {line.y[i]:.3g}" for line in shown if np.isfinite(line.y[i])]
+        if len(shown) == 1:
+            parts = [part.removeprefix(f"{shown[0].name} ") for part in parts]
+        limit = "" if band is None else f", 95 % band ±{band[i]:.2g}"
+        if parts:
+            text = f"{name} {x:.3g} {unit}: {', '.join(parts)} {_unit(chart) if '[' in chart.y_label else ''}".rstrip()
+            stops.append(Stop(float(place(x)), f"{text}{limit}".replace(" -", " −")))
+    return tuple(stops)
+
+
+def _unit(chart: Chart) -> str:
+    return chart.y_label[chart.y_label.find("[") + 1 : chart.y_label.find("]")]
+
+
+def _x_range(chart: Chart) -> tuple[float, float]:
+    low, high = float(np.min(chart.x)), float(np.max(chart.x))
+    if chart.kind in ("correlation", "horizon_velocity", "horizon_position"):
+        low = 0.0
+    pad = 0.03 * (high - low) if chart.kind not in ("velocity", "acceleration") else 0.0
+    return (low, high + pad) if high > low else (low - 1, high + 1)
+
+
+def _y_range(chart: Chart) -> tuple[float, float]:
+    """What to show: what the chart says, else all finite values and levels with a margin."""
+    if chart.y_range is not None:
+        return chart.y_range
+    values = np.concatenate([np.array([level for level, _ in chart.levels]), *(line.y for line in chart.lines)])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    if chart.y_log:
+        return 0.7 * low, 1.4 * high
+    margin = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
+    """Relative path in integer steps; broken at NaN, long lines by their peaks."""
+    if x.size > 2 * columns:
+        kept = peaks(y, columns)
+        x, y = x[kept], y[kept]
+    y = np.clip(y, -height, 2 * height)
+    finite = np.isfinite(y)
+    points = np.round(np.stack([x, np.where(finite, y, 0)], axis=1) * FINENESS).astype(int)
+    parts, last, here = [], np.zeros(2, int), False
+    for point, good in zip(points, finite, strict=True):
+        if good:
+            step = point - last
+            parts.append(f"{'l' if here else 'm'}{step[0]} {step[1]}")
+            last = point
+        here = bool(good)
+    return "".join(parts).replace(" -", "-")
+
+
+def peaks(y: Array, stretches: int) -> Indices:
+    """Where a line has its smallest and its largest value in each of equal stretches, its ends, where holes begin.
+
+    Args:
+        y: Shape (N,); NaN in holes.
+        stretches: How many.
+    """
+    place = np.arange(y.size) * stretches // y.size
+    order, known = np.lexsort((y, place)), np.isfinite(y)
+    order = order[known[order]]
+    ends = np.flatnonzero(np.diff(place[order], prepend=-1, append=-1))
+    holes = np.flatnonzero(~known & np.concatenate([[True], known[:-1]]))
+    return np.unique(np.concatenate([order[ends[:-1]], order[ends[1:] - 1], holes, [0, y.size - 1]]).astype(np.intp))
+
+
+def _bars(x: Array, y: Array, zero: float) -> str:
+    """One upright stroke for each value."""
+    fine = [np.round(np.asarray(part) * FINENESS).astype(int) for part in (x, y, zero)]
+    return "".join(f"M{a} {fine[2]}V{b}" for a, b in zip(fine[0], fine[1], strict=True))
+
+
+def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """Round values between two ends, at steps of 1, 2 or 5, with their text."""
+    raw = (high - low) / max(most, 1)
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * (1 - 1e-9)), default=10.0)
+    values = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+    digits = max(0, int(-np.floor(np.log10(step) + 1e-9)))
+    return [
+        (float(v), f"{v + 0.0:.{digits}f}".replace("-", "−")) for v in np.where(np.abs(values) < step / 2, 0.0, values)
+    ]
+
+
+def log_ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """1, 2 and 5 times the powers of ten between two positive ends, or the powers alone where those are too many."""
+    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
+        values = [f * power for power in powers for f in factors if low <= f * power <= high]
+        if len(values) <= most + 1:
+            break
+    return [(float(value), f"{value:.4g}") for value in values]

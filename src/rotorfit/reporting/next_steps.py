@@ -1,0 +1,162 @@
+"""What to fly next: short, concrete, with the line to type; and which coefficients are known less well than wanted."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.assessment.case import Case
+from rotorfit.core.errors import PlanError
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.results import LIKELIHOOD
+from rotorfit.planning.belief import belief_from_model
+from rotorfit.planning.next_flight import wanted_errors, worst_group
+from rotorfit.reporting.verdict import Use, Verdict
+from rotorfit.reporting.views import ChartRow, RowChart
+from rotorfit.reporting.words import and_list, figure, sentences
+
+ROOM = "6x4x3"
+"""Of the lines to type [m]: the reader puts in his own."""
+
+MOST_REMEDIES = 3
+"""So many findings that forbid the use of numbers become steps of their own."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do: what, why, and the line to type; empty where there is none."""
+
+    what: str
+    why: str
+    command: str
+
+
+def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
+    """What helps most, first: axes without a model, axes without proof, what is vague, what is left in the residuals.
+
+    Args:
+        case: The model with its flights.
+        verdict: On it.
+    """
+    model = case.model
+    commanded = [axis for axis in AXES if axis in model.card.command]
+    lacking = [axis for axis in commanded if model.axes[axis].predictor is None]
+    uses = [use for use in verdict.uses if use.horizon == verdict.horizon and use.axis in commanded]
+    steps = []
+    if lacking:
+        why = f"No flight so far tells how {and_list(lacking)} answer{'s' if len(lacking) == 1 else ''}."
+        steps.append(Step(f"Fly to learn {and_list(lacking)}.", why, _plan(case, lacking)))
+    wrong = [f for f in model.findings if f.severity == "error" and f.axis not in lacking]
+    steps += [Step(sentences([f.remedy])[0], sentences([f.evidence])[0], "") for f in wrong[:MOST_REMEDIES]]
+    steps += _proof(case, uses)
+    short = [use.axis for use in uses if use.answer == "limited"]
+    steps += _vague(case, [axis for axis in commanded if axis not in lacking], short)
+    if any(
+        lamp.question == "residuals" and lamp.word == "not clean" for light in verdict.lights for lamp in light.lamps
+    ):
+        steps.append(_richer(case))
+    if not steps:
+        steps.append(
+            Step(
+                "Nothing has to be flown for this.",
+                "Every axis is proven, and every coefficient is known as well as a controller needs. If you will fly "
+                "faster than these flights, keep one such flight for another proof.",
+                "",
+            )
+        )
+    return tuple(steps)
+
+
+def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
+    """A flight to keep out of the fit, for axes whose predictions are not proven."""
+    unproven = [use.axis for use in uses if use.answer == "unproven"]
+    short = [use.axis for use in uses if use.answer == "limited"]
+    steps = []
+    if unproven:
+        what = f"Fly {and_list(unproven)} once more, and keep that flight out of the fit."
+        why = "Without a flight that was not fitted nothing is proven."
+        steps.append(Step(what, why, _plan(case, unproven)))
+    if short:
+        what = f"Fly a longer or livelier proof of {and_list(short)}."
+        reasons = dict.fromkeys(use.reason for use in uses if use.answer == "limited")
+        steps.append(Step(what, f"{' '.join(sentences(list(reasons)))}", _plan(case, short)))
+    return steps
+
+
+def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Step]:
+    """The flight that `plan --after` would take: for the group that is worst known beside what is wanted."""
+    ratio = beside_wanted(case)
+    if ratio is None or not known:
+        return []
+    group = worst_group(ratio, known)
+    if set(group) & set(planned):
+        return []
+    rows = {axis: ratio[3 * AXES.index(axis) : 3 * AXES.index(axis) + 3] for axis in group}
+    axis = max(rows, key=lambda each: float(rows[each].max()))
+    times, name = float(rows[axis].max()), COEFFICIENTS[int(np.argmax(rows[axis]))]
+    if times <= 1:
+        return []
+    why = f"The standard error of the {name} of {axis} is {figure(times)} times what a controller wants."
+    return [Step(f"Fly {and_list(group)} once more, and fit with it.", why, _plan(case, group))]
+
+
+def _richer(case: Case) -> Step:
+    logs = [f"{source.path}@{source.span[0]:.15g}:{source.span[1]:.15g}" for source in case.model.flights]
+    line = shlex.join(["rotorfit", "fit", *logs, "--structure", "auto", "-o", "richer.json"])
+    why = "The residuals are not clean: the vehicle may do more than one gain, one damping and one delay say."
+    return Step("No flight needed: let a richer law try.", why, line)
+
+
+def _plan(case: Case, axes: Sequence[str]) -> str:
+    return shlex.join(
+        ["rotorfit", "plan", "--after", case.path, "--axes", ",".join(axes), "--room", ROOM, "-o", "next.toml"]
+    )
+
+
+def beside_wanted(case: Case) -> Array | None:
+    """Standard errors of the twelve coefficients over what is wanted, shape (12,); None where they are not known."""
+    model = case.model
+    if model.method not in LIKELIHOOD or not any(axis.predictor for axis in model.axes.values()):
+        return None
+    try:
+        belief = belief_from_model(model, case.path)
+    except PlanError:  # there is nothing to plan with: the other steps stand
+        return None
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.sqrt(np.diag(belief.covariance)) / wanted_errors(belief))
+
+
+def wanted_chart(case: Case) -> RowChart | None:
+    """How well each coefficient is known beside what a controller wants; None where that is not known."""
+    ratio = beside_wanted(case)
+    rows = _rows(case.model, ratio) if ratio is not None else []
+    if not rows:
+        return None
+    beyond = [row.name for row in rows if row.dots[0][1] is not None and row.dots[0][1] > 1]
+    return RowChart(
+        title="Standard errors beside what is wanted",
+        x_label="standard error / wanted",
+        rows=tuple(rows),
+        reading="A dot right of the line is a coefficient that another flight should tell better; far left of it "
+        "nothing is gained. The line is what a controller does not feel: 2 % of the gain, 5 % of the damping, 5 ms.",
+        summary=f"{len(beyond)} of {len(rows)} coefficients are known less well than wanted"
+        f"{': ' if beyond else ''}{', '.join(beyond)}.",
+        x_log=True,
+        level=(1.0, "wanted"),
+    )
+
+
+def _rows(model: Model, ratio: Array) -> list[ChartRow]:
+    rows = []
+    for a, axis in enumerate(AXES):
+        if model.axes[axis].predictor is None:
+            continue
+        for i, name in enumerate(COEFFICIENTS):
+            value = float(ratio[3 * a + i])
+            if np.isfinite(value) and value > 0:
+                role = "vague" if value > 1 else "model"
+                text = f"{axis} {name}: standard error {figure(value)} times what is wanted"
+                rows.append(ChartRow(f"{axis} {name}", ((role, value),), text))
+    return rows

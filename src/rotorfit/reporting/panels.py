@@ -1,0 +1,136 @@
+"""Charts with their pictures, and the series that let the charts of flights zoom, within the budget of the page."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorfit.assessment.case import Case
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.reporting.drawing import COLUMNS, Drawing, draw_chart
+from rotorfit.reporting.views import MOST_POINTS, Chart, FlightView, RowChart, flight_view, moved_axes, overlaid
+
+MOST_VALUES = 200_000
+"""Numbers that all charts that zoom may hold together: 1.1 MB of the page."""
+
+MOST_STRETCHES = 7_000
+"""Stretches of all lines that are drawn as pictures of long flights: a few hundred kB of the page."""
+
+OPEN_FLIGHTS = 6
+"""So many flights are unfolded from the start, where they prove something, and have accelerations."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A chart with its picture; `number` is its place among the charts of its flight."""
+
+    chart: Chart | RowChart
+    drawing: Drawing
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class FlightPanels:
+    """The charts of one flight.
+
+    Attributes:
+        number: Its place among the flights of the page.
+        view: What is drawn.
+        velocity: Measured against predicted velocities.
+        acceleration: Measured against modelled accelerations.
+        open: Whether it is unfolded from the start.
+        fitted: Whether the model was fitted to it, though it is given for the proof.
+    """
+
+    number: int
+    view: FlightView
+    velocity: tuple[Panel, ...]
+    acceleration: tuple[Panel, ...]
+    open: bool
+    fitted: bool = False
+
+    @property
+    def panels(self) -> tuple[Panel, ...]:
+        """All, in the order of their numbers."""
+        return (*self.velocity, *self.acceleration)
+
+
+def flight_panels(cases: Sequence[Case], names: Sequence[str]) -> tuple[list[FlightPanels], list[FlightPanels]]:
+    """Charts of the validation flights and of the training flights; of several models the former only, over each other.
+
+    Args:
+        cases: The models on the same flights.
+        names: Of them.
+    """
+    first = cases[0]
+    fitted = [scores.fitted for scores in first.validation.flights] or [False] * len(first.flights)
+    every = [(flight, "validation", known) for flight, known in zip(first.flights, fitted, strict=False)]
+    if len(cases) == 1:
+        every += [(flight, "training", False) for flight in first.training]
+    lines = [_values_per_second(flight, role, cases) for flight, role, _ in every]
+    demand = sum(flight.duration * each for (flight, _, _), each in zip(every, lines, strict=True))
+    columns = int(np.clip(MOST_STRETCHES / max(sum(lines), 1), 40, COLUMNS))
+    out = []
+    for number, (flight, role, known) in enumerate(every):
+        points = int(min(MOST_POINTS, max(200, MOST_VALUES * flight.duration / max(demand, 1e-9))))
+        view = _view(cases, names, number, flight, role, points)
+        ordered = sorted(view.charts, key=lambda chart: AXES.index(chart.axis))
+        velocity = [chart for chart in ordered if chart.kind == "velocity"]
+        other = [chart for chart in ordered if chart.kind != "velocity" and number < OPEN_FLIGHTS]
+        panels = [Panel(chart, draw_chart(chart, 440, 190, columns), k) for k, chart in enumerate([*velocity, *other])]
+        parts = tuple(panels[: len(velocity)]), tuple(panels[len(velocity) :])
+        out.append(FlightPanels(number, view, *parts, role == "validation" and number < OPEN_FLIGHTS, known))
+    return out[: len(first.flights)], out[len(first.flights) :]
+
+
+def _with_paper(cases: Sequence[Case], role: str) -> bool:
+    return len(cases) == 1 and cases[0].model.method != "paper" and role == "validation"
+
+
+def _values_per_second(flight: Flight, role: str, cases: Sequence[Case]) -> int:
+    """Lines of a flight, its stamps among them."""
+    each = 4 + _with_paper(cases, role) if len(cases) == 1 else 1 + len(cases)
+    return 1 + len(moved_axes(flight)) * each
+
+
+def _view(
+    cases: Sequence[Case], names: Sequence[str], number: int, flight: Flight, role: str, points: int
+) -> FlightView:
+    """Of one model, or the velocities that several predict."""
+    if len(cases) == 1:
+        return flight_view(cases[0].model, flight, role, points, _with_paper(cases, role))
+    views = [flight_view(case.model, case.flights[number], role, points) for case in cases]
+    velocities = [[chart for chart in view.charts if chart.kind == "velocity"] for view in views]
+    charts = overlaid(velocities, names)
+    return FlightView(flight.path, role, flight.duration, charts, (), views[0].drawn)
+
+
+def speeds_of(flights: Sequence[FlightPanels]) -> dict[str, float]:
+    """Axis to the speed that 99 % of the measured speeds of all flights stay below [m/s or rad/s]."""
+    measured: dict[str, list[Array]] = {}
+    for flight in flights:
+        for panel in flight.velocity:
+            assert isinstance(panel.chart, Chart)
+            lines = [line.y for line in panel.chart.lines if line.role == "measured"]
+            measured.setdefault(panel.chart.axis, []).extend(lines)
+    joined = {axis: np.abs(np.concatenate(lines)) for axis, lines in measured.items() if lines}
+    return {axis: float(np.nanpercentile(speed, 99)) for axis, speed in joined.items() if np.isfinite(speed).any()}
+
+
+def series(flight: FlightPanels) -> dict[str, Any]:
+    """What the charts of a flight need to zoom."""
+    charts = []
+    for panel in flight.panels:
+        assert isinstance(panel.chart, Chart)
+        lines = [{"name": line.name, "role": line.role, "y": _packed(line.y)} for line in panel.chart.lines]
+        charts.append({"unit": panel.chart.y_label, "lines": lines})
+    stamps = flight.panels[0].chart.x if flight.panels and isinstance(flight.panels[0].chart, Chart) else None
+    return {"t": "" if stamps is None else _packed(stamps), "charts": charts}
+
+
+def _packed(values: Array) -> str:
+    """Numbers as base64 of little-endian float32."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")

@@ -1,0 +1,128 @@
+"""How to get the same report again: commands, versions, fingerprints of the logs, the card in full."""
+
+import json
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.version import __version__
+
+
+@dataclass(frozen=True)
+class LogUsed:
+    """A log, what it served, its fingerprint, and the seconds of its common window."""
+
+    path: str
+    role: str
+    sha256: str
+    span: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that is needed to get the same numbers again.
+
+    Attributes:
+        commands: Lines for a shell.
+        versions: Program to version.
+        logs: What was read.
+        card: As TOML.
+    """
+
+    commands: tuple[str, ...]
+    versions: tuple[tuple[str, str], ...]
+    logs: tuple[LogUsed, ...]
+    card: str
+
+
+def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
+    """How the model and its report came about.
+
+    Args:
+        model: With the flights that it was fitted to.
+        flights: The validation flights.
+    """
+    training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
+    tested = [LogUsed(f.path, "validation", f.sha256, f.span) for f in flights]
+    fit = ["rotorfit", "fit", *map(_log, training), "--card", "card.toml", "--method", model.method, *_options(model)]
+    fit += ["--prior"] * (model.prior is not None)
+    commands = [shlex.join([*fit, "-o", "fitted.json" if model.conversion else "model.json"]), *_converting(model)]
+    if tested:
+        commands += [shlex.join(["rotorfit", "validate", "model.json", *map(_log, tested)])]
+        commands += [shlex.join(["rotorfit", "report", "model.json", *map(_log, tested), "-o", "report.html"])]
+    names = ("numpy", "scipy", "numba")
+    versions = (("rotorfit that fitted", model.rotorfit), ("rotorfit that wrote this page", __version__))
+    used = tuple((name, metadata.version(name)) for name in names)
+    return Recipe(
+        tuple(commands),
+        (*versions, ("Python", platform.python_version()), *used),
+        (*training, *tested),
+        card_text({**model.card.raw, "limits": model.conversion.limits} if model.conversion else model.card.raw),
+    )
+
+
+def _converting(model: Model) -> list[str]:
+    """The command that brings a model under the limits that it has now, where these are not those of its flights."""
+    if not model.conversion:
+        return []
+    now, flown = model.card.raw["limits"], model.conversion.limits
+    changed = (f"{name}={value:.15g}" for name, value in model.card.limits.items() if now[name] != flown[name])
+    limits = ",".join(changed)
+    return [shlex.join(["rotorfit", "convert", "fitted.json", "--limits", limits, "-o", "model.json"])]
+
+
+def _options(model: Model) -> list[str]:
+    """Structure and axes, where they are not the default."""
+    tried = any(candidate.chosen for axis in model.axes.values() for candidate in axis.candidates)
+    others = {axis.structure for axis in model.axes.values() if axis.structure != STRUCTURE}
+    structure = "auto" if tried else next(iter(others), STRUCTURE)
+    return [*([] if structure == STRUCTURE else ["--structure", structure]), *_axes(model)]
+
+
+def _axes(model: Model) -> list[str]:
+    """The option that names the axes, where some that the flights command were left out of a likelihood fit."""
+    served = {axis for flight in model.flights for axis in flight.axes}
+    asked = [
+        a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] != "not_excited"
+    ]
+    return ["--axes", ",".join(asked)] if model.method != "paper" and asked and len(asked) < len(AXES) else []
+
+
+def _log(log: LogUsed) -> str:
+    """The log with its span, as the command line takes it."""
+    return f"{log.path}@{log.span[0]:.15g}:{log.span[1]:.15g}"
+
+
+def card_text(raw: Mapping[str, Any]) -> str:
+    """A card as TOML.
+
+    Args:
+        raw: As parsed: values, sections, and inline tables in sections.
+    """
+    plain = [f"{_key(key)} = {_value(value)}" for key, value in raw.items() if not isinstance(value, Mapping)]
+    sections = [
+        "\n".join(["", f"[{_key(key)}]", *(f"{_key(name)} = {_value(value)}" for name, value in section.items())])
+        for key, section in raw.items()
+        if isinstance(section, Mapping)
+    ]
+    return "\n".join([*plain, *sections]).strip() + "\n"
+
+
+def _key(name: str) -> str:
+    return (
+        name if name.replace("_", "").replace("-", "").isascii() and name.replace("_", "").isalnum() else _value(name)
+    )
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(name)} = {_value(part)}" for name, part in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_value(part) for part in value) + "]"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

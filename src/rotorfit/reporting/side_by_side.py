@@ -1,0 +1,153 @@
+"""Several models, or several flights, side by side: charts of rows, and which model leads."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rotorfit.assessment.case import Case
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.results import PairedTest
+from rotorfit.reporting.evidence import SPEED, HorizonErrors, coefficient_rows
+from rotorfit.reporting.views import ChartRow, RowChart, look_of
+from rotorfit.reporting.words import chance, figure, rounded, term_of
+
+LONGEST_NAME = 21
+"""Letters of a name beside a chart."""
+
+FLIGHTS = (
+    "Each row is a flight: the further left the dot, the better; the hollow dot is holding the velocity. Dots of "
+    "one column mean that the model is as good on every flight."
+)
+
+COEFFICIENTS_READING = (
+    "Each row is a model: dot and bar are the estimate and its 95 % interval. Bars that overlap may be "
+    "one truth; bars that do not are a real difference, if both models are right."
+)
+
+
+def names_of(cases: Sequence[Case]) -> tuple[str, ...]:
+    """Short names of models: the stems of their files where these differ, else the paths."""
+    stems = [case.path.rpartition("/")[2].removesuffix(".json") for case in cases]
+    return tuple(stems if len(set(stems)) == len(stems) else [case.path for case in cases])
+
+
+@dataclass(frozen=True)
+class Lead:
+    """One axis: the velocity error of each model, which is the smallest, and whether that is more than chance."""
+
+    axis: str
+    errors: tuple[str, ...]
+    best: int
+    told: str
+
+
+def leads(
+    cases: Sequence[Case],
+    scores: Sequence[Sequence[HorizonErrors]],
+    tests: Mapping[tuple[int, int], PairedTest],
+    horizon: float,
+) -> tuple[Lead, ...]:
+    """For every axis which model predicts the velocity best, and whether that is more than chance.
+
+    Args:
+        cases: The models.
+        scores: Of each.
+        tests: As `case.paired_cases` gives them.
+        horizon: That is asked about [s].
+    """
+    out = []
+    for axis in AXES:
+        errors = {
+            k: error
+            for k in range(len(cases))
+            for score in scores[k]
+            if score.axis == axis and score.horizon == horizon
+            if (error := score.velocity.get("model")) is not None
+        }
+        if errors:
+            unit, factor = SPEED[axis]
+            texts = tuple(f"{figure(factor * errors[k])} {unit}" if k in errors else "—" for k in range(len(cases)))
+            first, *others = sorted(errors, key=lambda k: errors[k])
+            told = _shown(tests, first, others[0], axis, horizon) if others else "the only one that was scored"
+            out.append(Lead(axis, texts, first, told))
+    return tuple(out)
+
+
+def _shown(tests: Mapping[tuple[int, int], PairedTest], best: int, second: int, axis: str, horizon: float) -> str:
+    """What the paired test of the two best says."""
+    test = tests.get((min(best, second), max(best, second)))
+    pooled = test.axes[axis][f"{horizon:g}"]["velocity"].pooled if test else None
+    if pooled is None:
+        return "leads; not tested, for its card reads other motion"
+    p = "" if pooled.p is None else f" ({chance(pooled.p)})"
+    if pooled.verdict in ("better", "worse"):
+        return f"leads, and that is no chance{p}"
+    return "leads; the flights are too short to tell" if pooled.verdict == "too_short" else f"leads, maybe by chance{p}"
+
+
+def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: float) -> tuple[RowChart, ...]:
+    """Velocity error of every flight at one horizon, a chart an axis; only where several flights move it."""
+    charts = []
+    for axis in AXES:
+        unit, factor = SPEED[axis]
+        rows = []
+        for number, flight in enumerate(cases[0].validation.flights):
+            dots = []
+            for k, case in enumerate(cases):
+                role = "model" if len(cases) == 1 else look_of(k)
+                dots.append((role, names[k], _error(case.validation.flights[number].axes[axis], horizon)))
+            hold = cases[0].validation.baselines["hold"][number].axes[axis]
+            dots.append(("naive", "holding the velocity", _error(hold, horizon)))
+            if axis in flight.moved and any(value for _, _, value in dots[:-1]):
+                name = flight.path.rpartition("/")[2]
+                known = [(label, value) for _, label, value in dots if value is not None]
+                said = ", ".join(f"{label} {figure(factor * value)}" for label, value in known)
+                fitted = " (was fitted: proves nothing)" if flight.fitted else ""
+                points = tuple((role, value * factor if value else None) for role, _, value in dots)
+                rows.append(
+                    ChartRow(shortened(name), points, f"{name}, {axis}, {horizon:g} s ahead: {said} {unit}{fitted}")
+                )
+        if len(rows) > 1:
+            values = [row.dots[0][1] for row in rows if row.dots[0][1] is not None]
+            seen = (
+                f"{axis}: {figure(min(values))} to {figure(max(values))} {unit} over {len(rows)} flights."
+                if values
+                else ""
+            )
+            label = f"velocity error over {horizon:g} s [{unit}]"
+            charts.append(RowChart(f"{axis}: flight by flight", label, tuple(rows), FLIGHTS, seen, x_log=True))
+    return tuple(charts)
+
+
+def shortened(name: str) -> str:
+    """A name that fits beside a chart: its middle gives way."""
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 9]}…{name[-8:]}"
+
+
+def _error(axis: object, horizon: float) -> float | None:
+    found = axis.horizons.get(f"{horizon:g}")  # type: ignore[attr-defined]
+    return found.velocity_rmse if found and found.velocity_rmse else None
+
+
+def coefficients_side_by_side(cases: Sequence[Case], names: Sequence[str]) -> tuple[RowChart, ...]:
+    """Estimates and intervals of every coefficient, a chart a coefficient of an axis."""
+    found = [{(row.axis, row.name): row for row in coefficient_rows(case.model)} for case in cases]
+    charts = []
+    for axis in AXES:
+        for name in COEFFICIENTS:
+            mine = [each[axis, name] for each in found]
+            if all(row.value is None and row.low is None and row.high is None for row in mine):
+                continue
+            rows = []
+            for k, row in enumerate(mine):
+                scale = row.stderr or (row.high - row.low) / 4 if row.low is not None and row.high is not None else None
+                ends = " to ".join("open" if end is None else rounded(end, scale) for end in (row.low, row.high))
+                text = (
+                    f"{names[k]}: {axis} {term_of(name)} {rounded(row.value, scale)}, 95 % interval {ends} {row.unit}"
+                )
+                rows.append(ChartRow(shortened(names[k]), ((look_of(k), row.value),), text, row.low, row.high))
+            units = dict.fromkeys(row.unit for row in mine)
+            title, label = f"{axis}: {term_of(name)}", f"{term_of(name)} [{' or '.join(units)}]"
+            summary = "; ".join(row.text for row in rows)
+            charts.append(RowChart(title, label, tuple(rows), COEFFICIENTS_READING, f"{summary}."))
+    return tuple(charts)

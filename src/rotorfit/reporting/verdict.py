@@ -1,0 +1,523 @@
+"""Scores and paired tests -> is the model usable for predictions that far ahead, axis by axis and as a whole?
+
+Can this model be used, and how far ahead? In plain words, with traffic lights that agree with every test.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rotorfit.assessment.paired import QUANTITIES
+from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import Axis, Model
+from rotorfit.core.results import Difference, PairedTest, ResidualTests
+from rotorfit.dynamics.protocol import HORIZONS
+from rotorfit.reporting.evidence import LENGTH, SPEED, HorizonErrors
+from rotorfit.reporting.words import and_list, chance, figure, sentences
+
+USEFUL = 2.0
+"""How many times smaller than those of holding the velocity the errors must be to be called usable."""
+
+USELESS = 1.1
+"""Below this they are no smaller."""
+
+RANK = ("yes", "limited", "unproven", "no", "missing")
+"""Answers from the best to the worst."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """Whether an axis is usable at a horizon.
+
+    Attributes:
+        axis: Name; `all` for the weakest of the axes.
+        horizon: [s].
+        answer: `yes`, `limited`, `unproven`, `no`, or `missing` where there is no model.
+        reason: Why it is not `yes`; empty where it is.
+        velocity: RMSE over all steps up to the horizon [m/s or rad/s]; None where it was not scored.
+        position: RMSE at its end [m or rad]; None likewise.
+        times: How many times smaller both are than those of holding the velocity: the smaller of the two ratios.
+        n: Predictions.
+    """
+
+    axis: str
+    horizon: float
+    answer: str
+    reason: str
+    velocity: float | None = None
+    position: float | None = None
+    times: float | None = None
+    n: int = 0
+
+
+def uses_of(
+    scores: Sequence[HorizonErrors],
+    paired: Sequence[PairedTest],
+    known: Sequence[str],
+    horizons: Sequence[float] = HORIZONS,
+) -> tuple[Use, ...]:
+    """Answers for every axis at every horizon.
+
+    `yes`: on flights that were not fitted and command the axis, the errors of velocity and position are both at most
+    half of those of holding the velocity, and the paired test shows both differences to be real at 95 %. `limited`:
+    better, but less than that, or not shown to be real. `no`: below 1.1 times better, or shown to be worse.
+    `unproven`: no score.
+
+    Args:
+        scores: As `evidence.scores_of` gives them.
+        paired: Of the model against the baselines.
+        known: The axes that have a model.
+        horizons: That are asked about [s].
+    """
+    by_place = {(score.axis, f"{score.horizon:g}"): score for score in scores}
+    against = next((test for test in paired if test.second == "hold"), None)
+    out = []
+    for axis in AXES:
+        for horizon in horizons:
+            score = by_place.get((axis, f"{horizon:g}"))
+            if axis not in known:
+                out.append(Use(axis, horizon, "missing", "there is no model of it"))
+            elif score is None:
+                out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves this axis"))
+            elif score.velocity.get("model") is None:
+                out.append(Use(axis, horizon, "unproven", "no flight that was not fitted moves it for long enough"))
+            else:
+                out.append(_use(score, against))
+    return tuple(out)
+
+
+def _use(score: HorizonErrors, against: PairedTest | None) -> Use:
+    ratios = {what: _times_better(score, what) for what in QUANTITIES}
+    known = [ratio for ratio in ratios.values() if ratio is not None]
+    times = min(known, default=None)
+    tested = against.axes[score.axis].get(f"{score.horizon:g}", {}) if against else {}
+    found = [tested[what].pooled if what in tested else None for what, ratio in ratios.items() if ratio is not None]
+    answer, reason = _answer(times, found)
+    velocity, position = score.velocity.get("model"), score.position.get("model")
+    return Use(score.axis, score.horizon, answer, reason, velocity, position, times, score.n)
+
+
+def _times_better(score: HorizonErrors, what: str) -> float | None:
+    errors = score.velocity if what == "velocity" else score.position
+    own, hold = errors.get("model"), errors.get("hold")
+    return None if own is None or hold is None else hold / own if own > 0 else float("inf")
+
+
+def _answer(times: float | None, found: Sequence[Difference | None]) -> tuple[str, str]:
+    """Answer and reason by the ratio and the tests of both quantities."""
+    verdicts = ["too_short" if each is None else each.verdict for each in found]
+    if times is None:
+        return "unproven", "there is nothing to compare with"
+    if times < USELESS or "worse" in verdicts:
+        return "no", "it predicts no better than holding the velocity"
+    if "too_short" in verdicts:
+        return "limited", "the flights are too short to show that the difference from holding the velocity is real"
+    if "no_difference_shown" in verdicts:
+        return "limited", "the difference from holding the velocity is not shown to be real at 95 %"
+    if times < USEFUL:
+        return "limited", f"only {times:.1f} times better than holding the velocity; the flights may hardly move it"
+    return "yes", ""
+
+
+def weakest(uses: Sequence[Use], axes: Sequence[str]) -> tuple[Use, ...]:
+    """The model as a whole, horizon by horizon: its weakest axis, with that one's numbers."""
+    out = []
+    for horizon in sorted({use.horizon for use in uses}):
+        here = [use for use in uses if use.horizon == horizon and use.axis in axes]
+        if here:
+            out.append(max(here, key=lambda use: (RANK.index(use.answer), -(use.times or 0.0))))
+    return tuple(out)
+
+
+def reach(uses: Sequence[Use]) -> float | None:
+    """The longest horizon up to which every answer is `yes` [s]; None where the first is not."""
+    longest = None
+    for use in sorted(uses, key=lambda use: use.horizon):
+        if use.answer != "yes":
+            break
+        longest = use.horizon
+    return longest
+
+
+PLANNING = 1.0
+"""Horizon that the headline is about [s]."""
+
+COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", "missing": "grey"}
+"""Answer of the predictions to the colour of their lamp; `open` is an unlit lamp with a question mark."""
+
+EQUAL = "1.0"
+"""A factor that is neither better nor worse, as it would be printed."""
+
+DOUBT = 0.01
+"""p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
+
+OTHER = 4.0
+"""Variance of the innovations over that of the fit from which on it is doubted: standard deviations, and with them the
+intervals of what was fitted, are twice what the fit believed; or half, from the inverse."""
+
+MOST_REASONS = 2
+"""So many reasons stand beside a lamp; the rest are among the findings."""
+
+PROOF = {
+    "limited": "use it where the errors of the table are small enough for you, and fly a longer or livelier proof",
+    "unproven": "fly a flight that moves the axis, keep it out of the fit, and report again",
+}
+"""Answer of the predictions to what it asks for."""
+
+GAPS = "use it to predict, but do not read the coefficients that are doubted one by one"
+"""What is asked of whoever uses an axis with coefficients that are not known."""
+
+TOO_SURE = "an estimator that takes its noise for white is too sure: give it more"
+"""What coloured residuals mean to a filter."""
+
+GRAVITY = ("red", "grey", "open", "yellow", "green")
+"""Colours from the worst to the best."""
+
+STATUS = {
+    "not_excited": "its commands explain nothing of the motion",
+    "too_short": "there is too little data",
+    "diverged": "the estimation found no optimum",
+    "not_identifiable": "the data do not separate it from the other coefficients",
+}
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """One question about an axis: `green`, `yellow`, `red`, `open` (not proven) or `grey` (nothing to ask).
+
+    `advice` says what a doubt asks of whoever uses the axis all the same; empty where there is nothing to say.
+    """
+
+    question: str
+    colour: str
+    word: str
+    text: str
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Light:
+    """What is said of one axis.
+
+    Attributes:
+        axis: Name.
+        colour: The worst of its lamps.
+        word: In few words.
+        error: Velocity error at the planning horizon, with unit; None where it was not scored.
+        sentences: How well it predicts.
+        lamps: The questions behind it: predictions, coefficients, residuals.
+    """
+
+    axis: str
+    colour: str
+    word: str
+    error: str | None
+    sentences: tuple[str, ...]
+    lamps: tuple[Lamp, ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The first thing that a reader sees.
+
+    Attributes:
+        headline: The answer for the planning horizon.
+        whole: What holds for all axes together, one or two sentences.
+        advice: What to do about each doubt, a sentence each.
+        horizon: The planning horizon [s].
+        lights: Of x, y, z, yaw.
+        uses: Every axis at every horizon.
+        weakest: Its weakest axis at every horizon.
+    """
+
+    headline: str
+    whole: str
+    advice: tuple[str, ...]
+    horizon: float
+    lights: tuple[Light, ...]
+    uses: tuple[Use, ...]
+    weakest: tuple[Use, ...]
+
+
+def verdict_of(
+    model: Model,
+    scores: Sequence[HorizonErrors],
+    paired: Sequence[PairedTest] = (),
+    residuals: Sequence[Mapping[str, ResidualTests]] = (),
+    speeds: Mapping[str, float] | None = None,
+) -> Verdict:
+    """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
+
+    Each axis has three lamps. Predictions: see `usable.uses_of`, at the planning horizon. Coefficients: green where
+    every one is known and no finding warns of them, those about the residuals included. Residuals: green where no test
+    speaks against the model at 95 %. The light of the axis is the worst of the three.
+
+    Args:
+        model: With its findings.
+        scores: As `evidence.scores_of` gives them.
+        paired: Of the model against the baselines.
+        residuals: Axis to tests, a mapping a validation flight.
+        speeds: Axis to the speed up to which it was tested, SI.
+    """
+    known = [axis for axis in AXES if model.axes[axis].predictor is not None]
+    uses = uses_of(scores, paired, known)
+    horizon = min({use.horizon for use in uses}, key=lambda h: abs(h - PLANNING))
+    lights = tuple(
+        _light(
+            model, axis, [use for use in uses if use.axis == axis], horizon,
+            [score for score in scores if score.axis == axis],
+            [each[axis] for each in residuals if axis in each],
+            (speeds or {}).get(axis),
+        )
+        for axis in AXES
+    )  # fmt: skip
+    wanted = [axis for axis in AXES if axis in model.card.command or axis in known]
+    together = weakest(uses, wanted)
+    whole = _whole(lights, together, uses, wanted, horizon)
+    return Verdict(_headline(lights), whole, _advice(lights), horizon, lights, uses, together)
+
+
+def _light(
+    model: Model,
+    axis: str,
+    uses: Sequence[Use],
+    horizon: float,
+    scores: Sequence[HorizonErrors],
+    tests: Sequence[ResidualTests],
+    speed: float | None,
+) -> Light:
+    known, use = model.axes[axis], next(use for use in uses if use.horizon == horizon)
+    if known.predictor is None:
+        status = known.status["input"]
+        colour = "red" if status == "diverged" else "grey"
+        (reason,) = sentences([STATUS.get(status, "no numbers")])
+        return Light(axis, colour, "no model", None, (), (Lamp("coefficients", colour, "unknown", reason),))
+    lamps = (_predictions(use), _coefficients(model, axis), _residuals(tests))
+    colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
+    unit, factor = SPEED[axis]
+    error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
+    said = [] if use.velocity is None else _said(use, uses, scores, model.method)
+    if use.velocity is not None and speed is not None:
+        said.append(f"tested at up to {_speed(axis, speed)}")
+    return Light(axis, colour, _word(colour, reach(uses)), error, sentences([*said, *_answers(known)]), lamps)
+
+
+def _word(colour: str, furthest: float | None) -> str:
+    upto = "" if furthest is None else f" up to {furthest:g} s"
+    return {"green": f"usable{upto}", "yellow": f"with care{upto and ',' + upto}", "open": "not proven"}.get(
+        colour, "do not use"
+    )
+
+
+def _predictions(use: Use) -> Lamp:
+    words = {"yes": "proven", "limited": "partly", "unproven": "not proven", "no": "useless"}
+    (text,) = sentences([use.reason or f"errors at most 1/{USEFUL:g} of holding the velocity, and that is no chance"])
+    return Lamp("predictions", COLOUR[use.answer], words[use.answer], text, PROOF.get(use.answer, ""))
+
+
+def _coefficients(model: Model, axis: str) -> Lamp:
+    """Whether they are known and nothing was found that warns of them."""
+    mine = [f for f in model.findings if f.axis in (axis, None)]
+    forbidden = [f.evidence for f in mine if f.severity == "error"]
+    early = any(f.code == "delay_negative" for f in mine)
+    gaps = [*_unknown(model.axes[axis], model.method), *_early(model.axes[axis], early)]
+    warnings = [f for f in mine if f.severity == "warning"]
+    told = list(dict.fromkeys([*forbidden, *gaps, *(f.effect if _of_residuals(f) else f.evidence for f in warnings)]))
+    if told:
+        more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
+        word = "unusable" if forbidden else "in part" if gaps else "known, with a warning"
+        # What the residuals ask for, their own lamp says.
+        asked = [*([GAPS] if gaps else []), *(f.remedy for f in warnings if not _of_residuals(f))]
+        text = " ".join(sentences(told[:MOST_REASONS])) + more
+        return Lamp("coefficients", "red" if forbidden else "yellow", word, text, "; ".join(asked[:1]))
+    return Lamp("coefficients", "green", "known", "Each has an interval, and no finding warns.")
+
+
+def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
+    """Whether any test of any flight speaks against the model at 95 %, or they have another size than in the fit."""
+    found = [(each.white_p, "not white") for each in tests]
+    found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
+    if not found:
+        return Lamp("residuals", "grey", "not tested", "No flight that moves this axis is long enough for the tests.")
+    against = sorted(each for each in found if each[0] < LEVEL)
+    ratios = [each.variance_ratio for each in tests if not 1 / OTHER <= each.variance_ratio <= OTHER]
+    if not against and ratios:
+        told = ", ".join(f"{ratio:.2g}" for ratio in ratios)
+        text = f"their variance is {told} times that of the fit, whose intervals are those of other wind and noise"
+        widest = max(ratios) ** 0.5
+        more = f"use it, but multiply the standard deviations of the noise in your estimator by {figure(widest)}"
+        advice = more if widest > 1 else "use it; wind and noise are less here than in the fit, and so are the errors"
+        return Lamp("residuals", "yellow", "of other size", sentences([text])[0], advice)
+    if not against:
+        return Lamp("residuals", "green", "clean", f"{len(found)} tests, the smallest {chance(min(found)[0])}.")
+    follows = [each for each in against if each[1] != "not white" and each[0] < FINDING_LEVEL]
+    p, what = (follows or against)[0]
+    if p >= DOUBT:
+        text = f"{what} ({chance(p)}): weak evidence, of tests of a right model one in 20 falls below 0.05"
+        advice = "use it; this may be chance, and another flight that is not fitted will tell"
+        return Lamp("residuals", "yellow", "in doubt", sentences([text])[0], advice)
+    means = "the model leaves out part of the answer, other motion may be predicted worse"
+    text = f"{what} ({chance(p)}): {means if follows else 'something regular is left that the commands do not explain'}"
+    return Lamp("residuals", "yellow", "not clean", sentences([text])[0], _with_residuals(tests, bool(follows)))
+
+
+def _with_residuals(tests: Sequence[ResidualTests], follows: bool) -> str:
+    """What to do with a model whose residuals are not clean."""
+    if follows:
+        return "use it for motion like that of these flights only; for other motion let a richer law try, see below"
+    factor = max((max(each.optimism.values(), default=1.0) for each in tests if narrows_intervals(each)), default=1.0)
+    if factor > 1:
+        return f"use it, but multiply the half widths of its intervals by {factor:.2f}; {TOO_SURE}"
+    return f"use it, its intervals hold; {TOO_SURE}"
+
+
+def _of_residuals(finding: Finding) -> bool:
+    return finding.code.startswith("residuals_")
+
+
+def _advice(lights: Sequence[Light]) -> tuple[str, ...]:
+    """What the doubts ask for, each once with the axes that it is about; of axes that are usable at all."""
+    by: dict[str, list[str]] = {}
+    for light in lights:
+        for lamp in light.lamps if light.colour in ("yellow", "open") else ():
+            if lamp.advice:
+                by.setdefault(lamp.advice, []).append(light.axis)
+    return tuple(f"{and_list(axes)}: {advice}." for advice, axes in by.items())
+
+
+def _unknown(known: Axis, method: str) -> list[str]:
+    """Coefficients without numbers."""
+    by: dict[str, list[str]] = {}
+    for name, status in known.status.items():
+        if status != "ok" and not (method == "paper" and name == "delay"):
+            by.setdefault(status, []).append(name)
+    told = [f"{and_list(names)} alone cannot be told: {STATUS.get(status, status)}" for status, names in by.items()]
+    if method == "paper":
+        told.append("the paper's method knows no delay: it predicts as if commands acted at once")
+    return told
+
+
+def _early(known: Axis, told: bool) -> list[str]:
+    """A delay that no vehicle has, where no finding tells of it."""
+    if told or known.delay is None or known.delay >= 0:
+        return []
+    high = known.ci95["delay"][1]
+    reaches = "" if high is None else f"; up to {high:.2f} s belongs to its interval"
+    return [f"the delay is {known.delay:.3f} s: no vehicle answers before its command{reaches}"]
+
+
+def _answers(known: Axis) -> list[str]:
+    """How late the vehicle answers, as far as it is known."""
+    if known.delay is not None and known.delay < 0:
+        return [f"by the stamps a command acts {-known.delay:.2f} s before it is sent"]
+    if known.delay is not None:
+        return [f"a command acts after {known.delay:.2f} s"]
+    lag = known.combinations.get("total_lag")
+    return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
+
+
+def _said(use: Use, uses: Sequence[Use], scores: Sequence[HorizonErrors], method: str) -> list[str]:
+    """How far off the predictions are at the planning horizon and at the longest, against the baselines."""
+    last = max((each for each in uses if each.velocity is not None), key=lambda each: each.horizon)
+    said = [
+        f"{over(each.horizon)}: off by {_off(each)}{better(each.times)}"
+        for each in ([use, last] if last.horizon > use.horizon else [use])
+    ]
+    now = next(score for score in scores if score.horizon == use.horizon)
+    paper = now.velocity.get("paper")
+    if paper is not None and use.velocity and method != "paper":
+        said.append(f"beside the paper's coefficients: velocity {_ratio(paper / use.velocity)}")
+    return said
+
+
+def errors_text(use: Use) -> str:
+    """Velocity and position error with units, such as `1.7 cm/s and 0.85 cm`."""
+    unit, factor = SPEED[use.axis]
+    assert use.velocity is not None
+    speed = f"{figure(factor * use.velocity)} {unit}"
+    return speed if use.position is None else f"{speed} and {_length(use.axis, use.position)}"
+
+
+def over(horizon: float) -> str:
+    """What a velocity error is about: `over the first second`; it is the RMS of all steps, not of the last."""
+    return "over the first second" if horizon == 1 else f"over the first {horizon:g} s"
+
+
+def _off(use: Use) -> str:
+    speed, *length = errors_text(use).split(" and ")
+    return speed + "".join(f", and {each} at the end" for each in length)
+
+
+def _length(axis: str, position: float) -> str:
+    unit, factor = LENGTH[axis]
+    return f"{figure(factor * position)} {unit}"
+
+
+def _speed(axis: str, speed: float) -> str:
+    return f"{figure(SPEED['yaw'][1] * speed)} deg/s" if axis == "yaw" else f"{figure(speed)} m/s"
+
+
+def better(times: float | None) -> str:
+    """Comparison with holding the velocity, to be added to a sentence."""
+    if times is None:
+        return ""
+    word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
+    if figure(size) == EQUAL:
+        return ", equal to holding the velocity"
+    return f", {figure(size)} times {word} than holding the velocity"
+
+
+def _ratio(times: float) -> str:
+    word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
+    return "equal" if figure(size) == EQUAL else f"{figure(size)} times {word}"
+
+
+def _headline(lights: Sequence[Light]) -> str:
+    """The answer for all axes, in the order yes, with care, not proven, no, no model."""
+    by = {colour: [light.axis for light in lights if light.colour == colour] for colour in GRAVITY}
+    if len(by["grey"]) == len(lights):
+        return "There is no model yet: no axis has numbers."
+    words = {"green": "yes", "yellow": "with care", "open": "not proven", "red": "no"}
+    parts = [f"{word} for {and_list(by[colour])}" for colour, word in words.items() if by[colour]]
+    if len(parts) == 1 and not by["grey"]:
+        parts = [f"{parts[0].partition(' for ')[0]}, for every axis"]
+    missing = f" There is no model of {and_list(by['grey'])}." if by["grey"] else ""
+    told = "; ".join(parts)
+    return f"{told[:1].upper()}{told[1:]}.{missing}"
+
+
+def _whole(
+    lights: Sequence[Light], together: Sequence[Use], uses: Sequence[Use], wanted: Sequence[str], horizon: float
+) -> str:
+    """What holds for all axes that the card commands, taken together."""
+    if all(light.colour == "grey" for light in lights):
+        return "Nothing can be predicted."
+    now = next(use for use in together if use.horizon == horizon)
+    if now.answer == "missing":
+        lacking = and_list(
+            [u.axis for u in uses if u.horizon == horizon and u.answer == "missing" and u.axis in wanted]
+        )
+        return f"As a whole: no. There is no model of {lacking}, which can be commanded."
+    if now.answer == "unproven":
+        lacking = and_list([u.axis for u in uses if u.horizon == horizon and u.answer == "unproven"])
+        return f"As a whole: not proven. No flight that was not fitted moves {lacking}, or not for long enough."
+    if forbidden := _because(lights, "red"):
+        return f"As a whole: no, because of {forbidden}."
+    doubted, furthest = _because(lights, "yellow"), reach(together)
+    answer = f"with care, because of {doubted}" if doubted else "yes"
+    upto = f". The predictions are proven up to {furthest:g} s" if furthest else ""
+    return (
+        f"As a whole: {answer}{upto}; {over(horizon)} the weakest axis is {now.axis}, off by {_off(now)}"
+        f"{better(now.times)}."
+    )
+
+
+def _because(lights: Sequence[Light], colour: str) -> str:
+    """Which lamps of which axes have a colour: `the residuals of y and z`."""
+    by: dict[str, list[str]] = {}
+    for light in lights:
+        for lamp in light.lamps:
+            if lamp.colour == colour:
+                by.setdefault(lamp.question, []).append(light.axis)
+    return and_list([f"the {question} of {and_list(axes)}" for question, axes in by.items()])

@@ -1,0 +1,387 @@
+"""Model, flights and validation -> plain named series and tables. Whoever draws, only draws.
+
+A `Chart` holds everything that a drawing needs: lines over one x axis, marks, levels, a sentence on how to read it and
+a text alternative. The page, the figures for a paper and whatever comes later draw the same charts.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.assessment.validation import dynamics_from_model
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.dynamics.kinematics import LONGEST_GAP, local_polynomial, motion_from_flight
+from rotorfit.dynamics.protocol import START_EVERY, Predictions, free_run_prediction, predict_flight
+from rotorfit.estimation.regression.paper import modelled_acceleration
+
+DRAWN_RATE = 30.0
+"""Points a second of the drawn motion: the local polynomials pass nothing above a third of it."""
+
+MOST_POINTS = 20_000
+"""Points of a drawn line beyond which it is reduced to the extremes of its stretches."""
+
+MODEL_LOOKS = 6
+"""So many models have a colour and a dash of their own."""
+
+READING = {
+    "velocity": "Every piece of the predicted line comes from data that end 0.5 to 1 s before it; from there on only "
+    "the commands are known. Where it covers the measured line, the model can be trusted that far ahead.",
+    "acceleration": "The paper's Figure 4: a = R(g u(t − delay) − b v) in world axes against the second derivative of "
+    "the measured pose. What remains between the lines is wind, noise, and what the model leaves out.",
+}
+"""How to read the charts of a flight."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a chart.
+
+    Attributes:
+        name: For the legend.
+        role: `measured`, `model`, `paper`, `hold`, or `residual`: the drawer gives each its look.
+        y: Values, shape (N,); NaN breaks the line.
+    """
+
+    name: str
+    role: str
+    y: Array
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One marked point: its place and what it says."""
+
+    x: float
+    y: float
+    role: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Everything that a drawing needs.
+
+    Attributes:
+        kind: `velocity`, `acceleration`, `profile`, `horizon_velocity`, `horizon_position` or `correlation`.
+        axis: `x`, `y`, `z` or `yaw`.
+        title: Short.
+        x_label: With unit.
+        y_label: With unit.
+        x: Shared by the lines, shape (N,).
+        lines: In the order of drawing.
+        reading: One sentence: how to read it.
+        summary: One sentence: what is seen, in figures; the text alternative.
+        marks: Points besides the lines.
+        levels: Horizontal lines, value to name.
+        span: A marked range of x, such as an interval; an open end is infinite.
+        y_range: What to show of y; None for all.
+        y_log: Whether y is drawn on a logarithmic scale; all its values are then positive or NaN.
+    """
+
+    kind: str
+    axis: str
+    title: str
+    x_label: str
+    y_label: str
+    x: Array
+    lines: tuple[Line, ...]
+    reading: str
+    summary: str
+    marks: tuple[Mark, ...] = ()
+    levels: tuple[tuple[float, str], ...] = ()
+    span: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    y_log: bool = False
+
+
+@dataclass(frozen=True)
+class ChartRow:
+    """One row of a chart of rows.
+
+    Attributes:
+        name: At the left.
+        dots: Role and value; None has no dot.
+        low: Lower end of an interval of the first dot; None for an open or no end.
+        high: Upper end.
+        text: What the row says, in figures.
+    """
+
+    name: str
+    dots: tuple[tuple[str, float | None], ...]
+    text: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class RowChart:
+    """Values side by side, a row each.
+
+    Attributes:
+        title: Short.
+        x_label: With unit.
+        rows: From the top.
+        reading: One sentence: how to read it.
+        summary: One sentence: what is seen, in figures; the text alternative.
+        x_log: Whether the values are drawn on a logarithmic scale; all are then positive.
+        level: A vertical line and its name.
+    """
+
+    title: str
+    x_label: str
+    rows: tuple[ChartRow, ...]
+    reading: str
+    summary: str
+    x_log: bool = False
+    level: tuple[float, str] | None = None
+
+
+@dataclass(frozen=True)
+class FlightView:
+    """Measured against modelled motion of one flight.
+
+    Attributes:
+        path: Of its log.
+        role: `training` or `validation`.
+        duration: Time under commands [s].
+        charts: Velocity and acceleration of the axes that the flight commands and the model knows; they share one x.
+        missing: Axes that the flight commands and of which there is no model.
+        drawn: How the series were reduced for drawing, one sentence.
+    """
+
+    path: str
+    role: str
+    duration: float
+    charts: tuple[Chart, ...]
+    missing: tuple[str, ...]
+    drawn: str
+
+
+def moved_axes(flight: Flight) -> tuple[str, ...]:
+    """The axes that a flight commands with anything but zero."""
+    return tuple(a for k, a in enumerate(AXES) if a in flight.axes and bool(np.any(flight.command[:, k])))
+
+
+def flight_view(
+    model: Model, flight: Flight, role: str, points: int = MOST_POINTS, with_paper: bool = False
+) -> FlightView:
+    """Measured against modelled velocity (heading frame) and acceleration (world frame) of one flight.
+
+    The modelled velocity is stitched from predictions: at every pose the one from the start that lies 0.5 to 1 s back.
+    The modelled acceleration is the paper's eq. (6) with the delayed command and the measured velocity; it is not drawn
+    for structures that have another law.
+
+    Args:
+        model: The model.
+        flight: Any flight of the vehicle.
+        role: `training` or `validation`.
+        points: Most points of a line.
+        with_paper: Whether to draw what the paper's coefficients predict, too.
+    """
+    axes = [axis for axis in moved_axes(flight) if model.axes[axis].predictor]
+    pick = [AXES.index(axis) for axis in axes]
+    velocities = _velocities(model, flight, with_paper)
+    series = {**velocities, **_accelerations(model, flight)}
+    time, values, drawn = _reduced(flight.pose_time, np.hstack([v[:, pick] for v in series.values()]), points)
+    drawn_series = dict(zip(series, np.split(values, len(series), axis=1), strict=True))
+    charts = []
+    for kind in ("velocity", "acceleration"):
+        for j, axis in enumerate(axes):
+            drawn_lines = {name: y[:, j] for (what, name), y in drawn_series.items() if what == kind}
+            whole_lines = {name: y[:, pick[j]] for (what, name), y in series.items() if what == kind}
+            charts.append(_motion_chart(kind, axis, time, drawn_lines, whole_lines))
+    missing = tuple(axis for axis in moved_axes(flight) if axis not in axes)
+    return FlightView(flight.path, role, flight.duration, tuple(charts), missing, drawn)
+
+
+def look_of(number: int) -> str:
+    """Role of a model's lines and dots among those of several; the looks begin again after `MODEL_LOOKS`."""
+    return f"model-{number % MODEL_LOOKS + 1}"
+
+
+def overlaid(views: Sequence[Sequence[Chart]], names: Sequence[str]) -> tuple[Chart, ...]:
+    """Charts of several models drawn over each other: what they share once, and a line each.
+
+    Args:
+        views: The charts of each model; those of one kind and axis become one, without the paper's lines and bands.
+        names: Of the models; their lines have the roles of `look_of`.
+    """
+    places = dict.fromkeys((chart.kind, chart.axis) for charts in views for chart in charts)
+    return tuple(
+        _one_over_the_other(
+            [(k, chart) for k, charts in enumerate(views) for chart in charts if (chart.kind, chart.axis) == place],
+            names,
+        )
+        for place in places
+    )
+
+
+def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str]) -> Chart:
+    """Lines with stamps of their own are drawn between them on those of all, which changes no line."""
+    first = charts[0][1]
+    alike = all(chart.x.size == first.x.size and bool(np.all(chart.x == first.x)) for _, chart in charts)
+    x = first.x if alike else np.unique(np.concatenate([chart.x for _, chart in charts]))
+    lines = [line for line in first.lines if line.role in ("measured", "hold")] if alike else []
+    for k, chart in charts:
+        for line in chart.lines:
+            if line.role == "model":
+                y = line.y if alike else np.interp(x, chart.x, line.y, np.nan, np.nan)
+                lines.append(Line(names[k], look_of(k), y))
+    marks = [
+        replace(mark, role=look_of(k), text=f"{names[k]}: {mark.text}")
+        for k, chart in charts
+        for mark in chart.marks
+        if mark.role == "chosen"
+    ]
+    ranges = [chart.y_range for _, chart in charts if chart.y_range is not None]
+    return replace(
+        first,
+        x=x,
+        lines=tuple(lines),
+        summary=" ".join(f"{names[k]}: {chart.summary}" for k, chart in charts),
+        marks=tuple(marks),
+        span=None,
+        y_range=(min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None,
+    )
+
+
+def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
+    """What was commanded and what the vehicle did, side by side, so that a wrong sign or axis can be seen.
+
+    Returns:
+        Stamps of the poses, shape (N,) [s]; the commands that act then, shape (N, 4), NaN where none is known or the
+        axis is not commanded; the measured velocities, heading frame, shape (N, 4) [m/s, rad/s].
+    """
+    t = flight.pose_time
+    command = np.column_stack([_held(flight, t, k) for k in range(len(AXES))])
+    command[:, [axis not in flight.axes for axis in AXES]] = np.nan
+    return t, command, _measured(flight)
+
+
+def _measured(flight: Flight) -> Array:
+    """Velocities at the poses, heading frame, shape (N, 4)."""
+    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
+    velocity = local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity
+    velocity[:, :2] = heading_from_world(velocity[:, :2], flight.yaw)
+    return velocity
+
+
+def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[str, str], Array]:
+    """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
+    t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
+    lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
+    told = {"measured": np.ones(4, bool), "model": known}
+    parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
+    paper = np.array([np.nan if g is None else g for g in model.paper])
+    if with_paper and np.isfinite(paper).any():
+        coasted = [free_run_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
+        lines["paper"], told["paper"] = _stitched(t, parts, coasted), np.isfinite(paper[0::2])
+    lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
+    for name, line in lines.items():
+        line[:, :2] = heading_from_world(line[:, :2], flight.yaw)
+        line[:, ~told[name]] = np.nan
+    return {("velocity", name): line for name, line in lines.items()}
+
+
+def _known(model: Model) -> Mask:
+    """Which axes have a predictor, shape (4,)."""
+    return np.array([model.axes[axis].predictor is not None for axis in AXES])
+
+
+def _stitched(time: Array, parts: Sequence[Predictions], predicted: Sequence[Array]) -> Array:
+    """Velocity at each pose as predicted from the start 0.5 to 1 s before it, world frame, (N, 4)."""
+    out = np.full((time.size, 4), np.nan)
+    for part, values in zip(parts, predicted, strict=True):
+        offset = int(np.searchsorted(time, part.time[0]))
+        low = np.searchsorted(part.time, part.start + START_EVERY, side="right")
+        high = np.searchsorted(part.time, part.start + 2 * START_EVERY, side="right")
+        for s, (begin, end) in enumerate(zip(low, np.minimum(high, part.last), strict=True)):
+            if begin < end:
+                out[offset + begin : offset + end] = values[s, begin - part.first[s] : end - part.first[s], 1]
+    return out
+
+
+def _accelerations(model: Model, flight: Flight) -> dict[tuple[str, str], Array]:
+    """Measured and modelled accelerations at the poses, world frame, each (N, 4).
+
+    Source: paper, eq. (6) and Figure 4, with u(t - delay).
+    """
+    motion = motion_from_flight(flight)
+    points = [model.axes[axis].predictor for axis in AXES]
+    delayed = np.column_stack([_held(flight, motion.time - (p.delay if p else 0.0), k) for k, p in enumerate(points)])
+    gamma = np.array([value for p in points for value in ((p.input, p.damping) if p else (np.nan, np.nan))])
+    lines = {"measured": motion.acceleration}
+    if _known(model).any():
+        lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
+        lines["model"][:, ~_known(model)] = np.nan
+        plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
+        plain[:2] = [all(plain[:2])] * 2  # the world's axes hold both
+        lines["model"][:, ~np.array(plain)] = np.nan
+    at, out = np.searchsorted(flight.pose_time, motion.time), {}
+    for name, values in lines.items():
+        out["acceleration", name] = np.full((flight.pose_time.size, 4), np.nan)
+        out["acceleration", name][at] = values
+    return out
+
+
+def _held(flight: Flight, time: Array, k: int) -> Array:
+    """The command that acts at a time; NaN outside the segments."""
+    index = np.searchsorted(flight.command_time, time, side="right") - 1
+    inside = np.any([(time >= part.start) & (time <= part.end) for part in flight.segments], axis=0)
+    return np.where(inside & (index >= 0), flight.command[np.maximum(index, 0), k], np.nan)
+
+
+def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array], whole: Mapping[str, Array]) -> Chart:
+    """One axis of a flight; the figures of the summary come from the series before they were reduced."""
+    order = "" if kind == "velocity" else "²"
+    unit = f"rad/s{order}" if axis == "yaw" else f"m/s{order}"
+    frame = "" if axis in ("z", "yaw") else " (heading frame)" if kind == "velocity" else " (world)"
+    modelled = "predicted" if kind == "velocity" else "modelled"
+    names = {"measured": "measured", "model": modelled, "paper": "paper's prediction"}
+    lines = tuple(Line(names[name], name, y) for name, y in drawn.items() if np.isfinite(y).any())
+    told = f"{axis}: there is no model to compare with"
+    if "model" in whole and np.isfinite(whole["model"] - whole["measured"]).any():
+        error = whole["model"] - whole["measured"]
+        spread = float(np.std(whole["measured"][np.isfinite(error)]))
+        off = float(np.sqrt(np.nanmean(error**2)))
+        told = f"{axis}: the {modelled} {kind} is off by {off:.3g} {unit} RMS, the measured varies by {spread:.3g}"
+    return Chart(
+        kind=kind,
+        axis=axis,
+        title=f"{axis} {kind}{frame}",
+        x_label="time [s]",
+        y_label=unit,
+        x=time,
+        lines=lines,
+        reading=READING[kind],
+        summary=f"{told}.",
+    )
+
+
+def _reduced(time: Array, values: Array, points: int) -> tuple[Array, Array, str]:
+    """Stamps and columns for drawing, with a row of NaN in every hole, and one sentence on what was done."""
+    first = np.flatnonzero(np.diff(np.floor((time - time[0]) * DRAWN_RATE + 1e-6), prepend=-1.0) > 0)
+    if first.size <= points:
+        time, values = time[first], values[first]
+        drawn = f"Drawn at up to {DRAWN_RATE:g} points a second: {time.size} points a line."
+    else:
+        time, values = extremes(time, values, points // 2)
+        drawn = f"Long flight: each line is drawn by the extremes of {time.size // 2} stretches."
+    holes = np.flatnonzero(np.diff(time) > LONGEST_GAP) + 1
+    return np.insert(time, holes, time[holes - 1] + 1e-3), np.insert(values, holes, np.nan, axis=0), drawn
+
+
+def extremes(time: Array, values: Array, stretches: int) -> tuple[Array, Array]:
+    """Smallest and largest value of each column in each of equal stretches of time, in the order of their trend."""
+    place = np.minimum(((time - time[0]) / (time[-1] - time[0]) * stretches).astype(int), stretches - 1)
+    first = np.flatnonzero(np.diff(place, prepend=-1))
+    last = np.append(first[1:], time.size) - 1
+    low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+    rising = ~(values[last] < values[first])
+    pairs = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1)
+    stamps = np.stack([time[first], 0.5 * (time[first] + time[last])], axis=1)
+    stamps[first == last, 1] += 1e-6
+    return stamps.ravel(), pairs.reshape(-1, values.shape[1])

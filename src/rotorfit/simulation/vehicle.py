@@ -1,0 +1,374 @@
+"""Vehicle: a multirotor with its autopilot, as physical parameters from TOML; what they mean for small slow motion."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from rotorfit.core.errors import VehicleError, nearest
+from rotorfit.core.limits import GRAVITY
+
+Three = tuple[float, float, float]
+
+Four = tuple[float, float, float, float]  # one value for each of x, y, z, yaw
+
+
+@dataclass(frozen=True)
+class Rotors:
+    """Four rotors in an X. A rotor's thrust follows its command with a first-order lag.
+
+    Attributes:
+        arm: From the centre to a rotor's axis [m].
+        thrust: Least and most thrust of one rotor with a full battery [N].
+        time_constant: Of the lag [s].
+        torque_ratio: Drag torque over thrust [m].
+    """
+
+    arm: float
+    thrust: tuple[float, float]
+    time_constant: float
+    torque_ratio: float
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """The tilt loop: second order but for the rotors' lag.
+
+    Attributes:
+        frequency: Natural frequency [rad/s].
+        damping: Damping ratio.
+        rate_limit: Fastest roll and pitch rate that the loop asks for [rad/s].
+        tilt_limit: Largest tilt that the velocity loop asks for [rad].
+    """
+
+    frequency: float
+    damping: float
+    rate_limit: float
+    tilt_limit: float
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Outer loops: acceleration asked for per error of velocity.
+
+    Attributes:
+        velocity: Forward and left [1/s]; where commands are tilts, only for braking.
+        climb: Vertical speed [1/s].
+        climb_acceleration: Largest vertical acceleration that is asked for [m/s^2].
+        yaw: Yaw rate [1/s].
+        yaw_acceleration: Largest yaw acceleration that is asked for [rad/s^2].
+    """
+
+    velocity: float
+    climb: float
+    climb_acceleration: float
+    yaw: float
+    yaw_acceleration: float
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the four commands mean.
+
+    Attributes:
+        horizontal: Of forward and left: `tilt` angles or `velocity`.
+        unit: `fraction` of the limits below, or `si`: m/s, rad/s, and rad for tilts. What is beyond the limits is cut.
+        vertical_speed: Limit [m/s].
+        yaw_rate: Limit [rad/s].
+        tilt: Limit [rad]; where commands are tilts.
+        speed: Limit [m/s]; where commands are velocities.
+    """
+
+    horizontal: Literal["tilt", "velocity"]
+    unit: Literal["fraction", "si"]
+    vertical_speed: float
+    yaw_rate: float
+    tilt: float | None = None
+    speed: float | None = None
+
+
+@dataclass(frozen=True)
+class Radio:
+    """How commands travel. They arrive in the order in which they were sent.
+
+    Attributes:
+        latency: Least time on the way [s].
+        jitter: Mean of the exponentially distributed time on top [s].
+        loss: Share of commands that never arrive, each drawn alone. Take-off and landing are never lost.
+    """
+
+    latency: float
+    jitter: float = 0.0
+    loss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Autopilot:
+    """What the autopilot does by itself.
+
+    Attributes:
+        brakes_on_zero: Forward and left both exactly zero make it hold zero velocity, where commands are tilts.
+        command_timeout: So long after the last command it hovers [s].
+        land_after: So long after the last command it lands [s]; inf for never.
+        take_off_height: Where it hovers after take-off, above the floor [m].
+        take_off_speed: [m/s].
+        landing_speed: [m/s].
+    """
+
+    brakes_on_zero: bool
+    command_timeout: float
+    land_after: float
+    take_off_height: float
+    take_off_speed: float
+    landing_speed: float
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Onboard velocity, heading frame.
+
+    Attributes:
+        rate: Samples a second.
+        noise: Standard deviation of the white error on x, y, z [m/s].
+        bias: Standard deviation, from flight to flight, of the constant error [m/s].
+        yaw_noise: Standard deviation of the white error of the yaw rate [rad/s].
+        latency: From the measurement until it arrives [s]; its stamp tells the instant of measurement.
+    """
+
+    rate: float
+    noise: float
+    bias: float
+    yaw_noise: float
+    latency: float
+
+
+@dataclass(frozen=True)
+class Battery:
+    """What is left drives the rotors.
+
+    Attributes:
+        flight_time: Of hovering, from full to empty [s].
+        sag: Share of the thrust lost from full to empty at the same command.
+        land_below: Share left at which the vehicle lands by itself.
+    """
+
+    flight_time: float
+    sag: float
+    land_below: float
+
+
+@dataclass(frozen=True)
+class Linear:
+    """What a vehicle is for small slow motion: a = input u(t - delay) - damping v on each axis.
+
+    Attributes:
+        gamma: Input and damping of x, y, z, yaw in turn, per unit of command, shape (8,). Source: paper, eq. (4).
+        delay: Effective delay from sending a command to its acting, x, y, z, yaw [s].
+    """
+
+    gamma: tuple[float, ...]
+    delay: Four
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A multirotor with its autopilot.
+
+    Attributes:
+        name: For people.
+        mass: [kg].
+        inertia: About the body's forward, left and up axes [kg m^2].
+        drag: Deceleration per airspeed along those axes [1/s].
+        rotors, attitude, loops, command, radio, autopilot, odometry, battery: See there.
+    """
+
+    name: str
+    mass: float
+    inertia: Three
+    drag: Three
+    rotors: Rotors
+    attitude: Attitude
+    loops: Loops
+    command: Command
+    radio: Radio
+    autopilot: Autopilot
+    odometry: Odometry
+    battery: Battery
+
+    def card(self) -> dict[str, Any]:
+        """The card of its flights, as parsed from TOML: what commands mean, their limits, columns as recorded."""
+        command, fraction = self.command, self.command.unit == "fraction"
+        limit = {"x": self._horizontal_limit, "y": self._horizontal_limit, "z": "vertical_speed", "yaw": "yaw_rate"}
+        meaning = {axis: name if name != "speed" else "velocity" for axis, name in limit.items()}
+        field = {"x": "linear.x", "y": "linear.y", "z": "linear.z", "yaw": "angular.z"}
+        channels = {
+            axis: {"from": f"/rotorfit/command:twist.{field[axis]}", "meaning": meaning[axis]}
+            | ({"full_scale": limit[axis]} if fraction else {})
+            for axis in limit
+        }
+        pose = {axis: f"/rotorfit/pose:pose.position.{axis}" for axis in "xyz"}
+        return {
+            "name": f"{self.name}, virtual flight room",
+            "frame": "ENU",
+            "command": {"frame": "heading", "time": "/rotorfit/command:header.stamp", **channels},
+            "pose": {"time": "/rotorfit/pose:header.stamp", **pose, "quaternion": "/rotorfit/pose:pose.orientation"},
+            "limits": {name: getattr(command, name) for name in dict.fromkeys(limit.values())},
+        }
+
+    def linear(self, radio: Radio | None = None) -> Linear:
+        """Coefficients and delays for small slow motion, from the parameters; docs/flight-room.md derives them.
+
+        Args:
+            radio: How commands travel; the vehicle's own where None.
+        """
+        way = radio or self.radio
+        latency = way.latency + way.jitter
+        scale = self.full_scale()
+        lag = 2 * self.attitude.damping / self.attitude.frequency
+        second = self.attitude.frequency**-2
+        rotor, loops = self.rotors.time_constant, self.loops
+        if self.command.horizontal == "tilt":
+            along = [(GRAVITY, drag, lag) for drag in self.drag[:2]]
+        else:
+            along = [_servo(loops.velocity, drag, lag, second) for drag in self.drag[:2]]
+        axes = [*along, _servo(loops.climb, self.drag[2], rotor, 0.0), _servo(loops.yaw, 0.0, rotor, 0.0)]
+        gamma = [part for k, (gain, damping, _) in enumerate(axes) for part in (gain * scale[k], damping)]
+        return Linear(tuple(gamma), cast("Four", tuple(latency + delay for _, _, delay in axes)))
+
+    def full_scale(self) -> Four:
+        """What a command of 1 asks for: rad or m/s, m/s, m/s, rad/s."""
+        if self.command.unit == "si":
+            return (1.0, 1.0, 1.0, 1.0)
+        horizontal = self.limits()[0]
+        return (horizontal, horizontal, self.command.vertical_speed, self.command.yaw_rate)
+
+    def limits(self) -> Four:
+        """The most that a command can ask for: rad or m/s, m/s, m/s, rad/s."""
+        horizontal = getattr(self.command, self._horizontal_limit)
+        return (horizontal, horizontal, self.command.vertical_speed, self.command.yaw_rate)
+
+    @property
+    def _horizontal_limit(self) -> str:
+        return "tilt" if self.command.horizontal == "tilt" else "speed"
+
+
+def _servo(gain: float, drag: float, lag: float, second: float) -> tuple[float, float, float]:
+    """Input, damping and delay of the first-order model of a velocity loop around 1 / (1 + lag s + second s^2).
+
+    The loop is K / (1 + a s + b s^2 + ...). A delay and a lag T have the same mean and the same spread of their impulse
+    response when T^2 = a^2 - 2 b and delay = a - T.
+
+    Raises:
+        VehicleError: The loop overshoots so much that no first-order model has its spread.
+    """
+    a, b = (1 + lag * drag) / (gain + drag), (lag + second * drag) / (gain + drag)
+    if a * a <= 2 * b:
+        raise VehicleError(f"a loop of gain {gain:g}/s around a lag of {lag:g} s overshoots: lower the gain")
+    time = math.sqrt(a * a - 2 * b)
+    return gain / (gain + drag) / time, 1 / time, a - time
+
+
+def load_vehicle(name_or_path: str) -> Vehicle:
+    """Loads a built-in vehicle by its name, or one from a TOML file.
+
+    Raises:
+        VehicleError: Neither a name nor a file; not TOML; or what `vehicle_from_mapping` refuses.
+    """
+    built_in = builtin_vehicles()
+    if name_or_path in built_in:
+        return built_in[name_or_path]
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise VehicleError(f"no vehicle {name_or_path!r}: neither a file nor one of {', '.join(built_in)}")
+    try:
+        return vehicle_from_mapping(tomllib.loads(path.read_text(encoding="utf-8")), name_or_path)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise VehicleError(f"vehicle {name_or_path}: not readable as TOML: {' '.join(str(err).split())}") from err
+
+
+def builtin_vehicles() -> dict[str, Vehicle]:
+    """All vehicles that ship with rotorfit, by name, sorted."""
+    folder = resources.files("rotorfit.simulation").joinpath("vehicles")
+    texts = {
+        entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8")
+        for entry in folder.iterdir()
+        if entry.name.endswith(".toml")
+    }
+    return {name: vehicle_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
+
+
+def vehicle_from_mapping(raw: Mapping[str, Any], where: str) -> Vehicle:
+    """Checks a vehicle as parsed from TOML.
+
+    Raises:
+        VehicleError: A key that is missing or that nobody knows (the nearest is named), a wrong type, a value that no
+            vehicle can have.
+    """
+    vehicle = cast("Vehicle", _read(Vehicle, raw, f"vehicle {where}"))
+    _check(vehicle, f"vehicle {where}")
+    return vehicle
+
+
+def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
+    """A dataclass of numbers, words and further dataclasses from the table that has its keys."""
+    known = {field.name: field for field in fields(noun)}
+    for key in raw:
+        if key not in known:
+            raise VehicleError(f"{place}: nobody knows key {key!r}{nearest(key, known)}")
+    missing = [name for name, field in known.items() if name not in raw and field.default is MISSING]
+    if missing:
+        raise VehicleError(f"{place}: {missing[0]} is missing")
+    return noun(**{key: _value(known[key].type, value, f"{place}, {key}") for key, value in raw.items()})
+
+
+def _value(kind: Any, value: Any, place: str) -> Any:
+    if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__"):
+        if not isinstance(value, Mapping):
+            raise VehicleError(f"{place}: must be a section, not {value!r}")
+        return _read(kind, value, place)
+    if kind is bool or kind is str:
+        if not isinstance(value, kind):
+            raise VehicleError(f"{place}: must be {'true or false' if kind is bool else 'a text'}, not {value!r}")
+        return value
+    words = getattr(kind, "__args__", ())
+    if getattr(kind, "__origin__", None) is Literal:
+        if value not in words:
+            raise VehicleError(f"{place}: {value!r} is not one of {', '.join(words)}")
+        return value
+    if getattr(kind, "__origin__", None) is tuple:
+        if not isinstance(value, list) or len(value) != len(words):
+            raise VehicleError(f"{place}: must be {len(words)} numbers, not {value!r}")
+        return tuple(_number(part, place) for part in value)
+    return _number(value, place)
+
+
+def _number(value: Any, place: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
+        raise VehicleError(f"{place}: must be a number that is not negative, not {value!r}")
+    return float(value)
+
+
+def _check(vehicle: Vehicle, place: str) -> None:
+    """What the types do not say."""
+    needed = "tilt" if vehicle.command.horizontal == "tilt" else "speed"
+    if getattr(vehicle.command, needed) is None:
+        raise VehicleError(f"{place}, command: {needed} is missing where commands are a {vehicle.command.horizontal}")
+    rotors, attitude = vehicle.rotors, vehicle.attitude
+    positive = (
+        vehicle.mass, *vehicle.inertia, rotors.arm, rotors.time_constant, rotors.torque_ratio, attitude.frequency,
+        attitude.damping, vehicle.loops.climb, vehicle.loops.yaw, vehicle.odometry.rate, vehicle.battery.flight_time,
+    )  # fmt: skip
+    if min(positive) <= 0:
+        raise VehicleError(f"{place}: masses, inertias, times, rates and gains must be positive")
+    if not 4 * rotors.thrust[0] < GRAVITY * vehicle.mass < 4 * rotors.thrust[1]:
+        raise VehicleError(
+            f"{place}, rotors: thrust must hold the weight of {vehicle.mass:g} kg between least and most"
+        )
+    if 2 * attitude.damping <= rotors.time_constant * attitude.frequency:
+        raise VehicleError(
+            f"{place}, attitude: rotors with a lag of {rotors.time_constant:g} s make this loop unstable"
+        )
+    vehicle.linear()

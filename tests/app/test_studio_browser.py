@@ -1,0 +1,259 @@
+"""The studio in a real browser: from a dropped log to a downloaded model; a bad file, two windows, a killed fit."""
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+
+from rotorfit.files.models import load
+from studio_room import bag
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the studio is not tested in a browser")
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+expect.set_options(timeout=20_000)
+SOON, WORK = 20_000, 90_000
+"""How long to wait for the page, and for a fit [ms]."""
+
+DROP = """([name, base64]) => {
+  const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0)), data = new DataTransfer();
+  data.items.add(new File([bytes], name));
+  for (const kind of ["dragover", "drop"])
+    document.body.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    """Of a studio in a process of its own."""
+    command = [sys.executable, "-m", "rotorfit", "studio", str(tmp_path / "workspace"), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = ""
+        while not said.rstrip().endswith("}"):
+            line = process.stdout.readline()
+            assert line, "the studio did not start"
+            said += line
+        yield json.loads(said)["address"]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    context = browser.new_context(viewport={"width": 1280, "height": 860})
+    context.set_default_timeout(SOON)
+    yield context
+    context.close()
+
+
+def opened(context: BrowserContext, address: str) -> Page:
+    """The page, with its complaints: errors and breaches of its policy, but no refusals of the server."""
+    page = context.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on(
+        "console",
+        lambda line: (
+            None if line.type != "error" or "Failed to load resource" in line.text else complaints.append(line.text)
+        ),
+    )
+    page.on("dialog", lambda dialog: (complaints.append("a dialog"), dialog.dismiss()))
+    page.goto(address)
+    expect(page.locator("html[data-ready]")).to_have_count(1)
+    page.complaints = complaints  # type: ignore[attr-defined]
+    return page
+
+
+def drop(page: Page, name: str, content: bytes) -> None:
+    page.evaluate(DROP, [name, base64.b64encode(content).decode()])
+
+
+def step(page: Page, name: str) -> None:
+    page.get_by_role("navigation").get_by_text(name).click()
+
+
+def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, address: str, tmp_path: Path) -> None:
+    page = opened(context, address)
+    assert "token" not in page.url
+
+    drop(page, "flight.bag", bag(1))
+    drop(page, "proof.bag", bag(2))
+    expect(page.locator("#logs .cards li")).to_have_count(2)
+    expect(page.locator("#logs .plot canvas").first).to_be_visible()
+    expect(page.locator("#log-detail .scroll table")).to_contain_text("Hz")
+
+    step(page, "Card")
+    text = page.get_by_label("The card as TOML")
+    expect(text).to_have_value(re.compile("command"))
+    expect(page.locator("#card .plot canvas")).to_have_count(4)
+    told = page.locator("#card .told").first
+    expect(told).to_have_text("✓ + leads forward")
+    page.get_by_label("Turn the sign of command x").click()
+    expect(text).to_have_value(re.compile(r"scale = -1"))
+    expect(told).to_have_text("+ leads backward: turn the sign")
+    told.get_by_role("button").click()
+    expect(told).to_have_text("✓ + leads forward")
+    expect(text).not_to_have_value(re.compile(r"scale = -1"))
+
+    step(page, "Ranges")
+    block = page.locator("#ranges article").first
+    plot = block.locator(".u-over")
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.1 * box["width"], box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.95 * box["width"], box["y"] + 60, steps=5)
+    page.mouse.up()
+    start = block.get_by_label("From in seconds")
+    expect(start).not_to_have_value("")
+    assert 1.5 < float(start.input_value()) < 2.5
+    start.fill("1")
+    start.press("Enter")
+    expect(page.locator("#ranges article").first.get_by_label("From in seconds")).to_have_value("1")
+
+    step(page, "Fit")
+    for axis in ("z", "yaw"):
+        page.get_by_role("checkbox", name=axis).uncheck()
+    page.get_by_role("button", name="Fit", exact=True).click()
+    expect(page.locator("#fit .progress")).to_be_visible()
+    expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead", timeout=WORK)
+    expect(page.locator("#result .coefficients")).to_contain_text("input gain")
+    expect(page.locator("#result .flight canvas")).to_have_count(2)
+
+    with page.expect_download() as download:
+        page.get_by_text("Download model").click()
+    download.value.save_as(tmp_path / "model.json")
+    model = load(tmp_path / "model.json")
+    assert model.axes["x"].status["input"] == "ok"
+    assert model.flights[0].span[0] == pytest.approx(1.0, abs=0.05)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Export").click()
+    assert download.value.suggested_filename == "model_1.py"
+    with page.expect_popup() as popup:
+        page.get_by_text("Open the report").click()
+    expect(popup.value.locator("h1")).to_be_visible()
+    assert (
+        popup.value.evaluate("() => { try { return document.cookie } catch (error) { return error.name } }")
+        == "SecurityError"
+    )
+
+    page.reload()
+    expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead")
+    page.get_by_label("For", exact=True).select_option("gazebo")
+    page.get_by_role("button", name="Export").click()
+    expect(page.locator("#notices .error")).to_contain_text("z and yaw are left out")
+    step(page, "Compare")
+    expect(page.locator("#notices .error")).to_have_count(0)
+    page.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.locator("#compare .pair summary").first).to_contain_text("fit 1 against", timeout=WORK)
+    expect(page.locator("#compare .pair").first).to_contain_text("cm/s")
+    page.set_viewport_size({"width": 390, "height": 844})
+    expect(page.locator("#compare .hint").first).to_be_visible()
+    for name in ("Logs", "Card", "Ranges", "Fit", "Compare"):
+        step(page, name)
+        expect(page.locator(f"#{name.lower()} h1")).to_be_visible()
+        expect(page.locator("#steps .words").filter(has_text=name)).to_be_in_viewport(ratio=1)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390, name
+    step(page, "Ranges")
+    expect(page.locator("#ranges article").first.get_by_label("From in seconds")).to_have_value("1")
+    assert page.complaints == []  # type: ignore[attr-defined]
+
+
+def test_a_bad_file_and_a_wicked_name_do_no_harm(context: BrowserContext, address: str) -> None:
+    page = opened(context, address)
+    wicked = '<img src=x onerror="alert(1)">.bag'
+
+    drop(page, "holiday.jpg", b"\xff\xd8\xff\xe0 no log at all")
+    expect(page.locator("#logs .refused")).to_contain_text("holiday.jpg was not added: of no known format")
+    drop(page, wicked, bag(1))
+    expect(page.locator("#logs .cards .title")).to_have_text(wicked)
+    expect(page.locator("#log-detail h2").first).to_have_text(wicked)
+    for name in ("Card", "Ranges", "Fit", "Compare"):
+        step(page, name)
+        expect(page.locator(f"#{name.lower()} h1")).to_be_visible()
+    assert page.locator("img").count() == 0
+    page.goto(page.url.partition("#")[0] + "#logs")
+    page.get_by_label("Dismiss").first.click()
+    expect(page.locator("#logs .refused")).to_have_count(0)
+    page.get_by_label(f"Remove {wicked}").click()
+    expect(page.locator("#logs .cards li")).to_have_count(0)
+    assert page.complaints == []  # type: ignore[attr-defined]
+
+
+def test_two_windows_see_the_same_and_neither_loses_what_was_typed(context: BrowserContext, address: str) -> None:
+    one, other = opened(context, address), opened(context, address)
+    drop(one, "flight.bag", bag(1))
+    expect(other.locator("#logs .cards .title")).to_have_text("flight.bag")
+    for page in (one, other):
+        step(page, "Card")
+        expect(page.get_by_label("The card as TOML")).to_have_value(re.compile("command"))
+
+    one.get_by_label("tilt", exact=True).fill("11")
+    one.get_by_label("tilt", exact=True).press("Enter")
+    expect(other.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 11"))
+    expect(other.get_by_label("tilt", exact=True)).to_have_value("11")
+
+    other.route("**/api/session*", lambda route: route.abort())  # the other window hears nothing of what comes
+    one.get_by_label("tilt", exact=True).fill("12")
+    one.get_by_label("tilt", exact=True).press("Enter")
+    expect(one.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 12"))
+    mine = other.get_by_label("The card as TOML").input_value() + "\n# mine\n"
+    with other.expect_response(lambda response: response.url.endswith("/api/card")) as refused:
+        other.get_by_label("The card as TOML").fill(mine)
+    assert refused.value.status == 409
+    other.unroute("**/api/session*")
+    expect(other.get_by_text("Put my text in its place")).to_be_visible()
+    expect(other.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 12"))
+    other.get_by_text("Put my text in its place").click()
+    expect(one.get_by_label("The card as TOML")).to_have_value(re.compile(r"# mine"))
+
+
+def test_a_fit_that_is_killed_or_cancelled_leaves_the_page_usable(context: BrowserContext, address: str) -> None:
+    page = opened(context, address)
+    drop(page, "flight.bag", bag(1))
+    expect(page.locator("#logs .cards li")).to_have_count(1)
+    step(page, "Fit")
+    fit = page.get_by_role("button", name="Fit", exact=True)
+
+    fit.click()
+    expect(page.locator("#fit .progress")).to_be_visible()
+    running = page.evaluate("async () => (await (await fetch('/api/session')).json()).running")
+    os.kill(running["pid"], signal.SIGKILL)
+    expect(page.locator("#result")).to_contain_text("killed from outside (signal 9)")
+    expect(fit).to_be_enabled()
+
+    fit.click()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#fit .fits")).to_contain_text("cancelled")
+    expect(fit).to_be_enabled()
+    assert page.complaints == []  # type: ignore[attr-defined]
+
+
+def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext, address: str) -> None:
+    page = context.new_page()
+    answer = page.goto(address.partition("?")[0])
+
+    assert answer is not None
+    assert answer.status == 401
+    expect(page.locator("body")).to_contain_text("open the address that the studio printed")

@@ -1,0 +1,80 @@
+"""What the terminal shows: numbers with the digits that they earn, open ends, and what has no numbers."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from test_summary import axis, model
+
+from rotorfit.app.terminal import show
+from rotorfit.app.terminal.coefficients import model_view
+from rotorfit.core.model import Combination, Mode, Model
+
+
+def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
+    """Cells of the table of coefficients of x, by coefficient."""
+    show(model_view(shown, ("x",)))
+    lines = capsys.readouterr().out.partition("───\n")[2].partition("input is per")[0].splitlines()
+    rows = [re.sub(" to ", "..", line.removeprefix("x")).strip() for line in lines]
+    return {row[:11].strip(): row[11:].split() for row in (f"{row:<12}" for row in rows)}
+
+
+def test_estimates_have_two_digits_of_their_interval(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = {"input": (3.9012, 4.0988), "damping": (0.14, 0.26), "delay": (0.0951, 0.1049)}
+
+    rows = rows_of(model({"x": replace(axis(), ci95=ends)}), capsys)
+
+    assert rows["input"] == ["4.000", "3.901..4.099", "m/s^2", "ok"]
+    assert rows["damping"] == ["0.200", "0.140..0.260", "1/s", "ok"]
+    assert rows["delay"] == ["0.1000", "0.0951..0.1049", "s", "ok"]
+
+
+def test_open_ends_and_unknown_coefficients_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    unknown = axis({"steady_gain": Combination(1256.0, (None, None))}, damping="not_identifiable")
+    ends = {**unknown.ci95, "damping": (None, 0.487)}
+
+    rows = rows_of(model({"x": replace(unknown, damping=None, ci95=ends)}), capsys)
+
+    assert rows["damping"] == ["-", "open..0.487", "1/s", "not_identifiable"]
+    assert rows["steady gain"] == ["-", "-", "m/s"]
+
+
+def test_the_papers_coefficients_stand_beside_even_where_the_likelihood_has_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = rows_of(replace(model({}), paper=(4.33, -0.23, *[None] * 6)), capsys)
+
+    assert rows == {
+        "input": ["-", "-", "m/s^2", "4.33", "not_excited"],
+        "damping": ["-", "-", "1/s", "-0.23", "not_excited"],
+    }
+
+
+def test_names_that_look_like_markup_are_shown_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = model({"x": axis()})
+    odd = replace(plain, flights=(replace(plain.flights[0], path="[red]:smile:.bag"),))
+
+    show(model_view(odd, ("x",)))
+
+    assert "[red]:smile:.bag, 0.00 to 30.00 s" in capsys.readouterr().out
+
+
+def test_other_delays_are_told_in_one_line_an_axis_and_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    chosen = Mode(0.178, 2.3, 4.0, -3.0, 2, 0.02, chosen=True)
+    others = {
+        "as likely": Mode(0.216, 2.5, 4.0, -3.4, 3, 0.02, chosen=False),
+        "less likely": Mode(0.3, 2.5, 4.0, -6.0, 3, 0.02, chosen=False),
+        "more likely, but predicts 2.0 times worse": Mode(0.012, 90.0, 80.0, 0.0, 1, 0.04, chosen=False),
+    }
+    far = Mode(0.5, 2.5, 4.0, -60.0, 3, 0.02, chosen=False)
+    several = replace(axis(), modes=(chosen, *others.values(), far))
+    lone = replace(axis(), modes=(chosen, far))
+
+    show(model_view(model({"x": lone, "y": lone, "z": several}), ("x", "y", "z")))
+
+    lines = [line for line in " ".join(capsys.readouterr().out.split()).split(" - ") if "other delay" in line]
+    assert lines[0] == (
+        "z: other delays fit almost as well: 0.012 s (more likely, but predicts 2.0 times worse), "
+        "0.216 s (as likely), 0.300 s (less likely)"
+    )
+    assert lines[1].startswith("x, y: no other delay was found that fits nearly as well")

@@ -1,0 +1,249 @@
+"""Findings: each of them where it belongs, with numbers in it, and none where all is well."""
+
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import pytest
+
+from flights import flown, muddled, steps
+from rotorfit.app.workflows import fit_logs
+from rotorfit.assessment.advice import findings_of_fit, too_early
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Segment
+from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.core.model import Mode, Predictor
+from rotorfit.core.results import Fit
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.log_span import parse_log
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
+
+NO_STALE = replace(Truth(), stale_share=0.0)
+
+
+@cache
+def well() -> Fit:
+    """One axis, one minute, steps of a fifth of full scale: nothing to complain of."""
+    return fit([flown(NO_STALE, steps(("z",), seed=2), 60.0, 2)], axes=("z",))
+
+
+def found(result: Fit) -> dict[tuple[str, str | None], Finding]:
+    return {(finding.code, finding.axis): finding for finding in findings_of_fit(result)}
+
+
+def changed(result: Fit, name: str = "z", **parts: object) -> Fit:
+    """The fit with other facts about one axis."""
+    axes = {**result.model.axes, name: replace(result.model.axes[name], **parts)}  # type: ignore[arg-type]
+    return replace(result, model=replace(result.model, axes=axes))
+
+
+def test_where_all_is_well_nothing_is_said() -> None:
+    assert findings_of_fit(well()) == ()
+
+
+def test_every_finding_is_whole_sentences_in_one_line_each() -> None:
+    flight = flown(Truth(), steps(("x", "z"), seed=3), 12.0, 3)
+    short = fit([muddled(flight, "x")])
+
+    findings = findings_of_fit(short)
+    assert findings
+    for finding in findings:
+        for text in (finding.evidence, finding.effect, finding.remedy):
+            assert text
+            assert "\n" not in text
+            assert "nan" not in text
+            assert "None" not in text
+
+
+def test_the_gravest_come_first() -> None:
+    flight = flown(Truth(), partial(two_sines, axes=("x",)), 15.0, 3)
+    slow = replace(Truth(), gamma=(GAMMA_B[0], 0.02, *GAMMA_B[2:]), delay=(0.25,) * 4)
+    results = [fit([flight]), fit([flown(slow, partial(two_sines, axes=("x",)), 60.0, 1)], "paper")]
+
+    for result in results:
+        ranks = [("error", "warning", "info").index(f.severity) for f in findings_of_fit(result)]
+        assert ranks == sorted(ranks)
+
+
+# Statuses
+
+
+def test_a_commanded_axis_that_explains_nothing_is_named_and_one_that_is_not_commanded_is_not() -> None:
+    result = fit([muddled(flown(Truth(), steps(("z", "yaw"), seed=1), 60.0, 1), "z")])
+
+    assert ("not_excited", "z") in found(result)
+    assert not any(code == "not_excited" and axis != "z" for code, axis in found(result))
+
+
+def test_a_flight_too_short_is_named() -> None:
+    assert ("too_short", "z") in found(fit([flown(Truth(), steps(("z",)), 5.0)]))
+
+
+def test_a_climb_that_did_not_end_is_an_error() -> None:
+    diverged = changed(well(), predictor=None, status=dict.fromkeys(("input", "damping", "delay"), "diverged"))
+
+    assert found(diverged)["diverged", "z"].severity == "error"
+
+
+# Coefficients
+
+
+def test_a_wrong_sign_is_told_with_the_remedy_for_the_card() -> None:
+    flight = flown(NO_STALE, steps(("z",), seed=2), 40.0, 2)
+
+    told = found(fit([replace(flight, command=-flight.command)], axes=("z",)))["sign_flipped", "z"]
+    assert told.severity == "warning"
+    assert "scale = -1" in told.remedy
+    assert "-2.4" in told.evidence or "-2.5" in told.evidence
+
+
+def test_an_unstable_damping_of_the_papers_method_is_an_error_that_says_why() -> None:
+    slow = replace(NO_STALE, gamma=(GAMMA_B[0], 0.05, *GAMMA_B[2:]), delay=(0.2,) * 4)
+    flight = flown(slow, partial(two_sines, axes=("x",)), 60.0, 1)
+
+    told = found(fit([flight], "paper", axes=("x",)))["damping_unstable", "x"]
+    assert told.severity == "error"
+    assert "delay" in told.effect
+    assert "ml" in told.remedy
+    beside = found(fit([flight], "ml", axes=("x",)))
+    assert beside["paper_damping_negative", "x"].severity == "info"
+    assert ("damping_unstable", "x") not in beside
+
+
+def test_a_negative_delay_beyond_its_interval_is_about_clocks() -> None:
+    flight = flown(replace(NO_STALE, delay=(0.0,) * 4), steps(("z",), seed=2), 40.0, 2)
+    late = replace(flight, command_time=flight.command_time + 0.05, segments=(Segment(0.05, flight.segments[0].end),))
+
+    told = found(fit([late], axes=("z",)))["delay_negative", "z"]
+    assert "clock" in told.effect
+    assert ("delay_negative", "z") not in found(fit([flight], axes=("z",)))
+
+
+def test_a_negative_delay_within_one_clock_is_about_how_often_commands_are_logged(real_flights: Path) -> None:
+    """An autopilot logs its set-points at 10 Hz; in a log that two computers stamp, it may be their clocks."""
+    flight = flown(replace(NO_STALE, delay=(0.0,) * 4), steps(("z",), seed=2), 40.0, 2)
+    seldom = replace(flight, command_time=flight.command_time[::5] + 0.05, command=flight.command[::5])
+    log = replace(seldom, path="flight.ulg", segments=(Segment(0.05, flight.segments[0].end),))
+
+    effect, remedy = too_early([log], 0.05)
+    assert "not the clocks" in effect
+    assert "logged every" in effect
+    assert "ms in the mean" in effect
+    assert "log every command" in remedy
+    assert "nor that commands are logged" in too_early([log], 0.6)[0]
+    assert "clocks of commands and poses disagree" in too_early([replace(log, path="flight.mcap")], 0.05)[0]
+    done = fit_logs([parse_log(f"{real_flights / 'px4-s500' / 'TestFlight1.ulg'}@0:30")], axes=("yaw",)).model
+    (told,) = [one for one in done.findings if one.code == "delay_negative"]
+    assert "not the clocks" in told.effect
+    assert "49 ms in the mean" in told.effect
+
+
+def test_commands_stamped_later_than_any_searched_delay_are_a_matter_of_clocks_not_of_excitation() -> None:
+    """Two computers, 0.25 s apart: a frequent mistake. The finding must lead to it."""
+    flight = flown(NO_STALE, steps(seed=2), 40.0, 2)
+    late = replace(flight, command_time=flight.command_time + 0.3, segments=(Segment(0.3, flight.segments[0].end),))
+
+    told = findings_of_fit(fit([late]))
+    assert any("clock" in f"{f.evidence} {f.effect} {f.remedy}" for f in told)
+
+
+def test_a_delay_at_the_end_of_its_range_is_an_error() -> None:
+    point = well().model.axes["z"].predictor
+    assert point is not None
+    for bound in DELAY_RANGE:
+        at_bound = changed(well(), predictor=Predictor(point.input, point.damping, bound))
+        assert found(at_bound)["delay_at_bound", "z"].severity == "error"
+
+
+def test_what_is_not_identifiable_is_told_with_what_is_known_instead() -> None:
+    result = fit([flown(NO_STALE, partial(two_sines, axes=("z",), amplitude=0.5), 60.0, 3)], axes=("z",))
+    axis = result.model.axes["z"]
+
+    for name in ("damping", "delay"):
+        assert ((f"{name}_not_identifiable", "z") in found(result)) == (axis.status[name] == "not_identifiable")
+    assert ("damping_not_identifiable", "z") in found(result)
+
+
+def test_of_a_servo_faster_than_its_poses_the_gain_and_lag_are_in_the_finding() -> None:
+    fast = replace(
+        NO_STALE,
+        gamma=(*GAMMA_B[:4], 20.0, 20.0, *GAMMA_B[6:]),
+        pose_rate=10.0,
+        command_rate=10.0,
+        mocap_noise=(0.05,) * 4,
+        wind_sigma=(3.0,) * 4,
+    )
+    result = fit([flown(fast, steps(("z",), 0.4, seed=3), 50.0, 3)], axes=("z",))
+
+    told = found(result)["damping_not_identifiable", "z"]
+    combinations = result.model.axes["z"].combinations
+    assert f"{combinations['steady_gain'].value:.3g}" in told.effect
+    assert f"{combinations['total_lag'].value:.3g}" in told.effect
+    assert "faster" in told.remedy
+
+
+# Modes
+
+
+def test_a_likelier_mode_that_predicts_worse_is_told_with_both_numbers() -> None:
+    (chosen,) = (mode for mode in well().model.axes["z"].modes if mode.chosen)
+    assert chosen.prediction is not None
+    rival = Mode(0.008, 90.0, 5.0, 0.0, 1, 2 * chosen.prediction, False)
+    doubt = changed(well(), modes=(replace(chosen, log_likelihood=-61.0), rival))
+
+    told = found(doubt)["likelihood_and_prediction_disagree", "z"]
+    assert "61" in told.evidence
+    assert "2.0" in told.evidence
+    believed = changed(well(), modes=(chosen, replace(rival, log_likelihood=-61.0)))
+    assert ("likelihood_and_prediction_disagree", "z") not in found(believed)
+
+
+# Excitation
+
+
+def test_little_time_is_told() -> None:
+    told = found(fit([flown(NO_STALE, steps(("z",), seed=2), 15.0, 2)], axes=("z",)))
+
+    assert "15" in told["short_data", "z"].evidence
+
+
+def test_a_gain_known_to_no_better_than_a_fifth_is_weakly_excited() -> None:
+    axis = well().model.axes["z"]
+    assert axis.input is not None
+    weak = changed(well(), stderr={**axis.stderr, "input": 0.3 * axis.input})
+
+    assert "30 %" in found(weak)["weak_excitation", "z"].evidence
+
+
+def test_what_the_fit_says_better_is_not_repeated_and_what_only_the_flight_says_stays() -> None:
+    short, stale = (Finding(code, "info", "1", "2", "3") for code in ("short_data", "stale_poses"))
+
+    told = findings_of_fit(well(), (short, stale))
+    assert told == (stale,)
+
+
+def test_excitation_that_a_flight_doubts_is_not_doubted_where_the_fit_knows_the_axis_well() -> None:
+    wind = Finding("wind_dominates", "warning", "1", "2", "3", "z")
+
+    assert findings_of_fit(well(), (wind,)) == ()
+    weak = changed(well(), stderr=dict.fromkeys(("input", "damping", "delay"), 9.0))
+    assert wind in findings_of_fit(weak, (wind,))
+    unknown = changed(well(), status={"input": "ok", "damping": "not_identifiable", "delay": "ok"})
+    assert wind in findings_of_fit(unknown, (wind,))
+
+
+def test_where_the_frame_is_wrong_the_sign_of_a_gain_is_not_told() -> None:
+    flight = flown(NO_STALE, steps(("x",), seed=2), 40.0, 2)
+    backwards = fit([replace(flight, command=-flight.command)], axes=("x",))
+    frame = Finding("yaw_offset", "error", "1", "2", "3")
+
+    assert ("sign_flipped", "x") in found(backwards)
+    assert {finding.code for finding in findings_of_fit(backwards, (frame,))} == {"yaw_offset"}
+
+
+@pytest.mark.parametrize("method", ["ml", "paper"])
+def test_findings_of_both_methods_are_made_without_error(method: str) -> None:
+    result = fit([flown(Truth(), two_sines, 30.0, 4)], method)  # type: ignore[arg-type]
+
+    assert all(isinstance(finding, Finding) for finding in findings_of_fit(result))

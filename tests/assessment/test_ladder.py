@@ -1,0 +1,199 @@
+"""The ladder: every method on the same flights, the agreement test, the table, the command line."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flights import flown, steps, truth_of
+from rotorfit.app.cli import main
+from rotorfit.assessment.method_comparison import DIFFERS, LADDER, Ladder, MethodRow, agreement, ladder, to_mapping
+from rotorfit.core.model import COEFFICIENTS, Axis, unknown_axis
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.models import from_mapping
+from rotorfit.files.models import to_mapping as model_mapping
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight, write_bag
+
+BREEZE = replace(Truth(), wind_sigma=(0.02, 0.02, 0.1, 0.02))
+
+
+@cache
+def opened() -> Ladder:
+    """z in an open loop, light wind."""
+    return ladder([flown(Truth(), steps(("z",)), 60.0, 11)], ("z",))
+
+
+@cache
+def closed() -> Ladder:
+    """z in a tight feedback loop, in a wind that matters."""
+    return ladder([flown(BREEZE, steps(("z",)), 60.0, 12, controller=Controller(3.0, 3.0))], ("z",))
+
+
+def rows(result: Ladder, axis: str = "z") -> dict[str, MethodRow]:
+    return {row.method: row for row in result.axes[axis]}
+
+
+def holds(axis: Axis, name: str) -> bool:
+    low, high = axis.ci95[name]
+    assert low is not None
+    assert high is not None
+    return low < truth_of(Truth(), "z")[name] < high
+
+
+# What the rungs find
+
+
+def test_every_method_has_a_row_of_every_axis_in_the_order_of_the_ladder() -> None:
+    assert [row.method for row in opened().axes["z"]] == list(LADDER)
+    assert list(opened().axes) == ["z"]
+
+
+@pytest.mark.parametrize("method", ["iv", "oe", "ml"])
+def test_in_an_open_loop_instruments_output_error_and_likelihood_hold_the_truth(method: str) -> None:
+    axis = rows(opened())[method].axis
+
+    assert [name for name in COEFFICIENTS if not holds(axis, name)] == []
+
+
+def test_a_delay_biases_the_paper_and_the_test_says_so() -> None:
+    paper = rows(opened())["paper"]
+
+    assert not holds(paper.axis, "input")
+    assert not holds(paper.axis, "damping")
+    assert not paper.agreement["damping"].agrees
+    assert "delay" not in paper.agreement
+
+
+def test_in_a_closed_loop_least_squares_is_biased_and_the_likelihood_is_not() -> None:
+    found = rows(closed())
+
+    for method in ("paper", "svf", "weak"):
+        assert not holds(found[method].axis, "damping")
+        assert not found[method].agreement["damping"].agrees
+    assert [name for name in COEFFICIENTS if not holds(found["ml"].axis, name)] == []
+
+
+def test_the_rung_that_is_biased_predicts_worse_and_none_worse_than_holding_the_velocity() -> None:
+    error = {method: row.prediction for method, row in rows(opened()).items()}
+
+    assert error["paper"] is not None
+    assert error["ml"] is not None
+    assert 1.5 * error["ml"] < error["paper"] < (opened().held["z"] or 0)
+
+
+def test_an_axis_that_is_not_commanded_is_so_on_every_rung() -> None:
+    result = ladder([flown(Truth(), steps(("z",)), 20.0, 13)], ("x",))
+
+    assert {row.axis.status["input"] for row in result.axes["x"]} == {"not_excited"}
+    assert all(row.prediction is None and not row.agreement for row in result.axes["x"])
+
+
+# The test of agreement
+
+
+def known(value: float, error: float) -> Axis:
+    same: Mapping[str, float] = dict.fromkeys(COEFFICIENTS, error)
+    return replace(unknown_axis("ok"), input=value, damping=value, delay=value, stderr=same)
+
+
+def test_the_variance_of_the_difference_is_the_difference_of_the_variances() -> None:
+    test = agreement(known(1.5, 0.5), known(1.0, 0.3))["damping"]
+
+    assert (test.difference, test.how) == (pytest.approx(0.5), "hausman")
+    assert test.stderr == pytest.approx(0.4)
+    assert test.agrees
+
+
+def test_a_rung_that_looks_as_sure_as_the_likelihood_is_tested_by_the_bound() -> None:
+    test = agreement(known(1.5, 0.31), known(1.0, 0.3))["input"]
+
+    assert (test.how, test.stderr) == ("bound", pytest.approx(0.61))
+
+
+def test_the_verdict_turns_at_the_stated_number_of_standard_errors() -> None:
+    for share, agrees in ((0.99, True), (1.01, False)):
+        assert agreement(known(1 + share * DIFFERS * 0.4, 0.5), known(1.0, 0.3))["delay"].agrees is agrees
+
+
+def test_what_has_no_number_is_not_tested() -> None:
+    nothing = unknown_axis("diverged")
+
+    assert agreement(nothing, known(1.0, 0.1)) == {}
+    assert agreement(known(1.0, 0.1), nothing) == {}
+    assert set(agreement(replace(known(1.0, 0.1), delay=None), known(1.0, 0.1))) == {"input", "damping"}
+
+
+@pytest.mark.slow
+def test_where_both_are_right_about_one_in_a_hundred_is_rejected() -> None:
+    """40 flights in an open loop, seeds 100 to 139: iv against ml, three coefficients each, not independent."""
+    tests = []
+    for seed in range(100, 140):
+        flight = flown(Truth(), steps(("z",), seed=seed), 60.0, seed)
+        one, two = (fit([flight], method, ("z",)).model.axes["z"] for method in ("iv", "ml"))
+        tests += [test.agrees for test in agreement(one, two).values()]
+
+    assert len(tests) == 120
+    assert np.mean(tests) > 0.9
+
+
+# What is written and shown
+
+
+def test_the_mapping_is_json_without_nan_and_holds_every_row() -> None:
+    found = json.loads(json.dumps(to_mapping(closed()), allow_nan=False))
+
+    assert [row["method"] for row in found["axes"]["z"]["rungs"]] == list(LADDER)
+    assert found["axes"]["z"]["held"] > 0
+
+
+@pytest.mark.parametrize("method", ["svf", "weak", "iv", "oe"])
+def test_a_model_by_a_rung_goes_through_its_file(method: str) -> None:
+    model = fit([flown(Truth(), steps(), 30.0, 14)], method).model  # type: ignore[arg-type]
+    again = from_mapping(json.loads(json.dumps(model_mapping(model), allow_nan=False)), "memory")
+
+    assert model_mapping(again) == model_mapping(model)
+    assert again.method == method
+    for name in ("z", "yaw"):
+        axis = again.axes[name]
+        assert axis.predictor is not None
+        assert axis.predictor.delay == pytest.approx(0.15, abs=0.15 if method == "oe" else 0.02)
+        assert axis.noise["pose_variance"] == pytest.approx(Truth().mocap_noise[2 if name == "z" else 3] ** 2, rel=0.3)
+    assert {f"{axis}.delay" for axis in ("z", "yaw")} <= set(again.covariance_names)
+    assert np.linalg.eigvalsh(again.covariance).min() > 0
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ladder") / "z.bag"
+    write_bag(simulate_flight(Truth(), partial(two_sines, axes=("z",), amplitude=3.0), 20.0, 15), path)
+    return path
+
+
+def test_the_verb_prints_one_table_an_axis_with_every_rung(bag: Path) -> None:
+    result = CliRunner().invoke(main, ["ladder", str(bag), "--axes", "z"])
+
+    assert result.exit_code == 0, result.output
+    lines = [line.split() for line in result.stdout.splitlines() if line]
+    firsts = [line[0] for line in lines]
+    assert [first for first in firsts if first in LADDER] == list(LADDER)
+    assert "hold" in firsts
+    assert "differs: input, damping" in result.stdout
+
+
+def test_the_verb_gives_json_and_fit_takes_the_rungs(bag: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["ladder", str(bag), "--axes", "z", "--json"])
+    found = {row["method"]: row for row in json.loads(result.stdout)["axes"]["z"]["rungs"]}
+    output = tmp_path / "svf.json"
+    fitted = CliRunner().invoke(main, ["fit", str(bag), "--axes", "z", "--method", "svf", "-o", str(output), "--json"])
+
+    assert fitted.exit_code == 0, fitted.output
+    assert json.loads(output.read_text())["axes"]["z"]["input"] == pytest.approx(found["svf"]["input"])
+    scored = CliRunner().invoke(main, ["validate", str(output), str(bag), "--json"])
+    error = json.loads(scored.stdout)["flights"][0]["axes"]["z"]["horizons"]["1"]["velocity_rmse"]
+    assert error == pytest.approx(found["svf"]["prediction"])

@@ -1,0 +1,109 @@
+"""The summary of a fit: plain words that say no more than the statuses and findings do."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.finding import Finding, Severity
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model, Predictor, Source, unknown_axis
+from rotorfit.files.cards import load_card
+
+
+def axis(combinations: dict[str, Combination] | None = None, **status: str) -> Axis:
+    """An axis with numbers, every coefficient of it known unless a status says otherwise."""
+    return Axis(
+        input=4.0,
+        damping=0.2,
+        delay=0.1,
+        stderr=dict.fromkeys(COEFFICIENTS, 0.01),
+        ci95=dict.fromkeys(COEFFICIENTS, (0.0, 1.0)),
+        status=dict.fromkeys(COEFFICIENTS, "ok") | status,
+        predictor=Predictor(4.0, 0.2, 0.1),
+        combinations=combinations or {},
+    )
+
+
+def model(axes: dict[str, Axis], findings: Sequence[Finding] = (), method: str = "ml", flights: int = 1) -> Model:
+    return Model(
+        card=load_card("bebop2"),
+        structure="first_order_delay",
+        method=method,
+        axes={name: axes.get(name, unknown_axis("not_excited")) for name in AXES},
+        covariance_names=(),
+        covariance=np.zeros((0, 0)),
+        paper=(None,) * 8,
+        findings=tuple(findings),
+        flights=(Source("flight.bag", "0" * 64, (0.0, 30.0)),) * flights,
+    )
+
+
+def finding(severity: Severity, name: str | None) -> Finding:
+    return Finding("code", severity, "evidence", "effect", "remedy", name)
+
+
+def test_what_is_known_and_what_is_not_is_listed_by_axis() -> None:
+    found = summary_of_model(model({"x": axis(), "y": axis()}))
+
+    assert found.startswith(
+        "Fitted to 1 flight of 30 s by the likelihood. Known: input gain, damping and delay of x and y."
+    )
+    assert "No numbers: no flight excites z or yaw." in found
+
+
+def test_axes_that_were_not_asked_for_are_passed_over() -> None:
+    found = summary_of_model(model({"x": axis()}, [finding("error", "z")]), axes=("x",))
+
+    assert "No numbers" not in found
+    assert "Do not use" not in found
+
+
+def test_a_combination_that_is_known_stands_in_for_its_parts() -> None:
+    parts = {"steady_gain": Combination(0.97, (0.95, 1.0)), "total_lag": Combination(0.15, (None, None))}
+
+    found = summary_of_model(model({"z": axis(parts, damping="not_identifiable")}), axes=("z",))
+
+    assert (
+        "Known of z: input gain and delay; damping cannot be identified from these data, "
+        "but steady gain 0.97 (0.95 to 1) is." in found
+    )
+    assert "total lag" not in found
+
+
+@pytest.mark.parametrize(
+    ("status", "words"), [("too_short", "the flights are too short for x"), ("diverged", "x did not converge")]
+)
+def test_an_axis_without_numbers_says_why(status: str, words: str) -> None:
+    found = summary_of_model(model({"x": unknown_axis(status)}), axes=("x",))
+
+    assert words in found
+    assert "was not fitted" not in found
+
+
+def test_different_reasons_stand_in_one_sentence() -> None:
+    found = summary_of_model(model({"x": axis(), "y": unknown_axis("diverged")}))
+
+    assert "No numbers: no flight excites z or yaw; the estimation of y did not converge." in found
+
+
+def test_several_flights_and_the_papers_method_are_named() -> None:
+    found = summary_of_model(model({"x": axis(delay="not_identifiable")}, method="paper", flights=3), axes=("x",))
+
+    assert found.startswith("Fitted to 3 flights, 90 s in all, by the paper's regression, which knows no delay.")
+    assert "Known: input gain and damping of x." in found
+
+
+def test_errors_forbid_the_use_of_their_axis_and_warnings_are_counted() -> None:
+    findings = [finding("error", "x"), finding("warning", "y"), finding("warning", None), finding("info", "y")]
+
+    found = summary_of_model(model({"x": axis(), "y": axis()}, findings))
+
+    assert "Do not use x before you have read the findings. 2 findings are warnings." in found
+
+
+def test_an_error_of_the_whole_flight_forbids_every_axis_that_has_numbers() -> None:
+    found = summary_of_model(model({"x": axis(), "z": axis()}, [finding("error", None)]))
+
+    assert "Do not use x and z before you have read the findings." in found

@@ -1,0 +1,76 @@
+"""Margins of vehicles drawn from a covariance: the same as one by one, and what is not known at all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models import VEHICLE, model_of
+from rotorfit.control.control_law import law_of_bandwidth
+from rotorfit.control.margins import margins, spectral_radius
+from rotorfit.control.robustness import believed_possible, doubt, highest_peak, known_dynamics, robustness
+from rotorfit.core.errors import ModelError
+from rotorfit.core.model import Model, Plain
+from rotorfit.planning.belief import DELAY
+
+
+def without_delays(model: Model) -> Model:
+    there = [i for i, name in enumerate(model.covariance_names) if not name.endswith("delay")]
+    names = tuple(model.covariance_names[i] for i in there)
+    axes = {axis: replace(known, delay=None) for axis, known in model.axes.items()}
+    return replace(model, axes=axes, covariance_names=names, covariance=model.covariance[np.ix_(there, there)])
+
+
+def test_quantiles_are_those_of_the_margins_one_by_one() -> None:
+    model = model_of(error=0.1)
+    vehicles = believed_possible(model, "x", 40, 3)
+    law = law_of_bandwidth("predictor", known_dynamics(model, "x"), 2.2, 0.02, 0.015, 0.03)
+
+    found = robustness(law, doubt(vehicles, 0.02, 0.015, 3))
+    each = [margins(law, one) for one in vehicles]
+
+    assert found.peak == pytest.approx(sorted(one.peak for one in each)[37], rel=0.01)
+    assert found.phase == pytest.approx(sorted(one.phase for one in each)[1], rel=0.01)
+    assert found.delay == pytest.approx(sorted(one.delay for one in each)[1], rel=0.05)
+    assert (found.draws, found.seed, found.unstable) == (40, 3, 0.0)
+    assert highest_peak(law, doubt(vehicles, 0.02, 0.015, 3)) == pytest.approx(found.peak)
+
+
+def test_unstable_draws_are_counted_by_their_eigenvalues() -> None:
+    model = model_of(error=0.3)
+    vehicles = believed_possible(model, "x", 50, 1)
+    law = law_of_bandwidth("linearising", known_dynamics(model, "x"), 4.5, 0.02, 0.015, 0.03)
+
+    found = robustness(law, doubt(vehicles, 0.02, 0.015, 1))
+
+    assert 0.1 < found.unstable < 0.9
+    assert found.unstable == np.mean([spectral_radius(law, one) >= 1 for one in vehicles])
+    assert found.peak == np.inf
+    assert found.delay == 0.0
+
+
+def test_draws_have_the_covariance_of_the_model() -> None:
+    model = model_of(error=0.02)
+    drawn = np.array(believed_possible(model, "z", 4000, 0))
+    there = [model.covariance_names.index(f"z.{name}") for name in ("input", "damping", "delay")]
+
+    np.testing.assert_allclose(np.cov(drawn.T), model.covariance[np.ix_(there, there)], rtol=0.15)
+
+
+def test_a_delay_that_nobody_knows_is_that_of_commercial_quadrotors() -> None:
+    drawn = np.array(believed_possible(without_delays(model_of()), "x", 2000, 0))
+
+    assert np.median(drawn[:, 2]) == pytest.approx(DELAY[0], abs=0.01)
+    assert drawn[:, 2].min() >= 0.0
+
+
+def test_another_structure_is_tuned_by_its_default_point_and_an_unknown_axis_not_at_all() -> None:
+    model = model_of({"x": VEHICLE["x"]})
+    plain = Plain(3.0, 0.25, 0.2, {"input": 0.1, "damping": 0.02, "delay": 0.01}, {}, {})
+    other = replace(model.axes["x"], structure="quadratic_drag", plain=plain)
+    model = replace(model, axes={**model.axes, "x": other})
+
+    assert known_dynamics(model, "x") == (3.0, 0.25, 0.2)
+    assert np.std(np.array(believed_possible(model, "x", 1000, 0)), axis=0) == pytest.approx([0.1, 0.02, 0.01], rel=0.1)
+    with pytest.raises(ModelError, match="no numbers for y"):
+        known_dynamics(model, "y")

@@ -1,0 +1,92 @@
+"""As fast as what is known allows: poorer knowledge gives slower gains, and the promised margins hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_robustness import without_delays
+
+import rotorfit
+from models import VEHICLE, model_of
+from rotorfit.control.control_law import KINDS, Kind
+from rotorfit.control.margins import margins
+from rotorfit.control.robustness import believed_possible
+from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
+from rotorfit.core.errors import ModelError
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_better_a_vehicle_is_known_the_faster_are_its_gains(kind: Kind) -> None:
+    speed = [tune(model_of(error=error), kind, axes=("x",)).axes["x"].bandwidth for error in (0.01, 0.1, 0.2)]
+
+    assert speed[0] > speed[1] > speed[2] > 0.3 * speed[0]
+
+
+def test_a_delay_that_is_not_known_costs_speed_and_is_said() -> None:
+    known, unknown = (tune(model, axes=("x",)).axes["x"] for model in (model_of(), without_delays(model_of())))
+
+    assert unknown.bandwidth < 0.7 * known.bandwidth
+    assert "delay is not known" in unknown.note
+    assert known.note == ""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_margins_hold_for_vehicles_that_were_not_drawn(kind: Kind) -> None:
+    model = model_of(error=0.08)
+    one = tune(model, kind, axes=("y",)).axes["y"]
+
+    others = [margins(one.law, vehicle) for vehicle in believed_possible(model, "y", 60, 99)]
+
+    kept = [other.peak <= 1.02 * PEAK and other.delay >= DELAY_SHARE * one.law.reach for other in others]
+    assert np.mean(kept) >= 0.88
+    assert all(other.stable for other in others)
+
+
+def test_the_next_bandwidth_would_break_the_promise() -> None:
+    model = model_of(error=0.05)
+    strict, loose = (tune(model, axes=("x",), peak=peak).axes["x"] for peak in (1.4, 2.0))
+
+    assert strict.bandwidth < loose.bandwidth
+    assert 1.3 < strict.robustness.peak <= 1.4
+    assert 1.85 < loose.robustness.peak <= 2.0
+
+
+def test_axes_without_numbers_are_refused_in_a_line_and_all_of_them_is_an_error() -> None:
+    model = model_of({"x": VEHICLE["x"]})
+    tuning = tune(model)
+
+    assert set(tuning.axes) == {"x"}
+    assert set(tuning.refused) == {"y", "z", "yaw"}
+    assert tuning.refused["y"] == "the model has no numbers (not_excited): fit a flight that moves it"
+    with pytest.raises(ModelError, match="no axis can be tuned: z: the model has no numbers"):
+        tune(model, axes=("z",))
+
+
+def test_a_vehicle_that_is_hardly_known_gets_no_gains() -> None:
+    with pytest.raises(ModelError, match="too poorly known"):
+        tune(model_of(error=0.6), axes=("x",))
+
+
+def test_noisy_poses_get_a_slower_filter() -> None:
+    quiet, noisy = (
+        replace(model, axes={**model.axes, "x": replace(model.axes["x"], noise={"pose_variance": sigma**2})})
+        for model, sigma in ((model_of(), 0.0005), (model_of(), 0.01))
+    )
+
+    first, second = (tune(model, axes=("x",)).axes["x"] for model in (quiet, noisy))
+
+    assert first.noise is not None
+    assert second.noise is not None
+    assert first.noise < RESTLESS
+    assert second.bandwidth < first.bandwidth
+    assert np.all(np.array(second.law.observer) < np.array(first.law.observer))
+
+
+@pytest.mark.parametrize("asked", [{"kind": "pid"}, {"rate": 1.0}, {"latency": -0.1}, {"peak": 1.0}, {"draws": 3}])
+def test_what_cannot_be_asked_is_refused(asked: dict[str, object]) -> None:
+    with pytest.raises(ModelError):
+        tune(model_of(), **asked)  # type: ignore[arg-type]
+
+
+def test_the_package_has_it_by_name() -> None:
+    assert rotorfit.tune is tune

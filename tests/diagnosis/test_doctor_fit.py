@@ -1,0 +1,129 @@
+"""Findings of a fit through the command line: each from a log that makes it true, with its numbers."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flights import steps
+from logs import Csv, ran, said
+from rotorfit.core.frames import Array
+from rotorfit.estimation.identifiability import LEAST_TIME
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, simulate_flight
+
+TRUTH = replace(Truth(), stale_share=0.0)
+Z = steps(("z",), seed=2)
+SLUGGISH = replace(TRUTH, gamma=(GAMMA_B[0], 0.05, *GAMMA_B[2:]), delay=(0.2,) * 4)
+
+
+def flown(excitation: object = Z, duration: float = 40.0, truth: Truth = TRUTH) -> Csv:
+    return Csv(simulate_flight(truth, excitation, duration, 5))  # type: ignore[arg-type]
+
+
+def test_a_clean_fit_is_told_of_nothing(tmp_path: Path) -> None:
+    assert said("fit", *flown().write(tmp_path)) == {}
+
+
+def test_not_excited(tmp_path: Path) -> None:
+    log = flown()
+    log.command[:, 2] = steps(("z",), seed=51)(log.command_time)[:, 2]
+
+    found = said("fit", *log.write(tmp_path))
+    assert {("not_excited", "z"), ("wind_dominates", "z")} <= set(found)
+    assert found["not_excited", "z"]["severity"] == "warning"
+
+
+def test_too_short(tmp_path: Path) -> None:
+    found = said("fit", *flown(duration=LEAST_TIME).write(tmp_path))
+
+    assert found["too_short", "z"]["severity"] == "warning"
+
+
+def test_damping_unstable_and_paper_damping_negative(tmp_path: Path) -> None:
+    words = flown(partial(two_sines, axes=("x",)), 60.0, SLUGGISH).write(tmp_path)
+
+    paper = said("fit", *words, "--method", "paper", "--axes", "x")
+    damping = ran("fit", *words, "--method", "paper", "--axes", "x")["axes"]["x"]["damping"]
+    assert paper["damping_unstable", "x"]["severity"] == "error"
+    assert f"damping of {damping:.2g} 1/s" in paper["damping_unstable", "x"]["evidence"]
+    beside = said("fit", *words, "--axes", "x")
+    assert {code for code, _ in beside} <= {"paper_damping_negative", "damping_not_identifiable"}
+    assert beside["paper_damping_negative", "x"]["severity"] == "info"
+    assert f"damping of {damping:.2g} 1/s" in beside["paper_damping_negative", "x"]["evidence"]
+
+
+@pytest.mark.parametrize(("late", "code"), [(0.2, "delay_negative"), (-0.5, "delay_at_bound")])
+def test_clocks_apart(tmp_path: Path, late: float, code: str) -> None:
+    log = flown()
+    log.command_time = log.command_time + late
+
+    found = said("fit", *log.write(tmp_path))[code, "z"]
+    assert found["severity"] == ("error" if code == "delay_at_bound" else "warning")
+    assert ("0.60 s" if code == "delay_at_bound" else "50 ms") in found["evidence"]
+    assert "clock" in found["effect"] + found["remedy"]
+
+
+def test_delay_and_damping_not_identifiable(tmp_path: Path) -> None:
+    def slow(t: Array) -> Array:
+        return np.stack([0 * t, 0 * t, 0.3 * np.sin(0.4 * t), 0 * t], axis=-1)
+
+    truth = replace(TRUTH, wind_sigma=(0.05,) * 4)
+    fitted = ran("fit", *flown(slow, 60.0, truth).write(tmp_path))
+    found = {finding["code"]: finding for finding in fitted["findings"]}
+    for name in ("delay", "damping"):
+        assert fitted["axes"]["z"]["status"][name] == "not_identifiable"
+        low, high = fitted["axes"]["z"]["ci95"][name]
+        for end in (low, high):
+            assert end is None or f"{end:.3g}" in found[f"{name}_not_identifiable"]["evidence"]
+
+
+def test_input_not_identifiable(tmp_path: Path) -> None:
+    truth = replace(TRUTH, gamma=(*GAMMA_B[:4], 100.0, 100.0, *GAMMA_B[6:]), pose_rate=10.0, mocap_noise=(0.02,) * 4)
+
+    fitted = ran("fit", *flown(steps(("z",), 0.4, seed=3), 50.0, truth).write(tmp_path))
+    found = {finding["code"]: finding for finding in fitted["findings"]}["input_not_identifiable"]
+    gain = fitted["axes"]["z"]["combinations"]["steady_gain"]["value"]
+    assert gain == pytest.approx(1.0, abs=0.05)
+    assert f"{gain:.3g}" in found["effect"]
+
+
+def test_weak_excitation(tmp_path: Path) -> None:
+    truth = replace(TRUTH, wind_sigma=(0.02, 0.02, 0.6, 0.008))
+
+    fitted = ran("fit", *flown(steps(("z",), 0.05, seed=2), 40.0, truth).write(tmp_path))
+    found = {finding["code"]: finding for finding in fitted["findings"]}["weak_excitation"]
+    axis = fitted["axes"]["z"]
+    assert f"{100 * axis['stderr']['input'] / axis['input']:.0f} %" in found["evidence"]
+
+
+def test_likelihood_and_prediction_disagree_on_a_real_flight_in_feedback(real_flights: Path) -> None:
+    folder = real_flights / "bebop2-wsu"
+
+    found = said("fit", str(folder / "Training_CT_TestDay_X.mat"), "--axes", "y")
+    assert {("likelihood_and_prediction_disagree", "y"), ("feedback", "y")} <= set(found)
+    assert "log units higher" in found["likelihood_and_prediction_disagree", "y"]["evidence"]
+
+
+def test_real_flights_raise_no_finding_of_severity_error_before_the_fit(real_flights: Path) -> None:
+    for name in ("bebop2-wsu", "bebop2-optitrack", "dji-hexarotor", "bebop2-joystick", "ardrone2-optitrack"):
+        for path in sorted((real_flights / name).iterdir()):
+            if path.suffix != ".toml":
+                findings = said("info", str(path)).values()
+                assert [f["code"] for f in findings if f["severity"] == "error"] == [], path.name
+                assert all(f["evidence"].startswith(str(path)) for f in findings)
+
+
+def test_the_quirks_of_real_flights_are_told(real_flights: Path) -> None:
+    def codes(path: str) -> set[tuple[str, str | None]]:
+        return set(said("info", str(real_flights / path)))
+
+    assert codes("bebop2-wsu/Training_CT_TestDay_X.mat") == {("wind_dominates", "yaw")}
+    assert codes("bebop2-optitrack/monster_vert_tst.bag") == {("short_data", None), ("stale_poses", None)}
+    assert codes("bebop2-joystick/record_velocity.csv") >= {("stale_poses", None), ("repeated_commands", None)}
+    assert ("velocity_follows_command", "yaw") in codes("dji-hexarotor/Datos_Prueba5.mat")
+    assert ("slow_commands", "yaw") in codes("dji-hexarotor/Datos_Prueba1.mat")
+    ardrone = codes("ardrone2-optitrack/THETA_02_Feb_2022_11_49_20_LARANJA_COMPLETO.mat")
+    assert ardrone >= {("stamp_jitter", None), ("command_gaps", None), ("short_data", None)}

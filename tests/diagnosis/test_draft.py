@@ -1,0 +1,446 @@
+"""Drafts of cards: they load and give a flight, or say what they lack."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_builtin_cards import COMMAND, T, followed, motion
+from test_survey import csv_log, loaded, log_of, message_log
+
+import rotorfit.diagnosis.card_choice
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.errors import CardError
+from rotorfit.core.frames import heading_from_world, world_from_heading
+from rotorfit.diagnosis.card_draft import draft_card, write_draft
+from rotorfit.files.cards import builtin_card_text, load_card
+from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
+
+# Drafts
+
+
+@pytest.mark.parametrize(
+    ("pose", "prefix", "stamped"),
+    [
+        ("/vicon/drone/drone", "transform.", True),
+        ("/vrpn_client_node/bebop/pose", "pose.", True),
+        ("/odom", "pose.pose.", False),
+        ("/mocap/pose", "", True),
+    ],
+)
+def test_a_draft_for_ros_messages_loads_and_gives_the_flight(
+    pose: str, prefix: str, stamped: bool, tmp_path: Path
+) -> None:
+    log = message_log(pose, prefix, stamped)
+    text = draft_card(log)
+
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert "INCOMPLETE" not in text
+    assert card.pose_time.source == f"{pose}:{'header.stamp' if stamped else 'log_time'}"
+    assert card.command["yaw"].source == "/drone/cmd_vel:angular.z"
+    assert flight.duration == pytest.approx(19.98, abs=0.03)
+    np.testing.assert_allclose(np.ptp(flight.yaw), 2 * flight.pose_time[-1] / 9, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {},
+        {"time": "t", "x": "px", "y": "py", "z": "pz", "yaw": "psi"},
+        {"time": "timestamp", "cmd_x": "vx_cmd", "cmd_y": "vy_cmd", "cmd_z": "vz_cmd", "cmd_yaw": "yaw_rate_cmd"},
+        {"cmd_x": "u_x", "cmd_y": "u_y", "cmd_z": "u_z", "cmd_yaw": "u_psi", "x": "pos_x", "y": "pos_y", "z": "pos_z"},
+        {"cmd_x": "ux", "cmd_y": "uy", "cmd_z": "uz", "cmd_yaw": "uyaw", "x": "x_pos", "y": "y_pos", "z": "z_pos"},
+        {"cmd_x": "cmdPitch", "cmd_y": "cmdRoll", "cmd_z": "cmd_climb", "cmd_yaw": "cmd_yaw_rate", "yaw": "Heading"},
+        {"cmd_x": "vx_ref", "cmd_y": "vy_ref", "cmd_z": "vz_ref", "cmd_yaw": "yaw_rate_ref", "time": "Time"},
+        {"cmd_x": "cmd_vel.linear.x", "cmd_y": "cmd_vel.linear.y", "cmd_z": "cmd_vel.linear.z"}
+        | {"cmd_yaw": "cmd_vel.angular.z", "x": "pose.position.x", "y": "pose.position.y", "z": "pose.position.z"},
+    ],
+)
+def test_a_draft_for_a_table_of_ones_own_finds_what_the_names_say(names: dict, tmp_path: Path) -> None:
+    log = csv_log(**names)
+    text = draft_card(log)
+
+    card = loaded(text, tmp_path)
+
+    assert "INCOMPLETE" not in text
+    assert card.command_time.source == card.pose_time.source == names.get("time", "time")
+    assert {axis: one.source for axis, one in card.command.items()} == {
+        axis: names.get(f"cmd_{axis}", f"cmd_{axis}") for axis in ("x", "y", "z", "yaw")
+    }
+    assert {axis: card.pose[axis].source for axis in ("x", "y", "z", "yaw")} == {
+        axis: names.get(axis, axis) for axis in ("x", "y", "z", "yaw")
+    }
+    assert flight_from_log(log, card).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_units_come_from_names_and_from_values(tmp_path: Path) -> None:
+    log = csv_log(x="x_mm", y="y_mm", z="z_cm", time="time_ms")
+    columns = dict(log.tables["flight"].columns)
+    columns["time_ms"] = np.round(columns["time_ms"] * 1000).astype(np.int64)
+    columns["yaw"] = np.degrees(3 * columns["yaw"])
+    named = loaded(draft_card(log_of(flight=columns)), tmp_path)
+    columns["time"] = columns.pop("time_ms")
+    unnamed = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert (named.pose["x"].unit, named.pose["z"].unit, named.pose_time.unit) == ("mm", "cm", "ms")
+    assert (unnamed.pose_time.unit, unnamed.pose["yaw"].unit, named.pose["yaw"].unit) == ("ms", "deg", "deg")
+    assert flight_from_log(log_of(flight=columns), unnamed).duration == pytest.approx(29.98, abs=0.1)
+
+
+def test_quaternions_of_a_csv_are_found(tmp_path: Path) -> None:
+    log = csv_log(yaw="")
+    columns = dict(log.tables["flight"].columns)
+    t = columns["time"]
+    columns |= {"qx": 0 * t, "qy": 0 * t, "qz": np.sin(t / 9), "qw": np.cos(t / 9)}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert [card.pose[f"q{part}"].source for part in "wxyz"] == ["qw", "qx", "qy", "qz"]
+
+
+def test_references_of_a_position_are_not_taken_for_commands() -> None:
+    names = {f"cmd_{axis}": f"{axis}_ref" for axis in ("x", "y", "z")}
+    text = draft_card(csv_log(**names, cmd_yaw=""))
+
+    assert "INCOMPLETE: nothing was recognised for [command] x, y, z or yaw" in text
+
+
+def test_a_draft_that_lacks_essentials_says_which_and_lists_the_columns(tmp_path: Path) -> None:
+    log = log_of(run={"Time": np.arange(50.0) / 10, "SS": np.zeros((6, 50)), "U": np.zeros((4, 50))})
+    text = draft_card(log)
+
+    assert "# INCOMPLETE: nothing was recognised for [command] x, y, z or yaw; [pose] x; [pose] y" in text
+    assert '# x = "TABLE:COLUMN"  # EDIT' in text
+    assert "#   SS (6 x 50)" in text
+    with pytest.raises(CardError, match="no axis is commanded"):
+        loaded(text, tmp_path)
+
+
+def test_a_draft_for_a_log_that_a_built_in_card_fits_is_that_card(tmp_path: Path) -> None:
+    text = draft_card(csv_log(cmd_x="cmd_linx", cmd_y="cmd_liny", cmd_z="cmd_linz", cmd_yaw="cmd_angz"))
+
+    assert text.startswith("# A copy of the built-in card bebop2-joystick")
+    assert loaded(text, tmp_path) == load_card("bebop2-joystick")
+
+
+def test_a_draft_may_be_fresh_where_a_built_in_card_fits() -> None:
+    text = draft_card(csv_log(cmd_x="cmd_linx", cmd_y="cmd_liny", cmd_z="cmd_linz", cmd_yaw="cmd_angz"), fresh=True)
+
+    assert text.startswith("# Drafted from the names in")
+    assert 'x = "cmd_linx"' in text
+
+
+def test_names_with_quotes_and_backslashes_survive_the_draft(tmp_path: Path) -> None:
+    log = message_log(pose='/a"b\\c/pose', pose_prefix="pose.")
+
+    assert loaded(draft_card(log), tmp_path).pose["x"].source == '/a"b\\c/pose:pose.position.x'
+
+
+# Files
+
+
+def test_a_draft_is_written_to_a_new_file_only(tmp_path: Path) -> None:
+    path = tmp_path / "card.toml"
+    write_draft(csv_log(), path)
+    edited = path.read_text() + "# edited"
+    path.write_text(edited)
+
+    with pytest.raises(CardError, match="exists already"):
+        write_draft(csv_log(), path)
+    assert path.read_text() == edited
+
+
+def test_the_text_of_a_built_in_card_loads_as_that_card(tmp_path: Path) -> None:
+    assert loaded(builtin_card_text("bebop2"), tmp_path) == load_card("bebop2")
+
+
+def test_an_unknown_built_in_card_is_refused_with_the_nearest() -> None:
+    with pytest.raises(CardError, match="nearest: 'bebop2-wsu'"):
+        builtin_card_text("bebop-wsu")
+
+
+# Real flights
+
+
+def test_drafts_by_names_alone_give_the_flights_of_the_real_cards(
+    real_flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    files = {
+        "bebop2-joystick": "record_velocity.csv",
+        "bebop2-optitrack": "monster_pitch_trn.bag",
+        "dji-hexarotor": "Datos_Prueba3.mat",
+    }
+    for folder, file in files.items():
+        log = read(real_flights / folder / file)
+        expected = flight_from_log(log, load_card(folder))
+        with monkeypatch.context() as patch:
+            patch.setattr(rotorfit.proposal, "fitting_cards", lambda _: {})
+            found = flight_from_log(log, loaded(draft_card(log), tmp_path))
+
+        np.testing.assert_array_equal(found.position, expected.position)
+        np.testing.assert_array_equal(found.command, expected.command)
+        assert found.segments == expected.segments
+
+
+# By the motion
+
+
+def test_a_draft_exchanges_and_turns_commands_as_the_motion_says(tmp_path: Path) -> None:
+    """The columns are called after the wrong axes, and two point the other way."""
+    columns = {"time": T, **motion(world=False), "u_x": COMMAND["y"], "u_y": -COMMAND["x"]}
+    log = log_of(flight=columns | {"u_z": -COMMAND["z"], "u_yaw": COMMAND["yaw"]})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        "x": ("u_y", -1), "y": ("u_x", 1), "z": ("u_z", -1), "yaw": ("u_yaw", 1),
+    }  # fmt: skip
+    assert card.command_frame == "heading"
+    assert "+ leads left by the motion, though it looks like x" in text
+    assert "Signs were checked against the motion." in text
+    flight = flight_from_log(log, card)
+    np.testing.assert_allclose(flight.command[:, 0], np.interp(flight.command_time, T, COMMAND["x"]), atol=1e-9)
+
+
+def test_a_draft_says_world_where_commands_do_not_turn_with_the_vehicle(tmp_path: Path) -> None:
+    columns = {"time": T, **motion(world=True), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
+
+    card = loaded(draft_card(log_of(flight=columns)), tmp_path)
+
+    assert card.command_frame == "world"
+    assert {axis: (one.source, one.scale) for axis, one in card.command.items()} == {
+        axis: (f"cmd_{axis}", 1) for axis in COMMAND
+    }
+
+
+def test_what_does_not_move_is_marked_to_be_checked() -> None:
+    columns = {"time": T, **motion(world=False), **{f"cmd_{axis}": series for axis, series in COMMAND.items()}}
+
+    text = draft_card(log_of(flight=columns | {"cmd_z": np.zeros(T.size)}))
+
+    assert 'z = "cmd_z"  # does not move in this log: EDIT, sign unknown' in text
+
+
+def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_references() -> None:
+    true = motion(world=False)
+    half = true["yaw"] / 2
+    tables = {
+        "local_position": {"timestamp": T, **{axis: true[axis] for axis in "xyz"}},
+        "attitude": {"timestamp": T, "q": np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)},
+        "velocity_setpoint": {"timestamp": T, "velocity": np.stack([COMMAND[axis] for axis in "xyz"], axis=1)}
+        | {"yawspeed": COMMAND["yaw"], "x": true["x"]},
+        "state": {"timestamp": T, "armed": (T > 1).astype(np.uint8)},
+    }
+
+    text = draft_card(log_of(**tables))
+
+    assert 'x = "velocity_setpoint:velocity[0]"  # + leads forward by the motion' in text
+    assert 'quaternion = ["attitude:q[0]", "attitude:q[1]", "attitude:q[2]", "attitude:q[3]"]' in text
+    assert '[reference]\nx = "velocity_setpoint:x"' in text
+    assert '[[window]]  # commands count while this holds\nwhen = "state:armed"' in text
+    assert "INCOMPLETE" not in text
+
+
+# The vehicle's own velocity
+
+
+def velocities_of(true: dict, frame: str) -> dict:
+    """Velocities of a motion, along the world's axes or forward and left."""
+    velocity = {axis: np.gradient(true[axis], T) for axis in "xyz"}
+    if frame == "heading":
+        across = heading_from_world(np.stack([velocity["x"], velocity["y"]], axis=1), true["yaw"])
+        velocity |= {"x": across[:, 0], "y": across[:, 1]}
+    return velocity
+
+
+def turning() -> dict:
+    """A flight of half a minute that turns by more than a radian."""
+    return motion(world=False)
+
+
+@pytest.mark.parametrize("frame", ["heading", "world"])
+def test_a_draft_of_a_log_without_position_takes_the_velocity_in_the_frame_that_the_motion_tells(
+    frame: str, tmp_path: Path
+) -> None:
+    true = turning()
+    columns = {"time": T, "yaw": true["yaw"], "z": true["z"]}
+    columns |= {f"v{axis}": series for axis, series in velocities_of(true, frame).items()}
+    log = log_of(flight=columns | {f"cmd_{axis}": series for axis, series in COMMAND.items()})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert "INCOMPLETE" not in text
+    assert card.velocity_only == ("x", "y")
+    assert card.velocity_frame == frame
+    assert 'x = "cmd_x"  # + leads forward by the motion' in text
+    expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
+    np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.03)
+
+
+def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tmp_path: Path) -> None:
+    true = turning()
+    velocity = velocities_of(true, "world")
+    columns = {"time": T, "pitch": 0 * T, "roll": 0 * T, "yaw": np.round(90 - np.degrees(true["yaw"]))}
+    columns |= {"vgx": np.round(10 * velocity["y"]), "vgy": np.round(10 * velocity["x"])}
+    columns |= {"vgz": np.round(-10 * velocity["z"]), "tof": 100 * true["z"]}
+    log = log_of(flight=columns | {f"cmd_{axis}": 100 * series for axis, series in COMMAND.items()})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    flight = flight_from_log(log, card)
+
+    assert (card.frame, card.velocity_only) == ("NED", ("x", "y", "z"))
+    expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
+    np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.2)
+    assert 'yaw = "cmd_yaw"  # + leads counter-clockwise by the motion' in text
+
+
+def test_a_draft_of_a_log_with_both_names_the_velocity_beside_the_position(tmp_path: Path) -> None:
+    """That of an odometry is forward and left, and no Twist of commands."""
+    true = turning()
+    half = true["yaw"] / 2
+    pose = {f"pose.pose.position.{axis}": true[axis] for axis in "xyz"}
+    pose |= {"pose.pose.orientation.w": np.cos(half), "pose.pose.orientation.x": 0 * half}
+    pose |= {"pose.pose.orientation.y": 0 * half, "pose.pose.orientation.z": np.sin(half)}
+    twist = {f"twist.twist.linear.{axis}": series for axis, series in velocities_of(true, "heading").items()}
+    told = {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    stamp = {"log_time": np.round(T * 1e9).astype(np.int64)}
+    log = log_of(**{"/bebop/odom": stamp | pose | twist, "/bebop/cmd_vel": stamp | told})
+
+    text = draft_card(log)
+    card = loaded(text, tmp_path)
+    independent = loaded(text.replace("# independent", "independent"), tmp_path)
+
+    assert "INCOMPLETE" not in text
+    assert card.command["x"].source == "/bebop/cmd_vel:linear.x"
+    assert {axis: one.source for axis, one in card.velocity.items()} == {
+        axis: f"/bebop/odom:twist.twist.linear.{axis}" for axis in "xyz"
+    }
+    assert (card.velocity_frame, card.velocity_only, card.velocity_independent) == ("heading", (), False)
+    assert flight_from_log(log, card).velocity is None
+    assert flight_from_log(log, independent).velocity is not None
+
+
+def test_the_twist_of_a_mocap_bridge_is_not_taken_for_the_commands(tmp_path: Path) -> None:
+    """vrpn_client_ros publishes a TwistStamped of what it measures, at the rate of its poses."""
+    log = message_log(pose="/vrpn_client_node/bebop/pose", pose_prefix="pose.")
+    pose = log.tables["/vrpn_client_node/bebop/pose"].columns
+    measured = {"log_time": pose["log_time"], "header.stamp": pose["header.stamp"]}
+    t = np.arange(2000) / 100
+    measured |= {f"twist.linear.{axis}": np.cos(t) for axis in "xyz"} | {"twist.angular.z": np.cos(t)}
+    tables = {name: dict(table.columns) for name, table in log.tables.items() if name != "/velocity"}
+    log = log_of("flight.bag", **tables, **{"/vrpn_client_node/bebop/twist": measured})
+
+    card = loaded(draft_card(log), tmp_path)
+
+    assert card.command["x"].source == "/drone/cmd_vel:linear.x"
+    assert card.velocity["x"].source == "/vrpn_client_node/bebop/twist:twist.linear.x"
+
+
+def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() -> None:
+    """A bag with /tf and commands: the Twist, alone a table, is no velocity of the vehicle."""
+    twist = {"log_time": np.round(T * 1e9).astype(np.int64)}
+    twist |= {f"linear.{axis}": COMMAND[axis] for axis in "xyz"} | {"angular.z": COMMAND["yaw"]}
+    log = log_of("flight.bag", **{"/bebop/cmd_vel": twist})
+
+    text = draft_card(log)
+
+    assert "INCOMPLETE: nothing was recognised for [pose] x; [pose] y; [pose] z; [pose] yaw or quaternion" in text
+    assert "[velocity]" not in text
+    with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
+        rotorfit.proposal.proposal(log)
+
+
+# A pose that is not what it seems
+
+
+def drafted(pose: dict, command: dict, tmp_path: Path) -> tuple[Card, str]:
+    """The card that is drafted, and its text."""
+    text = draft_card(log_of(flight={"time": T, **pose, **{f"cmd_{axis}": series for axis, series in command.items()}}))
+    return loaded(text, tmp_path), text
+
+
+def raised(by: float) -> dict:
+    true = turning()
+    return true | {"z": true["z"] - np.min(true["z"]) + by}
+
+
+def as_ned(true: dict) -> dict:
+    return {"x": true["y"], "y": true["x"], "z": -true["z"], "yaw": np.pi / 2 - true["yaw"]}
+
+
+OVERTURNED = COMMAND | {axis: -COMMAND[axis] for axis in ("y", "z", "yaw")}
+
+
+def test_a_draft_says_ned_where_that_turns_three_commands_at_once(tmp_path: Path) -> None:
+    card, text = drafted(as_ned(raised(1.0)), COMMAND, tmp_path)
+
+    assert card.frame == "NED"
+    assert {one.scale for one in card.command.values()} == {1}
+    assert 'frame = "NED"  # by the motion: in ENU, y, z, yaw would be turned' in text
+
+
+def test_a_draft_turns_three_commands_where_ned_would_put_the_vehicle_below_the_floor(tmp_path: Path) -> None:
+    card, text = drafted(raised(1.0), OVERTURNED, tmp_path)
+
+    assert card.frame == "ENU"
+    assert {axis: one.scale for axis, one in card.command.items()} == {"x": 1, "y": -1, "z": -1, "yaw": -1}
+    assert "y, z, yaw are turned together: forward, right, down?" in text
+
+
+@pytest.mark.parametrize(
+    ("spoil", "axis", "channel"),
+    [
+        (lambda true: {"y": -true["y"]}, "y", Channel("y", scale=-1)),
+        (lambda true: {"x": true["y"], "y": true["x"]}, "x", Channel("y")),
+        (lambda true: {"yaw": -true["yaw"]}, "yaw", Channel("yaw", scale=-1)),
+    ],
+)
+def test_a_draft_reads_a_mirrored_pose_as_the_motion_bears_out(
+    spoil: Callable, axis: str, channel: Channel, tmp_path: Path
+) -> None:
+    true = raised(1.0)
+    card, text = drafted(true | spoil(true), COMMAND, tmp_path)
+
+    assert card.pose[axis] == channel
+    assert "by the motion: EDIT if that is not so" in text
+    assert (card.command_frame, {one.scale for one in card.command.values()}) == ("heading", {1})
+
+
+def test_a_draft_finds_degrees_that_are_not_wrapped_by_the_motion(tmp_path: Path) -> None:
+    """So slow a turn that the numbers might be radians."""
+    command = COMMAND | {"yaw": 0.2 * np.cos(0.2 * T)}
+    velocity = {axis: followed(series) for axis, series in command.items()}
+    yaw = 0.4 + np.cumsum(velocity["yaw"]) * 0.05
+    place = np.cumsum(world_from_heading(np.stack([velocity["x"], velocity["y"]], axis=1), yaw), axis=0) * 0.05
+    pose = {"x": place[:, 0], "y": place[:, 1], "z": 2 + np.cumsum(velocity["z"]) * 0.05, "yaw": np.degrees(yaw)}
+
+    card, text = drafted(pose, command, tmp_path)
+
+    assert card.pose["yaw"].unit == "deg"
+    assert card.command_frame == "heading"
+    assert "yaw is in degrees by the motion" in text
+
+
+def test_a_draft_names_the_unit_of_a_position_that_no_vehicle_flies_in_metres(tmp_path: Path) -> None:
+    true = raised(1.0)
+    for unit, scale in (("cm", 100), ("mm", 1000)):
+        card, text = drafted(true | {axis: scale * true[axis] for axis in "xyz"}, COMMAND, tmp_path)
+
+        assert {card.pose[axis].unit for axis in "xyz"} == {unit}
+        assert 'EDIT: "cm" or "mm"' in text
+    assert {drafted(true, COMMAND, tmp_path)[0].pose[axis].unit for axis in "xyz"} == {None}
+
+
+def test_a_draft_of_a_flight_that_does_not_turn_says_that_a_turned_axis_may_be_a_mirrored_pose(tmp_path: Path) -> None:
+    true = motion(world=True) | {"yaw": 0.001 * np.sin(T)}
+    card, text = drafted(true | {"y": -true["y"]}, COMMAND | {"yaw": 0 * T}, tmp_path)
+
+    assert card.command["y"].scale == -1
+    assert "or the pose is mirrored, which a flight that hardly turns does not tell" in text

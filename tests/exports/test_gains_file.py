@@ -1,0 +1,86 @@
+"""The gains file and the verb that writes it."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from ruamel.yaml import YAML
+
+from models import VEHICLE, model_of
+from rotorfit.app.cli import main
+from rotorfit.control.tuning import tune
+from rotorfit.core.errors import ModelError
+from rotorfit.exports.gains import save_gains, tuning_mapping
+from rotorfit.files.models import save
+
+
+@pytest.fixture(scope="module")
+def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tune") / "model.json"
+    save(model_of({axis: VEHICLE[axis] for axis in ("x", "yaw")}), path)
+    return path
+
+
+def run(*words: str | Path) -> tuple[int, str]:
+    result = CliRunner().invoke(main, [*map(str, words)])
+    return result.exit_code, result.output
+
+
+def test_both_formats_hold_the_same_gains_with_units_and_margins(tmp_path: Path) -> None:
+    model = model_of({"x": VEHICLE["x"]})
+    tuning = tune(model)
+    for name in ("gains.toml", "gains.yaml"):
+        save_gains(tuning, model, tmp_path / name)
+
+    toml = tomllib.loads((tmp_path / "gains.toml").read_text())
+    yaml = YAML(typ="safe").load((tmp_path / "gains.yaml").read_text())
+    axis, law = toml["axes"]["x"], tuning.axes["x"].law
+
+    assert toml == yaml
+    assert (axis["stiffness"], axis["rate_gain"], axis["delay"]) == (law.stiffness, law.rate, law.delay)
+    assert tuple(axis["observer"]) == law.observer
+    assert axis["under_covariance"]["peak_sensitivity"] == tuning.axes["x"].robustness.peak
+    assert set(axis) - {"command", "note", "nominal", "under_covariance"} <= set(toml["units"])
+    assert toml["refused"].keys() == {"y", "z", "yaw"}
+    assert toml["model"]["method"] == "ml"
+
+
+def test_another_suffix_is_refused(tmp_path: Path) -> None:
+    model = model_of({"x": VEHICLE["x"]})
+
+    with pytest.raises(ModelError, match=r"gains.txt: gains are written as .toml"):
+        save_gains(tune(model), model, tmp_path / "gains.txt")
+
+
+def test_the_verb_prints_writes_and_writes_again(model_path: Path, tmp_path: Path) -> None:
+    gains = tmp_path / "gains.yaml"
+
+    for _ in range(2):  # its own file may be written over
+        code, text = run("tune", model_path, "-o", gains)
+        assert code == 0, text
+    assert "y: no gains, the model has no numbers (not_excited)" in text
+    assert "none is unstable" in text
+    assert gains.read_text().startswith("format: rotorfit-gains")
+
+
+def test_json_is_the_mapping_of_the_file(model_path: Path) -> None:
+    code, text = run("tune", model_path, "--design", "linearising", "--axes", "x", "--json")
+
+    assert code == 0
+    model = model_of({axis: VEHICLE[axis] for axis in ("x", "yaw")})
+    wanted = tuning_mapping(tune(model, "linearising", axes=("x",)), model)
+    assert json.loads(text) == json.loads(json.dumps(wanted))
+
+
+def test_errors_are_one_line_and_nothing_is_written_over(model_path: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "gains.toml"
+    taken.write_text("mine = true\n")
+
+    for words in (("tune", model_path, "-o", taken), ("tune", model_path, "--axes", "z"), ("tune", "no.json")):
+        code, text = run(*words)
+        assert code == 1
+        assert text.startswith("Error: ")
+        assert len(text.strip().splitlines()) == 1
+    assert taken.read_text() == "mine = true\n"

@@ -1,0 +1,57 @@
+"""CSV files as other tools write them: dates, stamps in two columns, comments above the names."""
+
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorfit.core.log import Table
+from rotorfit.files.logs import read
+
+START = datetime(2024, 5, 1, 12, tzinfo=UTC)
+STEPS = [START + timedelta(milliseconds=50 * k) for k in range(40)]
+NANOSECONDS = [round(START.timestamp()) * 10**9 + 50_000_000 * k for k in range(40)]
+
+
+def table_of(folder: Path, head: str, rows: list[str]) -> Table:
+    path = folder / "flight.csv"
+    path.write_text("\n".join([head, *rows, ""]))
+    return read(path).tables["flight"]
+
+
+@pytest.mark.parametrize(
+    ("zone", "form"),
+    [(UTC, "%Y-%m-%dT%H:%M:%S.%fZ"), (UTC, "%Y-%m-%d %H:%M:%S.%f"), (timezone(timedelta(hours=-3, minutes=-30)), "")],
+)
+def test_dates_are_nanoseconds_since_1970(zone: timezone, form: str, tmp_path: Path) -> None:
+    here = [step.astimezone(zone) for step in STEPS]
+    dates = [step.strftime(form) if form else step.isoformat(timespec="milliseconds") for step in here]
+
+    table = table_of(tmp_path, "time,x", [f"{date},{k}" for k, date in enumerate(dates)])
+
+    assert table.columns["time"].tolist() == NANOSECONDS
+
+
+def test_times_of_day_are_nanoseconds_since_midnight(tmp_path: Path) -> None:
+    table = table_of(tmp_path, "time,x", [f"{step:%H:%M:%S.%f},1.5" for step in STEPS])
+
+    assert table.columns["time"].tolist() == [each - NANOSECONDS[0] + 12 * 3600 * 10**9 for each in NANOSECONDS]
+
+
+@pytest.mark.parametrize("names", ["header.stamp.secs,header.stamp.nsecs", "header.stamp.sec,header.stamp.nanosec"])
+def test_stamps_in_two_columns_come_as_one_besides(names: str, tmp_path: Path) -> None:
+    rows = [f"{stamp // 10**9},{stamp % 10**9},{k}" for k, stamp in enumerate(NANOSECONDS)]
+
+    table = table_of(tmp_path, f"{names},x", rows)
+
+    assert list(table.columns) == ["header.stamp", *names.split(","), "x"]
+    assert table.columns["header.stamp"].tolist() == NANOSECONDS
+
+
+@pytest.mark.parametrize("head", ["# by me\n# lab\ntime,x", "% by me\ntime,x", "# lab, 3\n# time,x", "\n\n#time,x"])
+def test_comments_above_the_names_are_passed_over_and_names_in_a_comment_are_names(head: str, tmp_path: Path) -> None:
+    table = table_of(tmp_path, head, [f"{k / 20},{k}" for k in range(40)])
+
+    assert list(table.columns) == ["time", "x"]
+    np.testing.assert_array_equal(table.columns["x"], np.arange(40))

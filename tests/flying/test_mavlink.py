@@ -1,0 +1,304 @@
+"""The MAVLink link: messages through pymavlink's buffers without sockets, and a fake autopilot on the loopback."""
+
+import math
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from link_room import StubRoom
+from rotorfit.core.errors import LinkError
+from rotorfit.core.frames import yaw_from_quaternion
+from rotorfit.core.log import Sample
+from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
+from rotorfit.flying.links import link as wall_clock
+from rotorfit.flying.links import mavlink
+from rotorfit.flying.links.mavlink_messages import AUTOPILOTS, Poses, SenderClock, between, mavlink_commands, setpoint
+
+pymavlink = pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
+
+from fake_autopilot import Autopilot  # noqa: E402
+from pymavlink.dialects.v20 import common  # noqa: E402
+
+MS, SECOND = 1_000_000, 1_000_000_000
+CARD = builtin_cards()["mavlink"]
+
+
+class Wire:
+    """One end of two: what the other end sent is parsed by pymavlink, byte by byte, without a socket."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self.mav = common.MAVLink(self, system, component)
+        self.other: Wire | None = None
+        self.incoming: list[Any] = []
+        self.open = True
+
+    def write(self, data: bytes) -> None:
+        assert self.other is not None
+        self.other.incoming += self.other.mav.parse_buffer(bytes(data)) or []
+
+    def recv_msg(self) -> Any:
+        return self.incoming.pop(0) if self.incoming else None
+
+    def close(self) -> None:
+        self.open = False
+
+
+class Bench:
+    """A link and a fake autopilot in one thread, on a clock that moves when somebody waits."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, ardupilot: bool = False, mode: str = "grounded") -> None:
+        self.instant = 10 * SECOND
+        ours, theirs = Wire(245, 191), Wire(1, 1)
+        ours.other, theirs.other = theirs, ours
+        self.wire = ours
+        self.room = StubRoom(mode)
+        self.autopilot = Autopilot(theirs, self.room, ardupilot)
+        monkeypatch.setattr(mavlink, "wall_clock", lambda: self.instant)
+        monkeypatch.setattr(mavlink, "seconds_until", lambda until: max(0.0, (until - self.instant) / 1e9))
+        monkeypatch.setattr("select.select", self.wait)
+        ours.fd, theirs.fd = 0, 1  # type: ignore[attr-defined]
+        self.link = mavlink.MavlinkLink(ours, mavlink_commands(CARD))
+
+    def wait(
+        self, ends: tuple[int], _write: Any, _error: Any, seconds: float
+    ) -> tuple[list[int], list[int], list[int]]:
+        if ends == (1,) or self.wire.incoming:  # the autopilot always looks, the link waits
+            return [*ends], [], []
+        self.instant += round(1e9 * min(seconds, 0.01))
+        self.room.instant = self.instant - 10 * SECOND
+        self.autopilot.step(0.0)
+        return ([0] if self.wire.incoming else []), [], []
+
+    def fly(self, seconds: float, command: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> list[Sample]:
+        samples: list[Sample] = []
+        for _ in range(round(50 * seconds)):
+            self.link.send(command)
+            samples += self.link.receive(self.instant + 20 * MS)
+        return samples
+
+
+@pytest.fixture(params=[False, True], ids=["px4", "ardupilot"])
+def bench(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    return Bench(monkeypatch, request.param)
+
+
+def test_take_off_flight_and_landing_as_the_autopilots_document_them(bench: Bench) -> None:
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(4.0)
+    commands_before = len(bench.room.commands)
+    bench.fly(1.0, (0.4, 0.3, 0.2, 0.1))
+    bench.link.act("land")
+    bench.fly(1.0)
+
+    assert [one for one in bench.autopilot.requests if one != 511] == (
+        [176, 400, 22, 21] if bench.autopilot.ardupilot else [400, 22, 176, 21]
+    )
+    assert bench.room.asked == ["take_off", "land"]
+    assert len(bench.room.commands) > commands_before
+    assert bench.room.commands[-1] == pytest.approx((0.4, 0.3, 0.2, 0.1))
+    bench.link.act("close")
+    bench.link.act("close")
+    assert not bench.wire.open
+    with pytest.raises(LinkError, match="closed"):
+        bench.link.send((0.0, 0.0, 0.0, 0.0))
+
+
+def test_a_vehicle_in_the_air_is_taken_over_with_the_first_command_not_before(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.link.receive(bench.instant + 2 * SECOND)  # a preflight
+    assert bench.autopilot.requests.count(176) == 0
+    assert bench.room.commands == []
+
+    bench.fly(0.2, (0.1, 0.0, 0.0, 0.0))
+
+    assert bench.autopilot.mode == ((4,) if bench.autopilot.ardupilot else (6, 0))
+    assert len(bench.room.commands) >= 8  # of ten
+
+
+def test_a_vehicle_on_the_ground_is_not_put_into_offboard(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, mode="grounded")
+    bench.link.greet()
+    bench.fly(4.0)
+
+    assert bench.autopilot.mode == (3, 0)
+
+
+def test_a_pilot_who_takes_over_keeps_the_vehicle(bench: Bench) -> None:
+    bench.link.greet()
+    bench.link.act("take_off")
+    bench.fly(5.0)
+    bench.autopilot.mode = (5,) if bench.autopilot.ardupilot else (3, 0)
+
+    with pytest.raises(LinkError, match=r"the vehicle left (OFFBOARD|GUIDED)"):
+        bench.fly(2.0)
+    assert bench.autopilot.requests.count(176) == 1
+
+
+def test_a_refusal_is_an_error_that_names_the_step(bench: Bench) -> None:
+    bench.autopilot.refuse.add(400)
+    bench.link.greet()
+    bench.link.act("take_off")
+
+    with pytest.raises(LinkError, match=r"(PX4|ArduPilot) did not arm: denied"):
+        bench.fly(2.0)
+    assert bench.room.asked == []
+
+
+def test_silence_is_a_lost_link(bench: Bench) -> None:
+    bench.link.greet()
+    bench.fly(1.0)
+    bench.autopilot.deaf = True
+
+    with pytest.raises(LinkError, match="no heartbeat for 3 s"):
+        bench.fly(5.0)
+
+
+def test_a_cable_that_is_pulled_is_a_lost_link_not_a_trace(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    bench.link.greet()
+    monkeypatch.setattr(bench.wire, "write", gone)
+    with pytest.raises(LinkError, match=r"cannot send .*; the link is lost"):
+        bench.link.send((0.0, 0.0, 0.0, 0.0))
+    bench.wire.incoming.append(None)
+    monkeypatch.setattr(bench.wire, "recv_msg", gone)
+    with pytest.raises(LinkError, match=r"cannot receive .*; the link is lost"):
+        bench.link.receive(bench.instant)
+
+
+def test_nobody_there_is_one_line(bench: Bench) -> None:
+    bench.autopilot.deaf = True
+
+    with pytest.raises(LinkError, match="no heartbeat; check address"):
+        bench.link.greet()
+    assert not bench.wire.open
+
+
+def test_poses_come_back_in_our_frame_on_our_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, mode="flying")
+    bench.link.greet()
+    yaw = 0.7
+    found: list[Sample] = []
+    start = bench.instant
+    for step in range(100):
+        taken = bench.room.instant
+        quaternion = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+        bench.room.waiting.append(Sample("pose", taken, taken, (1.0, 2.0, 0.5 + 0.01 * step, *quaternion)))
+        bench.room.waiting.append(Sample("battery", taken, taken, (0.8,)))
+        found += bench.link.receive(bench.instant + 20 * MS)
+
+    poses = [sample for sample in found if sample.stream == "pose"]
+    assert len(poses) > 90
+    assert poses[-1].values[:2] == pytest.approx((1.0, 2.0))
+    assert float(yaw_from_quaternion(*np.array(poses[-1].values[3:]))) == pytest.approx(yaw)
+    for pose in poses:  # stamped when it was measured, to the millisecond that MAVLink has
+        assert pose.stamp - start == pytest.approx(round((pose.values[2] - 0.5) / 0.01) * 20 * MS, abs=11 * MS)
+        assert pose.stamp <= pose.received
+    assert np.ptp(np.diff([pose.stamp for pose in poses])) <= 11 * MS
+    assert next(sample for sample in found if sample.stream == "battery").values == (0.8,)
+
+
+def test_setpoints_go_through_the_wire_unchanged() -> None:
+    ours, theirs = Wire(245, 191), Wire(1, 1)
+    ours.other = theirs
+
+    ours.mav.set_position_target_local_ned_send(*setpoint(mavlink_commands(CARD), (0.4, 0.3, 0.2, 0.1), 7, (1, 1)))
+    message = theirs.recv_msg()
+
+    assert (message.vx, message.vy, message.vz, message.yaw_rate) == pytest.approx((0.4, -0.3, -0.2, -0.1))
+    assert (message.coordinate_frame, message.type_mask, message.time_boot_ms) == (8, 1479, 7)
+    assert (message.target_system, message.target_component) == (1, 1)
+
+
+def test_tilts_and_other_cards_are_refused() -> None:
+    raw = {**CARD.raw, "command": {**CARD.raw["command"], "x": {**CARD.raw["command"]["x"], "meaning": "tilt"}}}
+
+    with pytest.raises(LinkError, match="x means tilt"):
+        mavlink_commands(card_from_mapping(raw, "tilted"))
+    with pytest.raises(LinkError, match="use --card mavlink"):
+        mavlink_commands(builtin_cards()["bebop2"])
+
+
+def test_a_senders_clock_is_found_from_the_least_delayed_message() -> None:
+    clock, rng = SenderClock(), np.random.default_rng(1)
+    true_offset = 5 * SECOND
+    stamps = [k * 20 * MS for k in range(200)]
+
+    ours = [clock.ours(stamp, stamp + true_offset + 2 * MS + round(rng.exponential(3 * MS))) for stamp in stamps]
+
+    assert ours[-1] - stamps[-1] - true_offset == pytest.approx(2 * MS, abs=0.2 * MS)
+
+
+def test_an_exchange_of_stamps_removes_the_least_delay_too() -> None:
+    clock = SenderClock()
+    clock.exchanged(sent=100 * MS, theirs=1102 * MS, received=104 * MS)  # their clock is a second ahead, 2 ms each way
+    clock.exchanged(sent=200 * MS, theirs=1202 * MS, received=240 * MS)  # a slow answer does not count
+
+    assert clock.ours(1300 * MS, 310 * MS) == 300 * MS
+    assert clock.ours(1400 * MS, 399 * MS) == 399 * MS  # never later than it arrived
+
+
+def message(kind: str, ms: int, **fields: float) -> Any:
+    return SimpleNamespace(get_type=lambda: kind, time_boot_ms=ms, **fields)
+
+
+def turned(ms: int, yaw: float) -> Any:
+    return message("ATTITUDE", ms, roll=0.0, pitch=0.0, yaw=yaw, yawspeed=0.5)
+
+
+def test_the_attitude_is_interpolated_to_the_instant_of_the_position() -> None:
+    poses = Poses()
+    place = message("LOCAL_POSITION_NED", 115, x=1.0, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+
+    early = poses.take(turned(100, 0.2), 100) + poses.take(place, 115)
+    late = poses.take(turned(120, 0.4), 120)
+
+    assert early == []
+    assert [sample.stream for sample in late] == ["pose", "velocity"]
+    heading = math.pi / 2 - float(yaw_from_quaternion(*np.array(late[0].values[3:])))
+    assert heading == pytest.approx(0.35, abs=1e-4)
+    assert late[1].values == pytest.approx((0.3 * math.cos(0.35), 0.3 * math.sin(0.35), 0.1, -0.5), abs=1e-4)
+
+
+def test_whole_odometry_replaces_position_and_attitude() -> None:
+    poses = Poses()
+    whole = SimpleNamespace(
+        get_type=lambda: "ODOMETRY", time_usec=100_000, frame_id=1, x=1.0, y=2.0, z=-3.0, q=[1.0, 0.0, 0.0, 0.0]
+    )
+
+    assert [sample.values[:3] for sample in poses.take(whole, 1)] == [(2.0, 1.0, 3.0)]
+    assert poses.take(turned(120, 0.4), 2) == []
+
+
+def test_numbers_that_are_not_finite_are_no_pose() -> None:
+    poses = Poses()
+    place = message("LOCAL_POSITION_NED", 115, x=math.nan, y=0.0, z=-1.0, vx=0.3, vy=0.0, vz=-0.1)
+
+    assert poses.take(turned(100, 0.2), 1) + poses.take(place, 2) + poses.take(turned(120, 0.4), 3) == []
+
+
+def test_quaternions_of_opposite_sign_are_the_same_attitude() -> None:
+    assert between((1.0, 0.0, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0), 0.5) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+
+
+def test_a_port_that_cannot_be_opened_is_one_line() -> None:
+    with pytest.raises(LinkError, match=r"cannot open udpin:no-such-host.invalid:1"):
+        mavlink.open_link("udpin:no-such-host.invalid:1", load_card("mavlink"))
+
+
+def test_every_autopilot_says_what_it_does_without_us() -> None:
+    assert all("s" in one.fail_safe and len(one.fail_safe) > 40 for one in AUTOPILOTS.values())
+
+
+def test_the_wall_clock_runs_with_time_and_shows_the_time_of_day() -> None:
+    first = wall_clock.wall_clock()
+
+    assert abs(first - time.time_ns()) < SECOND
+    assert wall_clock.wall_clock() >= first
+    assert wall_clock.seconds_until(first) == 0.0

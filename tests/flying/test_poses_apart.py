@@ -1,0 +1,67 @@
+"""Two links as one: commands by the first, poses by the second."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from rotorfit.core.errors import LinkError
+from rotorfit.core.log import Sample
+from rotorfit.flying.links import poses_apart
+from rotorfit.flying.links.link import Action
+from rotorfit.flying.links.poses_apart import Joined, join
+
+
+class Half:
+    """A link that remembers."""
+
+    def __init__(self, *samples: Sample, live: bool = True) -> None:
+        self.now, self.live, self.fail_safe = 5, live, "It hovers."
+        self.samples = list(samples)
+        self.sent: list[Sequence[float]] = []
+        self.acted: list[str] = []
+
+    def send(self, command: Sequence[float]) -> None:
+        self.sent.append(command)
+
+    def receive(self, until: int) -> list[Sample]:
+        assert until == 7
+        return self.samples
+
+    def act(self, action: Action) -> None:
+        self.acted.append(action)
+
+
+def test_commands_go_to_the_first_and_poses_come_from_the_second() -> None:
+    first = Half(Sample("battery", 1, 3, (0.5,)), Sample("pose", 1, 1, (9.0,) * 7))
+    second = Half(Sample("pose", 2, 2, (1.0,) * 7), Sample("velocity", 2, 2, (1.0,) * 4))
+    link = Joined(first, second)
+
+    link.send((0.1, 0.0, 0.0, 0.0))
+    for action in ("take_off", "land", "close"):
+        link.act(action)  # type: ignore[arg-type]
+
+    assert [(sample.stream, sample.received) for sample in link.receive(7)] == [("pose", 2), ("battery", 3)]
+    assert (first.sent, second.sent) == ([(0.1, 0.0, 0.0, 0.0)], [])
+    assert (first.acted, second.acted) == (["take_off", "land", "close"], ["close"])
+    assert (link.now, link.live, link.fail_safe) == (5, True, "It hovers.")
+
+
+def test_the_other_link_is_opened_for_poses_alone_by_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    addresses: list[str] = []
+
+    def module(name: str) -> Any:
+        assert name == "rotorfit.flying.links.ros1"
+        return type("", (), {"open_poses": staticmethod(lambda address: addresses.append(address) or Half())})
+
+    monkeypatch.setattr(poses_apart, "import_module", module)
+
+    assert join(Half(), "ros1:/vicon/tello/tello").live
+    assert addresses == ["/vicon/tello/tello"]
+
+
+def test_a_simulated_vehicle_and_an_unknown_source_are_refused() -> None:
+    with pytest.raises(LinkError, match="leave --poses out"):
+        join(Half(live=False), "ros1:/pose")
+    with pytest.raises(LinkError, match="poses come from ros1, ros2, mavlink"):
+        join(Half(), "gps")

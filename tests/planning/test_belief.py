@@ -1,0 +1,148 @@
+"""What is believed of a vehicle before a flight, by card, model and published set, and its draws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models import VEHICLE, model_of
+from rotorfit.core.card import Prior
+from rotorfit.core.errors import PlanError
+from rotorfit.files.cards import card_from_mapping, load_card
+from rotorfit.planning.belief import (
+    DELAY,
+    GAIN_SHARE,
+    NAMES,
+    Belief,
+    belief_from_card,
+    belief_from_mapping,
+    belief_from_model,
+    belief_from_published,
+    belief_mapping,
+    coefficients_of,
+    levels_of,
+    sample_vehicles,
+)
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
+
+CARD = load_card("rotorfit-demo")
+
+
+def errors(belief: Belief) -> dict[str, float]:
+    return dict(zip(NAMES, np.sqrt(np.diag(belief.covariance)), strict=True))
+
+
+def test_a_full_tilt_is_believed_to_accelerate_by_g_tan_tilt_and_a_full_speed_to_be_reached() -> None:
+    belief = belief_from_card(CARD)
+    gamma = belief.truth.gamma
+    assert gamma[0] == pytest.approx(9.81 * np.tan(np.radians(20)))
+    assert gamma[4] / gamma[5] == pytest.approx(1.2)
+    assert gamma[6] / gamma[7] == pytest.approx(np.radians(100))
+    assert belief.truth.delay == (DELAY[0],) * 4
+    assert errors(belief)["x.delay"] == pytest.approx(DELAY[1])
+
+
+def test_the_speed_that_a_full_command_reaches_is_better_known_than_input_and_damping() -> None:
+    belief = belief_from_card(CARD)
+    gains = [truth.gamma[4] / truth.gamma[5] for truth in sample_vehicles(belief, 4000, 1)]
+    assert np.std(gains) / np.mean(gains) == pytest.approx(GAIN_SHARE, rel=0.2)
+    assert errors(belief)["z.input"] / belief.truth.gamma[4] > 1.5 * GAIN_SHARE
+
+
+def test_a_prior_of_the_card_holds() -> None:
+    card = replace(CARD, prior={"x": {"damping": Prior(0.3, 0.01)}})
+    belief = belief_from_card(card)
+    assert belief.truth.gamma[1] == 0.3
+    assert errors(belief)["x.damping"] == pytest.approx(0.01)
+
+
+def test_a_card_without_limits_of_a_known_vehicle_is_believed_to_be_like_its_published_sets() -> None:
+    belief = belief_from_card(load_card("bebop2"))
+    assert belief.truth.gamma[0] == pytest.approx(np.mean([4.33, 1.742, 3.6976, 4.5752, 0.8417]))
+    assert errors(belief)["x.input"] > 1.0
+    assert any("5 published sets" in note for note in belief.notes)
+
+
+def test_a_card_that_does_not_say_what_a_command_reaches_is_told_what_to_give() -> None:
+    raw = {**CARD.raw, "name": "a stranger", "limits": {"tilt": 0.3}}
+    with pytest.raises(PlanError, match=r"what a command of 1 on z reaches; give \[limits\] vertical_speed, or plan"):
+        belief_from_card(card_from_mapping(raw, "stranger"))
+
+
+def test_draws_have_the_mean_and_the_deviation_of_the_belief_and_keep_their_signs() -> None:
+    belief = belief_from_card(CARD)
+    table = np.array([coefficients_of(truth) for truth in sample_vehicles(belief, 20_000, 3)])
+    np.testing.assert_allclose(table.mean(axis=0), belief.coefficients, rtol=0.02)
+    np.testing.assert_allclose(table.std(axis=0), np.sqrt(np.diag(belief.covariance)), rtol=0.06)
+    assert np.all(table > 0)
+    trims = np.array([truth.trim for truth in sample_vehicles(belief, 5000, 3)])
+    np.testing.assert_allclose(trims.std(axis=0), belief.trim_sigma, rtol=0.05)
+
+
+def test_a_model_is_believed_as_far_as_it_goes_and_the_card_beyond() -> None:
+    belief = belief_from_model(model_of({axis: VEHICLE[axis] for axis in ("x", "y")}, CARD), "m.json")
+    assert belief.truth.gamma[:4] == GAMMA_B[:4]
+    assert belief.truth.delay[:2] == (0.1, pytest.approx(0.15))
+    assert errors(belief)["x.input"] == pytest.approx(0.02 * GAMMA_B[0], rel=0.01)
+    assert errors(belief)["z.delay"] == DELAY[1]
+    assert belief.source == "model m.json"
+    assert belief.notes == ("noise and wind of z, yaw: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)",)
+
+
+def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:
+    bare = load_card("bebop2")  # without limits: on its own it is believed to be like the published sets
+    unlimited = replace(bare, name="a drone that nobody has published", raw={})
+
+    assert len(belief_from_card(bare).notes) > 1
+    assert belief_from_model(model_of(VEHICLE, bare), "m.json").notes == ()
+    assert belief_from_model(model_of(VEHICLE, unlimited), "m.json").notes == ()
+    half = belief_from_model(model_of({axis: VEHICLE[axis] for axis in ("x", "y")}, unlimited), "m.json")
+    assert [note.split(":")[0] for note in half.notes[-1:]] == ["noise and wind of z, yaw"]
+    assert all("of 1 on x " not in note and "of 1 on y " not in note for note in half.notes)
+
+
+def test_the_levels_of_a_model_are_kept_and_its_wind_is_their_own() -> None:
+    truth = Truth(gamma=GAMMA_B, wind_sigma=(0.05,) * 4, wind_time=(2.0,) * 4)
+    levels = levels_of(Belief(truth, np.zeros((12, 12)), (0.0,) * 4), truth, "x")
+    model = model_of(VEHICLE, CARD)
+    names = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
+    noise = dict(zip(names, map(float, levels), strict=True)) | {"trim_variance": 0.01}
+    axes = {**model.axes, "x": replace(model.axes["x"], noise=noise)}
+    belief = belief_from_model(replace(model, axes=axes), "m.json")
+    np.testing.assert_allclose(levels_of(belief, belief.truth, "x"), levels)
+    assert belief.truth.wind_sigma[0] == pytest.approx(0.05)
+    assert belief.truth.wind_time[0] == pytest.approx(2.0)
+    assert belief.truth.mocap_noise[0] == pytest.approx(truth.mocap_noise[0])
+
+
+def test_a_published_set_is_believed_to_a_fifth_and_one_that_runs_away_is_refused() -> None:
+    belief = belief_from_published("B")
+    assert belief.truth.gamma == GAMMA_B
+    assert errors(belief)["y.damping"] == pytest.approx(0.2 * GAMMA_B[3])
+    with pytest.raises(PlanError, match="runs away"):
+        belief_from_published("C")
+    with pytest.raises(PlanError, match="not complete"):
+        belief_from_published("G")
+    with pytest.raises(PlanError, match="no published set 'Z'"):
+        belief_from_published("Z")
+
+
+@pytest.mark.parametrize(
+    "belief", [belief_from_card(CARD), belief_from_published("B"), belief_from_model(model_of(), "m")]
+)
+def test_a_belief_survives_its_plain_form_to_six_digits(belief: Belief) -> None:
+    again = belief_from_mapping(belief_mapping(belief), "plan p")
+    np.testing.assert_allclose(again.coefficients, belief.coefficients, rtol=1e-5)
+    np.testing.assert_allclose(again.covariance, belief.covariance, rtol=1e-5, atol=1e-12)
+    assert (again.source, again.notes, again.trim_sigma) == (belief.source, belief.notes, belief.trim_sigma)
+    assert belief_mapping(again) == belief_mapping(belief)
+
+
+def test_a_damaged_belief_is_told() -> None:
+    raw = belief_mapping(belief_from_card(CARD))
+    with pytest.raises(PlanError, match=r"plan p, \[belief\]: 'delay' is missing"):
+        belief_from_mapping({name: value for name, value in raw.items() if name != "delay"}, "plan p")
+    with pytest.raises(PlanError, match="one for each of x, y, z, yaw"):
+        belief_from_mapping({**raw, "delay": [0.1]}, "plan p")
+    with pytest.raises(PlanError, match="runs away"):
+        belief_from_mapping({**raw, "gamma": [1.0, -0.2] * 4}, "plan p")
