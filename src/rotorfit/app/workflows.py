@@ -19,13 +19,13 @@ from rotorfit.assessment.uncertainty import with_uncertainty
 from rotorfit.assessment.validation import to_mapping, validate
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
-from rotorfit.core.finding import Finding, by_gravity
+from rotorfit.core.finding import by_gravity
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE, Model, with_findings
-from rotorfit.core.progress import Progress
+from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import Fit, Method, PairedTest, Validation
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
@@ -33,7 +33,7 @@ from rotorfit.dynamics.protocol import CURVE, HORIZONS
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.files.cards import card_from_mapping, load_card
-from rotorfit.files.log_span import LogSpan, parse_log
+from rotorfit.files.log_span import WHOLE, LogSpan, Span, parse_log
 from rotorfit.files.logs import read
 from rotorfit.files.models import is_model_file, load
 from rotorfit.flights.assemble import flight_from_log
@@ -44,34 +44,43 @@ from rotorfit.flights.several_files import flights_of
 def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
     """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
     chosen = load_card(card) if isinstance(card, str) else card
-    return _flown(log, _read(log, chosen), chosen)[2]
+    return _flown(log, _read(log, chosen), chosen)[1]
 
 
 def load_flights(
-    logs: Sequence[LogSpan], card: str | Card | None = None, otherwise: Card | None = None
+    logs: Sequence[LogSpan | Flight], card: str | Card | None = None, otherwise: Card | None = None
 ) -> tuple[Flight, ...]:
     """Reads logs and applies a card to each; logs that only together hold what it names are one flight.
 
     Args:
-        logs: With their spans.
+        logs: With their spans; a flight among them is taken as it is.
         card: Name, file or card, for all of them.
         otherwise: Where there is no such card: for the logs that carry none themselves.
     """
     chosen = load_card(card) if isinstance(card, str) else card
-    return tuple(flight for _, _, flight in _all_flown(logs, chosen, otherwise))
+    return tuple(flight for _, flight in _all_flown(logs, chosen, otherwise))
 
 
-def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Card, Flight]:
-    """A log, the card that was applied, and what came of them."""
+def flight_of(raw: Log, card: Card | None, span: Span = WHOLE) -> Flight:
+    """The flight in a log, by a card, the log's own or the built-in card that fits, with the findings about it."""
+    return _diagnosed(*_flown(LogSpan(str(raw.path), span), raw, card))
+
+
+def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
+    """The flight with what its log tells before any fit; a flight that was given as such keeps what it has."""
+    return flight if raw is None else replace(flight, findings=findings_of_flight(raw, flight.card, flight))
+
+
+def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
+    """A log, and the flight that a card makes of it."""
     if card is not None:
-        flight = flight_from_log(raw, card, log.span)
-        return raw, flight.card, flight
+        return raw, flight_from_log(raw, card, log.span)
     proposed = proposal(raw)
     flight = flight_from_log(raw, proposed.card, log.span)
     if proposed.rivals:
         note = Note("card_proposed", f"read with the card {proposed.name}, {proposed.why}", len(proposed.rivals))
         flight = replace(flight, notes=(note, *flight.notes))
-    return raw, flight.card, flight
+    return raw, flight
 
 
 def _read(log: LogSpan, card: Card | None) -> Log:
@@ -94,29 +103,32 @@ def _carried(raw: Log, otherwise: Card) -> Card:
 
 
 def _all_flown(
-    logs: Sequence[LogSpan], card: Card | None, otherwise: Card | None = None
-) -> list[tuple[Log, Card, Flight]]:
-    """Every flight in some logs, in the order of its first log."""
-    flown: dict[int, tuple[Log, Card, Flight]] = {}
+    given: Sequence[LogSpan | Flight], card: Card | None, otherwise: Card | None = None
+) -> list[tuple[Log | None, Flight]]:
+    """Every flight in some logs, in the order of its first log; flights among them as they are, without a log."""
+    flown: dict[int, tuple[Log | None, Flight]] = {
+        number: (None, one) for number, one in enumerate(given) if isinstance(one, Flight)
+    }
+    logs = {number: one for number, one in enumerate(given) if isinstance(one, LogSpan)}
     parts: dict[int, Log] = {}
-    for number, log in enumerate(logs):
+    for number, log in logs.items():
         raw, applied = _read(log, card or otherwise), card
         if card is None and otherwise:
             applied = _carried(raw, otherwise)
             raw = raw if applied is otherwise else _read(log, applied)
         if applied is None and len(logs) > 1:
-            flown[number] = _flown_alone(log, raw, logs)
+            flown[number] = _flown_alone(log, raw, list(logs.values()))
         elif applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
             flown[number] = _flown(log, raw, applied)  # at once, so that no two logs need be held
         else:
             parts[number] = read(log.path)
-    places, shared = list(parts), card or otherwise
+    apart, shared = list(parts), card or otherwise
     for place, raw in flights_of(list(parts.values()), shared):
-        flown[places[place]] = _flown(logs[places[place]], raw, shared)
+        flown[apart[place]] = _flown(logs[apart[place]], raw, shared)
     return [flown[number] for number in sorted(flown)]
 
 
-def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, Card, Flight]:
+def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, Flight]:
     """The same without a card for one of several logs; where two are halves of one flight, the error says so."""
     try:
         return _flown(log, raw, None)
@@ -127,7 +139,7 @@ def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, 
 
 
 def fit_logs(
-    logs: Sequence[LogSpan],
+    logs: Sequence[LogSpan | Flight],
     card: str | Card | None = None,
     method: Method = "ml",
     axes: Sequence[str] = AXES,
@@ -138,11 +150,7 @@ def fit_logs(
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
-    flights: list[Flight] = []
-    noticed: list[tuple[Finding, ...]] = []
-    for raw, applied, flight in _all_flown(logs, chosen):
-        flights.append(flight)
-        noticed.append(findings_of_flight(raw, applied, flight))
+    flights = [_diagnosed(*one) for one in _all_flown(logs, chosen)]
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
@@ -150,8 +158,8 @@ def fit_logs(
         result = with_uncertainty(result, progress)
     before = [
         told
-        for every, flight, fitted in zip(noticed, flights, result.flights, strict=True)
-        for told in every
+        for flight, fitted in zip(flights, result.flights, strict=True)
+        for told in flight.findings
         if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
     ]  # nothing of an axis that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
@@ -167,7 +175,7 @@ def leave_one_out_logs(
 
 
 def ladder_logs(
-    logs: Sequence[LogSpan],
+    logs: Sequence[LogSpan | Flight],
     card: str | Card | None = None,
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
@@ -178,7 +186,7 @@ def ladder_logs(
 
 def validate_logs(
     model: Model,
-    logs: Sequence[LogSpan],
+    logs: Sequence[LogSpan | Flight],
     card: str | Card | None = None,
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
@@ -236,15 +244,22 @@ def compare_logs(
     logs = [parse_log(path) for path in paths if path not in files]
     if not files:
         raise ModelError(f"no model among {', '.join(paths)}; give files written by `rotorfit fit -o` before the logs")
-    models = [load(path) for path in files]
+    return compare_models(files, [load(path) for path in files], logs, horizons=horizons, progress=progress)
+
+
+def compare_models(
+    names: Sequence[str],
+    models: Sequence[Model],
+    logs: Sequence[LogSpan | Flight],
+    card: str | Card | None = None,
+    horizons: Sequence[float] = HORIZONS,
+    progress: Progress | None = None,
+) -> Comparison:
+    """The same for models that were read, with the names of their files or others."""
     validations, flights = [], []
-    for number in range(len(files)):
-
-        def report(fraction: float, text: str, done: int = number) -> None:
-            if progress:
-                progress((done + fraction) / len(files), f"{files[done]} on {text}")
-
-        validation, seen = validate_logs(models[number], logs, horizons=horizons, progress=report)
+    for number, model in enumerate(models):
+        part = _part(progress, number, names)
+        validation, seen = validate_logs(model, logs, card, horizons, part)
         validations.append(validation)
         flights.append(seen)
     alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
@@ -254,7 +269,13 @@ def compare_logs(
         for number, same in enumerate(alike, 1)
         if not same
     ]
-    return Comparison(tuple(files), tuple(validations), _paired(validations, alike), tuple(notes))
+    return Comparison(tuple(names), tuple(validations), _paired(validations, alike), tuple(notes))
+
+
+def _part(progress: Progress | None, number: int, names: Sequence[str]) -> Progress | None:
+    """Progress of one of several models, which names it."""
+    part = part_of(progress, number, len(names))
+    return part and (lambda fraction, text: part(fraction, f"{names[number]} on {text}"))
 
 
 def _paired(validations: Sequence[Validation], alike: Sequence[bool]) -> tuple[PairedTest, ...]:
@@ -352,18 +373,23 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
     files = [path for k, path in enumerate(paths) if k == 0 or (Path(path).is_file() and is_model_file(path))]
     models = [load(path) for path in files]
     logs = [parse_log(path) for path in paths if path not in files]
+    return cases_of_models(files, models, logs, progress=progress)
+
+
+def cases_of_models(
+    names: Sequence[str],
+    models: Sequence[Model],
+    logs: Sequence[LogSpan | Flight],
+    card: str | Card | None = None,
+    progress: Progress | None = None,
+) -> tuple[tuple[Case, ...], tuple[str, ...]]:
+    """The same for models that were read, with the names of their files or others."""
     cases: list[Case] = []
     notes: list[str] = []
-    for number, (path, model) in enumerate(zip(files, models, strict=True)):
-
-        def report(fraction: float, text: str, done: int = number) -> None:
-            if progress:
-                progress((done + fraction) / len(files), f"{files[done]} on {text}")
-
+    for number, (name, model) in enumerate(zip(names, models, strict=True)):
         training, left_out = training_flights(model)
-        scored = (
-            validate_logs(model, logs, horizons=CURVE, progress=report, beside=training) if logs else (UNPROVEN, ())
-        )
-        cases.append(Case(path, model, training, *scored))
+        part = _part(progress, number, names)
+        scored = validate_logs(model, logs, card, CURVE, part, training) if logs else (UNPROVEN, ())
+        cases.append(Case(name, model, training, *scored))
         notes += left_out
     return tuple(cases), tuple(dict.fromkeys(notes))

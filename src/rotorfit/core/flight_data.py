@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorfit.core.card import Card
+from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES, Array
 
 
@@ -155,6 +156,7 @@ class Flight:
             the card does not name and before the first value; None where it names none.
         clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
         velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
+        findings: What its log and the motion tell before any fit; empty where nobody has looked.
     """
 
     path: str
@@ -172,6 +174,7 @@ class Flight:
     reference: Array | None = None
     clocks: Clocks | None = None
     velocity: Velocity | None = None
+    findings: tuple[Finding, ...] = ()
 
     @property
     def velocity_only(self) -> tuple[str, ...]:
