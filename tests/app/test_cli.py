@@ -181,7 +181,7 @@ def test_axes_that_were_not_asked_for_are_not_spoken_of(folder: Path) -> None:
 def test_the_papers_method_is_named_and_gives_no_delay(folder: Path) -> None:
     found = done("fit", folder / "first.bag", "--method", "paper")
 
-    assert "by the paper's regression, which knows no delay" in found
+    assert "by the paper's regression, without delay" in found
     assert re.search(r"^ +delay +- +- +s +not_identifiable$", found, re.MULTILINE)
 
 

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 
 from flights import flown, steps, truth_of
 from rotorfit.app.cli import main
-from rotorfit.assessment.method_comparison import DIFFERS, LADDER, Ladder, MethodRow, agreement, ladder, to_mapping
+from rotorfit.assessment.method_comparison import DIFFERS, Ladder, MethodRow, agreement, ladder, to_mapping
 from rotorfit.core.model import COEFFICIENTS, Axis, unknown_axis
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.methods import compared_methods
 from rotorfit.files.models import from_mapping
 from rotorfit.files.models import to_mapping as model_mapping
 from rotorfit.planning.signals import two_sines
@@ -50,7 +51,7 @@ def holds(axis: Axis, name: str) -> bool:
 
 
 def test_every_method_has_a_row_of_every_axis_in_the_order_of_the_ladder() -> None:
-    assert [row.method for row in opened().axes["z"]] == list(LADDER)
+    assert [row.method for row in opened().axes["z"]] == list(compared_methods())
     assert list(opened().axes) == ["z"]
 
 
@@ -148,7 +149,7 @@ def test_where_both_are_right_about_one_in_a_hundred_is_rejected() -> None:
 def test_the_mapping_is_json_without_nan_and_holds_every_row() -> None:
     found = json.loads(json.dumps(to_mapping(closed()), allow_nan=False))
 
-    assert [row["method"] for row in found["axes"]["z"]["rungs"]] == list(LADDER)
+    assert [row["method"] for row in found["axes"]["z"]["rungs"]] == list(compared_methods())
     assert found["axes"]["z"]["held"] > 0
 
 
@@ -181,7 +182,7 @@ def test_the_verb_prints_one_table_an_axis_with_every_rung(bag: Path) -> None:
     assert result.exit_code == 0, result.output
     lines = [line.split() for line in result.stdout.splitlines() if line]
     firsts = [line[0] for line in lines]
-    assert [first for first in firsts if first in LADDER] == list(LADDER)
+    assert [first for first in firsts if first in compared_methods()] == list(compared_methods())
     assert "hold" in firsts
     assert "differs: input, damping" in result.stdout
 

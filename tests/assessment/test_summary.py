@@ -48,7 +48,7 @@ def test_what_is_known_and_what_is_not_is_listed_by_axis() -> None:
     found = summary_of_model(model({"x": axis(), "y": axis()}))
 
     assert found.startswith(
-        "Fitted to 1 flight of 30 s by the likelihood. Known: input gain, damping and delay of x and y."
+        "Fitted to 1 flight of 30 s by maximum likelihood. Known: input gain, damping and delay of x and y."
     )
     assert "No numbers: no flight excites z or yaw." in found
 
@@ -91,7 +91,7 @@ def test_different_reasons_stand_in_one_sentence() -> None:
 def test_several_flights_and_the_papers_method_are_named() -> None:
     found = summary_of_model(model({"x": axis(delay="not_identifiable")}, method="paper", flights=3), axes=("x",))
 
-    assert found.startswith("Fitted to 3 flights, 90 s in all, by the paper's regression, which knows no delay.")
+    assert found.startswith("Fitted to 3 flights, 90 s in all, by the paper's regression, without delay.")
     assert "Known: input gain and damping of x." in found
 
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from flights import CARD, by_hand, flown, muddled, steps, truth_of
-from rotorfit.core.errors import FlightError
+from rotorfit.core.errors import FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit, with_delay_profiles
+from rotorfit.estimation.methods import METHODS
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
@@ -372,6 +373,11 @@ def test_by_the_papers_method_a_delay_makes_a_small_damping_negative_and_by_the_
     assert point is not None
     assert point.damping > 0
     assert point.delay == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_method_that_is_not_in_the_table_is_refused_with_the_names_of_those_that_are() -> None:
+    with pytest.raises(ModelError, match=f"no such method: 'arx'; methods are {', '.join(METHODS)}"):
+        fit([slow_drone()], method="arx")
 
 
 def test_a_model_by_the_papers_method_can_predict_simulate_and_has_a_covariance() -> None:

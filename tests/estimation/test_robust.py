@@ -153,7 +153,7 @@ def test_the_outliers_are_told_on_the_command_line(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "info outliers:" in result.output
     assert "poses are not where the vehicle was" in result.output
-    assert "by the likelihood without outliers" in result.output
+    assert "by maximum likelihood without outliers" in result.output
 
 
 def _covered(seed: int) -> list[list[float]]:

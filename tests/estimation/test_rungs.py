@@ -10,13 +10,15 @@ from flights import STILL, by_hand, flown, recorded, steps, truth_of, turned
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
-from rotorfit.estimation.regression.axes_by_method import NOT_VALID, REGRESSIONS, axes_by_method
+from rotorfit.estimation.methods import METHODS
+from rotorfit.estimation.regression.axes_by_method import NOT_VALID, axes_by_method, estimator_of
 from rotorfit.estimation.regression.instrumental_variables import COMMAND, REFERENCE, iv
 from rotorfit.estimation.regression.least_squares import svf
 from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight
 
+REGRESSIONS = [name for name, method in METHODS.items() if method.estimator]
 GROUPS = (("x", "y"), ("z",), ("yaw",))
 LIMIT = 3e-4
 """Relative error of gain and damping without noise."""
@@ -51,7 +53,7 @@ def only(flight: Flight, *axes: str) -> Flight:
 @pytest.mark.parametrize("method", REGRESSIONS)
 @pytest.mark.parametrize("group", GROUPS)
 def test_without_noise_a_turning_flight_gives_its_coefficients_back(method: str, group: tuple[str, ...]) -> None:
-    rung = REGRESSIONS[method]([still()], group)
+    rung = estimator_of(method)([still()], group)
 
     for axis in group:
         found, truth = values(rung, axis), truth_of(STILL, axis)
@@ -64,7 +66,7 @@ def test_without_noise_a_turning_flight_gives_its_coefficients_back(method: str,
 def test_commands_that_change_all_the_time_are_taken_as_held_which_shortens_the_delay_by_half_a_period(
     method: str,
 ) -> None:
-    rung = REGRESSIONS[method]([continuous()], ("x", "y"))
+    rung = estimator_of(method)([continuous()], ("x", "y"))
 
     for axis in ("x", "y"):
         found, truth = values(rung, axis), truth_of(STILL, axis)
@@ -76,7 +78,7 @@ def test_commands_that_change_all_the_time_are_taken_as_held_which_shortens_the_
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_a_trim_does_not_bias(method: str) -> None:
     truth = replace(STILL, trim=(0.1, -0.1, 0.2, 0.0))
-    rung = REGRESSIONS[method]([flown(truth, steps(("z",)), 30.0)], ("z",))
+    rung = estimator_of(method)([flown(truth, steps(("z",)), 30.0)], ("z",))
 
     assert values(rung, "z")["damping"] == pytest.approx(truth_of(truth, "z")["damping"], rel=LIMIT)
     assert rung.trim[0, 0] == pytest.approx(0.2, rel=1e-3)
@@ -87,7 +89,7 @@ def test_a_trim_does_not_bias(method: str) -> None:
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_turning_the_world_turns_nothing(method: str) -> None:
-    one, two = (REGRESSIONS[method]([flight], ("x", "y")) for flight in (still(), turned(still(), 2.0)))
+    one, two = (estimator_of(method)([flight], ("x", "y")) for flight in (still(), turned(still(), 2.0)))
 
     np.testing.assert_allclose(one.gain, two.gain, rtol=1e-4)
     np.testing.assert_allclose(one.damping, two.damping, rtol=3e-4)
@@ -99,7 +101,7 @@ def test_scaling_the_commands_scales_the_gain_and_shifting_a_clock_shifts_the_de
     flight = still()
     other = replace(flight, command=4.0 * flight.command, command_time=flight.command_time - 0.05)
     other = replace(other, segments=tuple(Segment(s.start - 0.05, s.end - 0.05) for s in flight.segments))
-    one, two = (values(REGRESSIONS[method]([f], ("z",)), "z") for f in (flight, other))
+    one, two = (values(estimator_of(method)([f], ("z",)), "z") for f in (flight, other))
 
     assert 4 * two["input"] == pytest.approx(one["input"], rel=LIMIT)
     assert two["damping"] == pytest.approx(one["damping"], rel=LIMIT)
@@ -118,7 +120,7 @@ def test_several_flights_segments_holes_and_slow_jittered_poses_are_no_obstacle(
         yaw=flight.yaw[keep],
         segments=(Segment(0.0, 18.0), Segment(float(flight.command_time[950]), flight.segments[-1].end)),
     )
-    rung = REGRESSIONS[method]([ragged, only(still(), "z")], ("z",))
+    rung = estimator_of(method)([ragged, only(still(), "z")], ("z",))
 
     found, truth = values(rung, "z"), truth_of(STILL, "z")
     assert found["input"] == pytest.approx(truth["input"], rel=2e-3)
@@ -129,7 +131,7 @@ def test_several_flights_segments_holes_and_slow_jittered_poses_are_no_obstacle(
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_an_axis_that_nobody_commands_is_no_obstacle_to_the_other_and_has_no_number(method: str) -> None:
-    rung = REGRESSIONS[method]([flown(STILL, steps(("x", "yaw")), 30.0)], ("x", "y"))
+    rung = estimator_of(method)([flown(STILL, steps(("x", "yaw")), 30.0)], ("x", "y"))
 
     assert values(rung, "x")["input"] == pytest.approx(truth_of(STILL, "x")["input"], rel=LIMIT)
     assert rung.failed["y"][0] == "not_excited"
@@ -143,7 +145,7 @@ def test_a_short_flight_is_told_from_one_that_is_not_excited(method: str) -> Non
     short, idle = flown(STILL, steps(), 4.0), only(flown(Truth(), steps(), 20.0), "x")
 
     for flight, status in ((short, "too_short"), (idle, "not_excited")):
-        axis, reason = axis_of_rung(REGRESSIONS[method]([flight], ("z",)), "z")
+        axis, reason = axis_of_rung(estimator_of(method)([flight], ("z",)), "z")
         assert set(axis.status.values()) == {status}
         assert (axis.input, axis.damping, axis.delay, axis.predictor) == (None,) * 4
         assert reason
@@ -152,7 +154,7 @@ def test_a_short_flight_is_told_from_one_that_is_not_excited(method: str) -> Non
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_a_command_that_never_changes_gives_no_delay(method: str) -> None:
     constant = flown(Truth(), lambda t: np.full((t.size, 4), 0.1), 20.0)
-    axis, reason = axis_of_rung(REGRESSIONS[method]([constant], ("z",)), "z")
+    axis, reason = axis_of_rung(estimator_of(method)([constant], ("z",)), "z")
 
     assert axis.delay is None
     assert reason
@@ -162,7 +164,7 @@ def test_a_command_that_never_changes_gives_no_delay(method: str) -> None:
 def test_commands_that_the_vehicle_never_got_are_never_a_confident_model(method: str) -> None:
     flight = flown(Truth(), steps(("z",)), 40.0, seed=4)
     other = replace(flight, command=steps(("z",), seed=99)(flight.command_time))
-    axis, _ = axis_of_rung(REGRESSIONS[method]([other], ("z",)), "z")
+    axis, _ = axis_of_rung(estimator_of(method)([other], ("z",)), "z")
 
     numbers = [value for value in (axis.input, axis.damping, axis.delay) if value is not None]
     assert len(numbers) < 3 or abs(axis.input or 0) < 0.3 * truth_of(Truth(), "z")["input"]
@@ -183,7 +185,7 @@ def test_no_rung_raises_on_odd_motion_nor_prints_what_is_no_number(method: str, 
     flight = by_hand(time, motion, time[::2], rng.normal(size=(time.size // 2, 4)))
 
     for group in GROUPS:
-        rung = REGRESSIONS[method]([flight], group)
+        rung = estimator_of(method)([flight], group)
         for name in group:
             axis, _ = axis_of_rung(rung, name)
             numbers = [axis.input, axis.damping, axis.delay, *axis.stderr.values()]
@@ -192,7 +194,7 @@ def test_no_rung_raises_on_odd_motion_nor_prints_what_is_no_number(method: str, 
 
 @pytest.mark.parametrize("method", REGRESSIONS)
 def test_without_a_flight_there_is_nothing_to_tell(method: str) -> None:
-    assert REGRESSIONS[method]([], ("z",)).failed["z"][0] == "too_short"
+    assert estimator_of(method)([], ("z",)).failed["z"][0] == "too_short"
 
 
 # Instruments

@@ -6,7 +6,7 @@ Log -> Flight -> Fit -> Validation: the compositions that the command line and t
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
@@ -26,12 +26,13 @@ from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.progress import Progress, part_of
-from rotorfit.core.results import Fit, Method, PairedTest, Validation
+from rotorfit.core.results import Fit, PairedTest, Validation
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.dynamics.protocol import CURVE, HORIZONS
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
+from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.log_span import WHOLE, LogSpan, Span, parse_log
 from rotorfit.files.logs import read
@@ -141,7 +142,7 @@ def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, 
 def fit_logs(
     logs: Sequence[LogSpan | Flight],
     card: str | Card | None = None,
-    method: Method = "ml",
+    method: str = BEST,
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
     structure: str = STRUCTURE,
@@ -170,7 +171,7 @@ def leave_one_out_logs(
     fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = STRUCTURE
 ) -> tuple[Fit, LeaveOneOut]:
     """Leaves out each flight of a fit in turn; the model keeps the result."""
-    result = leave_one_out(fit.flights, cast("Method", fit.model.method), axes, progress=progress, structure=structure)
+    result = leave_one_out(fit.flights, fit.model.method, axes, progress=progress, structure=structure)
     return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
 
 

@@ -13,9 +13,10 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import FlightScores, Method, PairedTest, StartErrors
+from rotorfit.core.results import FlightScores, PairedTest, StartErrors
 from rotorfit.dynamics.protocol import HORIZONS
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.methods import BEST
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class LeaveOneOut:
 
 def leave_one_out(
     flights: Sequence[Flight],
-    method: Method = "ml",
+    method: str = BEST,
     axes: Sequence[str] = AXES,
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,

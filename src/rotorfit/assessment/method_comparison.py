@@ -11,11 +11,9 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import Fit, FlightScores, Method
+from rotorfit.core.results import Fit, FlightScores
 from rotorfit.estimation.fitting import fit
-
-LADDER: tuple[Method, ...] = ("paper", "svf", "weak", "iv", "oe", "ml")
-"""The rungs, from the paper's method up; the last one is what the others are tested against."""
+from rotorfit.estimation.methods import BEST, compared_methods
 
 HORIZON = 1.0
 """Horizon of the predictions that are shown [s]."""
@@ -69,7 +67,7 @@ class Ladder:
 
     Attributes:
         paths: Of the logs.
-        axes: Axis name to its rows, in the order of `LADDER`.
+        axes: Axis name to its rows, in the order of `compared_methods`.
         held: Axis name to the prediction error of holding the velocity.
     """
 
@@ -92,13 +90,14 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
     fits: dict[str, Fit] = {}
     scores: dict[str, Sequence[FlightScores]] = {}
     held: Sequence[FlightScores] = ()
-    for number, method in enumerate(LADDER):
+    methods = compared_methods()
+    for number, method in enumerate(methods):
         if progress:
-            progress(number / len(LADDER), method)
+            progress(number / len(methods), method)
         fits[method] = fit(flights, method, axes)
         validation = validate(fits[method].model, flights, (HORIZON,))
         scores[method], held = validation.flights, validation.baselines["hold"]
-    best = fits[LADDER[-1]].model
+    best = fits[BEST].model
     wanted = [axis for axis in AXES if axis in axes]
     served = {axis: [axis in source.axes for source in best.flights] for axis in wanted}
     rows = {
@@ -106,7 +105,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
             MethodRow(
                 method=method,
                 axis=found.model.axes[axis],
-                agreement={} if method == LADDER[-1] else agreement(found.model.axes[axis], best.axes[axis]),
+                agreement={} if method == BEST else agreement(found.model.axes[axis], best.axes[axis]),
                 prediction=_pooled(scores[method], axis, served[axis]),
                 remark=found.remarks.get(axis, ""),
             )

@@ -4,16 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
-
-_METHODS = {
-    "ml": "the likelihood",
-    "svf": "least squares behind a state-variable filter",
-    "weak": "least squares on the weak form",
-    "iv": "refined instrumental variables",
-    "oe": "output error",
-    "robust": "the likelihood without outliers",
-    "paper": "the paper's regression, which knows no delay",
-}
+from rotorfit.estimation.methods import label_of
 
 _NAMES = {"input": "input gain", "damping": "damping", "delay": "delay"}
 
@@ -40,7 +31,7 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     coefficients = COEFFICIENTS[:2] if model.method == "paper" else COEFFICIENTS
     whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
-    sentences = [f"Fitted to {flights} by {_METHODS[model.method]}{BELIEVED * bool(model.prior)}."]
+    sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
         sentences.append(f"Known: {_listed([_NAMES[name] for name in coefficients])} of {_listed(whole)}.")
     sentences += [_partly_known(axis, model.axes[axis]) for axis in partly]

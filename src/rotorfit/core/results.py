@@ -135,11 +135,6 @@ class Outlier:
 Outliers = tuple[tuple[Outlier, ...], ...]
 """Of each flight."""
 
-Method = Literal["ml", "robust", "paper", "svf", "weak", "iv", "oe"]
-
-LIKELIHOOD = ("ml", "robust")
-"""The methods that maximise the likelihood."""
-
 
 @dataclass(frozen=True)
 class Fit:

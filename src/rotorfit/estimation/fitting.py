@@ -1,4 +1,4 @@
-"""Flights -> Fit: coefficients with intervals, statuses and profiles, by the likelihood or a lower rung."""
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by one of the methods of the table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, unknown_axis
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import LIKELIHOOD, Fit, Method, Outliers, PaperFit
+from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.dynamics.physics import with_physics
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
@@ -34,6 +34,7 @@ from rotorfit.estimation.likelihood.outliers import without_outliers
 from rotorfit.estimation.likelihood.prior import gaussian_prior
 from rotorfit.estimation.likelihood.profile import height, hold
 from rotorfit.estimation.likelihood.richer_laws import estimate_laws
+from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
 
@@ -45,7 +46,7 @@ PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 
 def fit(
     flights: Sequence[Flight],
-    method: Method = "ml",
+    method: str = BEST,
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
     structure: str = STRUCTURE,
@@ -55,8 +56,8 @@ def fit(
 
     Args:
         flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held`.
-        method: `ml`, the likelihood; `robust`, the same without the poses that are not where the vehicle was;
-            `paper`, the regression of the paper; or `svf`, `weak`, `iv`, `oe`, the rungs between.
+        method: A key of `METHODS`: `ml`, the likelihood; `robust`, the same without the poses that are not where the
+            vehicle was; `paper`, the regression of the paper; or one of the regressions between.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
         structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis. `coupled` is of x and y
@@ -69,7 +70,7 @@ def fit(
     Raises:
         FlightError: If no flight is given, or their cards differ in what the coefficients mean.
         CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
-        ModelError: No such structure, or one other than the default with a method other than the likelihood.
+        ModelError: No such method or structure, or a structure other than the default with a method other than `ml`.
     """
     _check(flights, method, structure, prior)
     flights = without_held_axes(flights)
@@ -104,7 +105,7 @@ class _Found:
 def _found(
     flights: Sequence[Flight],
     wanted: Sequence[str],
-    method: Method,
+    method: str,
     structure: str,
     priors: Priors,
     paper: PaperFit,
@@ -114,12 +115,12 @@ def _found(
     groups, parts = groups_of(flights, wanted), []
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
-        if method in LIKELIHOOD:
+        if METHODS[method].likelihood:
             parts.append(_likelihood_group(flights, group, priors, structure))
-        elif method == "paper":
-            parts.append(_paper_group(flights, group, paper))
+        elif METHODS[method].estimator:
+            parts.append(_regression_group(flights, group, method))
         else:
-            parts.append(_rung_group(flights, group, method))
+            parts.append(_paper_group(flights, group, paper))
     return _Found(  # x may be fitted with y where only one of them is wanted
         {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
         {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
@@ -128,7 +129,7 @@ def _found(
     )
 
 
-def _model(flights: Sequence[Flight], method: Method, paper: PaperFit, found: _Found) -> Model:
+def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Found) -> Model:
     """The model of what was found; axes that were not wanted or do not move are unknown in it."""
     names, matrix = block_diagonal(found.covariance)
     return Model(
@@ -147,8 +148,10 @@ def _model(flights: Sequence[Flight], method: Method, paper: PaperFit, found: _F
     )
 
 
-def _check(flights: Sequence[Flight], method: Method, structure: str, prior: bool) -> None:
+def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) -> None:
     """Refuses what does not go together; see `fit`."""
+    if method not in METHODS:
+        raise ModelError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
     if structure != AUTO:
         structure_named(structure)
     if method != "ml" and structure != STRUCTURE:
@@ -160,7 +163,7 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
     check_clocks(flights)
-    if prior and method not in LIKELIHOOD:
+    if prior and not METHODS[method].likelihood:
         raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
     if prior and not flights[0].card.prior:
         raise CardError(
@@ -168,7 +171,7 @@ def _check(flights: Sequence[Flight], method: Method, structure: str, prior: boo
         )
 
 
-def _of_poses(flights: Sequence[Flight], method: Method, axes: Sequence[str]) -> list[Flight]:
+def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> list[Flight]:
     """The flights without velocities that stand beside poses: only the likelihood can use them.
 
     Raises:
@@ -332,8 +335,8 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
     return _Found(with_levels(serving, results), covariance)
 
 
-def _rung_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
-    """Axes by a rung between the paper and the likelihood, their covariance, and what it says of its numbers."""
+def _regression_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
+    """Axes by a regression of the table, their covariance, and what it says of its numbers."""
     serving = [f for f in flights if any(commands_axis(f, axis) for axis in group)]
     found, covariance, remarks = axes_by_method(serving, group, method)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]

@@ -10,7 +10,7 @@ from rotorfit.assessment.case import Case
 from rotorfit.core.errors import PlanError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Model
-from rotorfit.core.results import LIKELIHOOD
+from rotorfit.estimation.methods import maximises_likelihood
 from rotorfit.planning.belief import belief_from_model
 from rotorfit.planning.next_flight import wanted_errors, worst_group
 from rotorfit.reporting.verdict import Use, Verdict
@@ -118,7 +118,7 @@ def _plan(case: Case, axes: Sequence[str]) -> str:
 def beside_wanted(case: Case) -> Array | None:
     """Standard errors of the twelve coefficients over what is wanted, shape (12,); None where they are not known."""
     model = case.model
-    if model.method not in LIKELIHOOD or not any(axis.predictor for axis in model.axes.values()):
+    if not maximises_likelihood(model.method) or not any(axis.predictor for axis in model.axes.values()):
         return None
     try:
         belief = belief_from_model(model, case.path)

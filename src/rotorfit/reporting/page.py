@@ -13,6 +13,7 @@ from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import with_findings
+from rotorfit.estimation.methods import label_of
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
 from rotorfit.reporting.evidence import HorizonErrors, horizon_charts, profile_charts, residual_charts, scores_of
 from rotorfit.reporting.next_steps import next_steps, wanted_chart
@@ -34,16 +35,6 @@ from rotorfit.reporting.verdict import USEFUL, USELESS, Verdict, over, verdict_o
 from rotorfit.reporting.views import READING, Chart, RowChart, look_of, overlaid
 from rotorfit.reporting.words import AXIS, TERMS, slug
 from rotorfit.version import __version__
-
-METHODS = {
-    "ml": "grey-box likelihood with delay (ml)",
-    "svf": "least squares behind a state-variable filter, with delay (svf)",
-    "weak": "least squares on the weak form, with delay (weak)",
-    "iv": "refined instrumental variables, with delay (iv)",
-    "oe": "output error, with delay (oe)",
-    "robust": "grey-box likelihood with delay, outlying poses left out (robust)",
-    "paper": "the paper's linear regression, without delay (paper)",
-}
 
 SECTIONS = (
     ("verdict", "Verdict"),
@@ -166,7 +157,7 @@ def _origin(case: Case) -> str:
     """What was fitted to what, and tested on what."""
     model = case.model
     fitted = sum(end - start for start, end in (source.span for source in model.flights))
-    first = f"Fitted by {METHODS.get(model.method, model.method)} to {_count(len(model.flights))}, {fitted:.0f} s"
+    first = f"Fitted by {label_of(model.method)} ({model.method}) to {_count(len(model.flights))}, {fitted:.0f} s"
     spans = [scores.span for scores in case.validation.flights if not scores.fitted]
     if not spans:
         return f"{first}; not validated."

@@ -18,6 +18,7 @@ from rotorfit.app.cli.options import (
     progress_bar,
     structure_of,
 )
+from rotorfit.estimation.methods import BEST, METHODS
 
 
 @click.command()
@@ -25,9 +26,9 @@ from rotorfit.app.cli.options import (
 @card_option("the one that fits")
 @click.option(
     "--method",
-    type=click.Choice(["ml", "robust", "paper", "svf", "weak", "iv", "oe"]),
-    default="ml",
-    help="The likelihood (default), without outliers, the paper's, or a rung between them.",
+    type=click.Choice(list(METHODS)),
+    default=BEST,
+    help="How to estimate, by default with the likelihood; `rotorfit ladder` shows all methods side by side.",
 )
 @click.option(
     "--structure",
@@ -58,7 +59,6 @@ def fit(
     """Estimate the coefficients from one or several flights."""
     from rotorfit.app.workflows import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs
     from rotorfit.assessment.leave_one_out import require_two
-    from rotorfit.core.results import LIKELIHOOD
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.models import save, to_mapping
 
@@ -66,7 +66,7 @@ def fit(
         check_destination(output, MODEL_MARK)
     if leaving:
         require_two(len(logs))
-    if uncertainty and method not in LIKELIHOOD:
+    if uncertainty and not METHODS[method].likelihood:
         raise click.UsageError(f"--uncertainty is of the likelihood: --method {method} has its own standard errors")
     with progress_bar() as progress:
         spans = [parse_log(log, span) for log in logs]

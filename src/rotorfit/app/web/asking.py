@@ -9,9 +9,8 @@ from rotorfit.app.web.workspace import Range, Role, Session, Upload
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import STRUCTURES
+from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.files.cards import builtin_card_text
-
-METHODS = ("ml", "robust", "paper", "svf", "weak", "iv", "oe")
 
 MOST_RANGES = 50
 
@@ -106,14 +105,14 @@ def fit_request(
     card_from_text(session.card)
     if not spans["train"]:
         raise RequestError("mark a stretch for training first, on the page Ranges")
-    method, structure = _one_of(body, "method", METHODS, "ml"), _one_of(
+    method, structure = _one_of(body, "method", tuple(METHODS), BEST), _one_of(
         body, "structure", ("auto", *STRUCTURES), "first_order_delay"
     )  # fmt: skip
     wanted = body.get("axes", AXES)
     axes = [axis for axis in AXES if isinstance(wanted, list | tuple) and axis in wanted]
     if not axes:
         raise RequestError("choose at least one axis to fit")
-    uncertainty = bool(body.get("uncertainty")) and method in ("ml", "robust")
+    uncertainty = bool(body.get("uncertainty")) and METHODS[method].likelihood
     settings = {"method": method, "structure": structure, "axes": axes, "uncertainty": uncertainty}
     return {"kind": "fit", **settings, **spans}, words
 

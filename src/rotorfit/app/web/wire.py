@@ -22,6 +22,7 @@ from rotorfit.core.model import Model, with_findings
 from rotorfit.core.results import Validation
 from rotorfit.diagnosis.survey import excitation
 from rotorfit.dynamics.protocol import HORIZONS
+from rotorfit.estimation.methods import METHODS
 from rotorfit.exports.formats import FORMATS
 from rotorfit.flights.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.flights.stamps import rate, stamps_of
@@ -66,7 +67,7 @@ def constants_mapping() -> dict[str, Any]:
         "structures": ["auto", *STRUCTURES],
         "exports": {name: form.text for name, form in FORMATS.items()},
         "untold": UNTOLD,
-        "methods": ["ml", "robust", "paper", "svf", "weak", "iv", "oe"],
+        "methods": {name: f"{method.label} ({name})" for name, method in METHODS.items()},
         "largest_log": LARGEST_LOG,
         "most_logs": MOST_LOGS,
     }

@@ -1,7 +1,8 @@
-"""The rungs between the paper and the likelihood, as axes of a model."""
+"""What a regression of the table of methods finds, as axes of a model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -11,43 +12,47 @@ from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.noise_levels import settle_levels, with_levels
-from rotorfit.estimation.regression.instrumental_variables import COMMAND, iv
-from rotorfit.estimation.regression.least_squares import svf, weak
-from rotorfit.estimation.regression.output_error import oe
-from rotorfit.estimation.regression.result import axis_of_rung
+from rotorfit.estimation.methods import METHODS
+from rotorfit.estimation.regression.instrumental_variables import COMMAND
+from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
 
-REGRESSIONS = {"svf": svf, "weak": weak, "iv": iv, "oe": oe}
-"""Method to its estimator."""
+Estimator = Callable[[Sequence[Flight], tuple[str, ...]], MethodResult]
+"""Flights of one vehicle and setting, and the axes that are estimated together, to their coefficients."""
 
 NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
 """What is said of an instrument made from commands that a feedback loop gave."""
 
 
+def estimator_of(method: str) -> Estimator:
+    """The regression behind a name of `METHODS`."""
+    estimator: Estimator = resolve_name(METHODS[method].estimator)
+    return estimator
+
+
 def axes_by_method(
     flights: Sequence[Flight], group: Sequence[str], method: str
 ) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array], dict[str, str]]:
-    """Axes that are estimated together, by one of the rungs.
+    """Axes that are estimated together, by one of the regressions.
 
     Args:
         flights: Those that move one of the axes.
         group: x, y or both; z; or yaw.
-        method: A key of `RUNGS`.
+        method: A key of `METHODS` with an estimator.
 
     Returns:
         Axis to what may be said of it, with the disturbance levels that prediction needs and a trim for each flight;
-        the covariance of (input, damping, delay) of the axes with numbers, under its names; and axis to what the rung
+        the covariance of (input, damping, delay) of the axes with numbers, under its names; and axis to what the method
         says of its numbers: why there is none, which instrument was used, whether it is valid.
     """
-    rung = REGRESSIONS[method](flights, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
+    rung = estimator_of(method)(flights, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
     place = {axis: rung.axes.index(axis) for axis in group}
     told = {axis: axis_of_rung(rung, axis) for axis in group}
     axes = with_levels(
         flights, {axis: _with_trim(known, rung.trim[:, place[axis]]) for axis, (known, _) in told.items()}
     )
     remarks = {axis: [part for part in (told[axis][1], rung.remark.get(axis, "")) if part] for axis in group}
-    if method == "iv":
-        for axis in _answering(flights, {axis: axes[axis] for axis in group if COMMAND in rung.remark.get(axis, "")}):
-            remarks[axis].append(NOT_VALID)
+    for axis in _answering(flights, {axis: axes[axis] for axis in group if COMMAND in rung.remark.get(axis, "")}):
+        remarks[axis].append(NOT_VALID)
     known = [axis for axis in group if axes[axis].predictor]
     K = len(rung.axes)
     index = [offset + place[axis] for axis in known for offset in (0, K, 2 * K)]

@@ -4,11 +4,9 @@ import {get} from "./api.js";
 import {fill, h, labelled, options} from "./dom.js";
 import {resultView} from "./result.js";
 
-const METHODS = {ml: "likelihood (ml)", robust: "likelihood, outliers left out (robust)", paper: "the paper's regression, no delay (paper)", svf: "state-variable filter (svf)", weak: "weak form (weak)", iv: "instrumental variables (iv)", oe: "output error (oe)"};
-
 export function fitPanel(place, studio) {
   const {constants} = studio;
-  const method = options(h("select", {}), constants.methods.map(name => [name, METHODS[name] || name]), "ml");
+  const method = options(h("select", {}), Object.entries(constants.methods), "ml");
   const structure = options(h("select", {}), constants.structures.map(name => [name, name.replaceAll("_", " ")]), "first_order_delay");
   const axes = constants.axes.map(axis => h("input", {type: "checkbox", id: `axis-${axis}`, value: axis, checked: true}));
   const uncertainty = h("input", {type: "checkbox", id: "uncertainty"});
