@@ -109,7 +109,7 @@ def test_commands_and_poses_may_come_at_any_rates(tmp_path: Path, rate: float, p
 
 
 def test_without_feedback_the_signals_are_sent_as_planned(tmp_path: Path) -> None:
-    from rotorfit.planning.plan_control import command_at
+    from rotorfit.core.flight_plan import command_at
 
     link, plan = Watched(room_link()), plan_of(5.0, feedback=False, amplitude=0.2)
     assert flown(link, tmp_path / "log.mcap", plan).reason == "completed"

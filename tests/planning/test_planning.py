@@ -15,14 +15,13 @@ from rotorfit.app.cli import main
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.outlook import plan_view
 from rotorfit.core.errors import PlanError
-from rotorfit.core.flight_plan import Sines
+from rotorfit.core.flight_plan import Sines, command_at
 from rotorfit.core.frames import AXES
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import save
 from rotorfit.files.plans import load_plan
 from rotorfit.planning.belief import belief_from_card, belief_from_model
 from rotorfit.planning.next_flight import next_flight, wanted_errors, worst_group
-from rotorfit.planning.plan_control import command_at
 from rotorfit.planning.plan_flight import IDENT, band_of, full_amplitude, plan_flight, plan_flights
 from rotorfit.planning.request import space_of_box, space_of_room
 from rotorfit.planning.signals import paper_sines

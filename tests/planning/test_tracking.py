@@ -6,9 +6,21 @@ import numpy as np
 import pytest
 
 from rotorfit.core.errors import PlanError
-from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Plan, Signal, Sines, Space, Steps, Target
+from rotorfit.core.flight_plan import (
+    AxisExcitation,
+    Chirp,
+    Feedback,
+    Plan,
+    Signal,
+    Sines,
+    Space,
+    Steps,
+    Target,
+    command_at,
+    reference_at,
+)
 from rotorfit.files.cards import load_card
-from rotorfit.planning.plan_control import begin, command_at, observed, reference_at, steered, step, tracker_of
+from rotorfit.planning.plan_control import begin, observed, steered, step, tracker_of
 
 GAMMA = (3.7, 0.18, 3.9, 0.36, 2.5, 2.2, 4.4, 2.7)
 ROOM = Space((-3.0, -2.0, 0.3), (3.0, 2.0, 3.0), (0.0, 0.0, 1.5, 0.0), 2.0, 1.0)

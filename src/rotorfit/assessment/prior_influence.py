@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorfit.core.accuracy import PriorUse
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array, Mask
-from rotorfit.core.model import COEFFICIENTS, PriorUse
+from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import inverted

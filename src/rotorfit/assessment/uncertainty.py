@@ -17,19 +17,18 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.assessment.bootstrap import BLOCK_TIME, COUNT, SEED, bootstrap
-from rotorfit.core.finding import Finding
-from rotorfit.core.frames import Array
-from rotorfit.core.model import (
-    COEFFICIENTS,
+from rotorfit.core.accuracy import (
     CORRELATION_LIMIT,
     Accuracy,
     AxisAccuracy,
-    Combination,
     FlightEstimate,
     Inseparable,
     Scatter,
     Uncertainty,
 )
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import Array
+from rotorfit.core.model import COEFFICIENTS, Combination
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate

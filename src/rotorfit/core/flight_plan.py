@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import AXES, Array
 
 
 @dataclass(frozen=True)
@@ -190,6 +190,69 @@ class Plan:
     belief: Mapping[str, Any] = field(default_factory=dict)
     predicted: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+
+
+Three = tuple[Array, Array, Array]
+
+
+def command_at(plan: Plan, t: Array) -> Array:
+    """The signals that are commands, with their ramps, at times from the start of the plan.
+
+    Args:
+        plan: What is flown.
+        t: Shape (N,) [s].
+
+    Returns:
+        Forward, left, up, counter-clockwise, shape (N, 4) [unit of the card's command].
+    """
+    out = np.zeros((t.size, 4))
+    for excitation in plan.excitations:
+        if excitation.target == "command":
+            weight = window(excitation, plan.ramp, t)[0]
+            out[:, AXES.index(excitation.axis)] += weight * value(excitation.signal, t - excitation.start)
+    return out
+
+
+def reference_at(plan: Plan, t: Array) -> Three:
+    """What the feedback tracks at times from the start of the plan, as an offset from where it began.
+
+    Args:
+        plan: What is flown.
+        t: Shape (N,) [s].
+
+    Returns:
+        Position, velocity and acceleration, forward, left, up and counter-clockwise of the start, each shape (N, 4).
+    """
+    position, velocity, acceleration = np.zeros((3, t.size, 4))
+    for excitation in plan.excitations:
+        if excitation.target == "position":
+            a = AXES.index(excitation.axis)
+            w, dw, ddw = window(excitation, plan.ramp, t)
+            s, ds, dds = motion(excitation.signal, t - excitation.start)
+            position[:, a] += w * s
+            velocity[:, a] += dw * s + w * ds
+            acceleration[:, a] += ddw * s + 2 * dw * ds + w * dds
+    return position, velocity, acceleration
+
+
+def window(excitation: AxisExcitation, ramp: float, t: Array) -> Three:
+    """The factor that grows from 0 to 1 and fades again, with its first and second derivative, each shape (N,).
+
+    10 s^3 - 15 s^4 + 6 s^5 of the share s of the ramp: the least polynomial at whose ends velocity and acceleration
+    vanish, so that a ramped position can be tracked. 0 outside the excitation.
+    """
+    since, left = t - excitation.start, excitation.start + excitation.duration - t
+    inside = ((since >= 0) & (left > 0)).astype(float)
+    if ramp <= 0:
+        return inside, np.zeros(t.shape), np.zeros(t.shape)
+    length = min(ramp, excitation.duration / 2)
+    nearer = np.minimum(since, left)
+    s = np.clip(nearer / length, 0.0, 1.0)
+    sign = np.where(since <= left, 1.0, -1.0)
+    grown = s**3 * (10 - 15 * s + 6 * s**2)
+    slope = sign * 30 * s**2 * (1 - s) ** 2 / length
+    bend = 60 * s * (1 - s) * (1 - 2 * s) / length**2
+    return inside * grown, inside * slope, inside * bend
 
 
 @dataclass(frozen=True)

@@ -8,30 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.core.accuracy import Accuracy, AxisAccuracy, FlightEstimate, Inseparable, PriorUse, Scatter, Uncertainty
 from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import LEVELS_OF, structure_named
 from rotorfit.core.limits import Conversion, Figure, Quantity
-from rotorfit.core.model import (
-    STRUCTURE,
-    Accuracy,
-    Axis,
-    AxisAccuracy,
-    Candidate,
-    Combination,
-    FlightEstimate,
-    Inseparable,
-    Mode,
-    Model,
-    Plain,
-    Predictor,
-    PriorUse,
-    Scatter,
-    Source,
-    Uncertainty,
-)
+from rotorfit.core.model import STRUCTURE, Axis, Candidate, Combination, Mode, Model, Plain, Predictor, Source
 from rotorfit.files.cards import card_from_mapping
 
 

@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.flight_plan import Four, Plan
+from rotorfit.core.flight_plan import Four, Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import load_card
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.belief import NAMES, Belief, levels_of, sample_vehicles
-from rotorfit.planning.plan_control import Tracker, command_at, reference_at, tracker_of
+from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.simulation.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, as_log, simulate_flight
 
 COARSE = 0.02  # s, longest step of the integration: with it a path of 60 s is right to a tenth of a millimetre

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorfit.core.flight_plan import Plan
+from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.envelope import Envelope, predicted_path
-from rotorfit.planning.plan_control import command_at, reference_at
 from rotorfit.planning.precision import excited_axes
 
 if TYPE_CHECKING:

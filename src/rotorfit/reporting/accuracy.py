@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from rotorfit.core.model import COEFFICIENT_ERROR_LIMIT, CORRELATION_LIMIT, INSENSITIVITY_LIMIT, Uncertainty
+from rotorfit.core.accuracy import COEFFICIENT_ERROR_LIMIT, CORRELATION_LIMIT, INSENSITIVITY_LIMIT, Uncertainty
 
 PERCENT_HEADS = ("axis", "coefficient", "estimate", "error %", "insens. %", "corr. input", "damping", "delay")
 
