@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.log import Log
 from rotorfit.files.cards import builtin_cards
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.signals import two_sines
@@ -15,6 +17,9 @@ from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth
 Excitation = Callable[[Array], Array]
 
 CARD = builtin_cards()["rotorfit-demo"]
+NO_LOG = Log(Path("none"), "simulated", "", {}, {})
+"""For checks that look at the flight only."""
+
 STILL = noise_free(Truth())
 """The demo's vehicle without wind, in a room whose mocap errs nowhere."""
 

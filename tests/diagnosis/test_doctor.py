@@ -77,7 +77,7 @@ def test_the_flights_of_the_paper_raise_no_finding_before_the_fit_and_none_of_se
         for seed, (moved, duration) in enumerate(axes, start=1)
     ]
     flights = [flight_from_log(log, DEMO_CARD) for log in logs]
-    before = [found for log, f in zip(logs, flights, strict=True) for found in findings_of_flight(log, DEMO_CARD, f)]
+    before = [found for log, f in zip(logs, flights, strict=True) for found in findings_of_flight(log, f)]
 
     assert {finding.code for finding in before} == {"stale_poses"}
     fitted = fit(flights)
@@ -85,9 +85,7 @@ def test_the_flights_of_the_paper_raise_no_finding_before_the_fit_and_none_of_se
 
 
 def test_a_dozen_clean_flights_of_many_vehicles_raise_nothing_before_the_fit() -> None:
-    found = {
-        seed: findings_of_flight(log, DEMO_CARD, flight) for seed, _closed, log, flight in clean_flights(range(12))
-    }
+    found = {seed: findings_of_flight(log, flight) for seed, _closed, log, flight in clean_flights(range(12))}
 
     assert {seed: [f.code for f in each] for seed, each in found.items() if each} == {}
 
@@ -96,7 +94,7 @@ def test_a_dozen_clean_flights_of_many_vehicles_raise_nothing_before_the_fit() -
 def test_each_finding_is_a_false_alarm_on_less_than_one_in_a_hundred_clean_flights() -> None:
     counts: dict[str, int] = {}
     for _seed, closed, log, flight in clean_flights(range(200)):
-        findings = findings_of_fit(fit([flight]), findings_of_flight(log, DEMO_CARD, flight))
+        findings = findings_of_fit(fit([flight]), findings_of_flight(log, flight))
         true = {"feedback", "paper_damping_negative"} if closed else set()  # the second speaks of another method
         for code in {finding.code for finding in findings} - true:
             counts[code] = counts.get(code, 0) + 1

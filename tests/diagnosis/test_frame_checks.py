@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flights import CARD, flown, steps, turned
+from flights import NO_LOG, flown, steps, turned
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import heading_from_world
 from rotorfit.diagnosis.frame_checks import directions, frame_findings
+from rotorfit.diagnosis.recording import recording_of
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 
@@ -26,7 +27,7 @@ def off(flight: Flight, degrees: float) -> Flight:
 
 
 def codes(flight: Flight) -> list[str]:
-    return [finding.code for finding in frame_findings(CARD, flight, motion_from_flight(flight))]
+    return [finding.code for finding in frame_findings(recording_of(NO_LOG, flight))]
 
 
 def test_a_world_that_is_turned_turns_no_direction() -> None:

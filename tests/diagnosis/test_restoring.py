@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from clean_flights import clean_flights
-from flights import CARD, steps
+from flights import CARD, NO_LOG, steps
 from rotorfit.app.workflows import load_flights
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.diagnosis.position_loop import EARLY, restoring_findings, restoring_law
+from rotorfit.diagnosis.recording import recording_of
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
@@ -52,8 +53,8 @@ def test_the_lag_moves_with_the_stamps_and_poses_of_the_future_are_told() -> Non
     assert plain is not None
     assert shifted is not None
     assert shifted.lag - plain.lag == pytest.approx(0.137, abs=0.025)
-    assert not list(restoring_findings(flight, motion_from_flight(flight)))
-    (found,) = restoring_findings(late(flight, 0.137), motion_from_flight(late(flight, 0.137)))
+    assert not list(restoring_findings(recording_of(NO_LOG, flight)))
+    (found,) = restoring_findings(recording_of(NO_LOG, late(flight, 0.137)))
     assert found.code == "answers_before_motion"
     assert found.severity == "warning"
 

@@ -52,7 +52,7 @@ def clocks_of(log: Log, **card: object) -> Clocks:
 
 def codes(log: Log, **card: object) -> dict[str, str]:
     applied = bound(card_of(**card), log)
-    found = findings_of_flight(log, applied, flight_from_log(log, applied))
+    found = findings_of_flight(log, flight_from_log(log, applied))
     return {finding.code: finding.severity for finding in found}
 
 
@@ -147,7 +147,7 @@ def test_a_sensor_that_is_late_against_another_is_left_out_with_a_finding() -> N
     within(flight.clocks, Skew(0.2, 3e-5), most=0.006)
     assert list(flight.clocks.explained) == ["heading"]
     assert flight.clocks.later["level velocity"] == pytest.approx(0.15, abs=0.01)
-    assert "clock_sensors_disagree" in {finding.code for finding in findings_of_flight(log, card, flight)}
+    assert "clock_sensors_disagree" in {finding.code for finding in findings_of_flight(log, flight)}
 
 
 def test_recorded_flights_that_are_cut_in_two_give_one_latency(real_flights: Path) -> None:

@@ -69,7 +69,7 @@ def flight_of(raw: Log, card: Card | None, span: Span = WHOLE) -> Flight:
 
 def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
     """The flight with what its log tells before any fit; a flight that was given as such keeps what it has."""
-    return flight if raw is None else replace(flight, findings=findings_of_flight(raw, flight.card, flight))
+    return flight if raw is None else replace(flight, findings=findings_of_flight(raw, flight))
 
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:

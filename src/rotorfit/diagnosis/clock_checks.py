@@ -13,6 +13,7 @@ from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
+from rotorfit.diagnosis.recording import Recording
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
 from rotorfit.flights.columns import split_source
 from rotorfit.flights.other_tables import sample_rows
@@ -135,14 +136,9 @@ LATENESS = 0.002
 """Mean lateness of a change of the command that is worth a word [s]."""
 
 
-def clock_findings(log: Log, card: Card, flight: Flight) -> Iterator[Finding]:
-    """Findings about the stamps of one flight.
-
-    Args:
-        log: As recorded.
-        card: That was applied.
-        flight: What came of it.
-    """
+def clock_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about the stamps of one flight."""
+    log, card, flight = recording.log, recording.card, recording.flight
     commands = stamps_of(log, card.command_time)[sample_rows(log, card.command_time, card.command)]
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
     yield from _command_gaps(flight)

@@ -9,6 +9,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
+from rotorfit.diagnosis.recording import Recording
 
 SATURATED_SHARE = 0.1
 """Share of the commands at the largest value beyond which they are called saturated."""
@@ -43,13 +44,9 @@ MEANING_LIMITS: Mapping[str, tuple[float, str]] = {
 """Largest command that is believed, by what it means in SI: 80 degrees of tilt, a racer's speed, 3 turns a second."""
 
 
-def command_findings(card: Card, flight: Flight) -> Iterator[Finding]:
-    """Findings about the commands of one flight.
-
-    Args:
-        card: That was applied.
-        flight: Commands after the card's scale.
-    """
+def command_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about the commands of one flight."""
+    card, flight = recording.card, recording.flight
     for axis in flight.axes:
         command = flight.command[:, AXES.index(axis)]
         if np.any(command):

@@ -24,6 +24,7 @@ from rotorfit.core.frames import UNIT_SCALE, Array
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.command_response import CommandResponse, answers_of
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
+from rotorfit.diagnosis.recording import Recording
 
 Complex = npt.NDArray[np.complex128]
 
@@ -90,14 +91,9 @@ class Directions:
     stderr: dict[str, float]
 
 
-def frame_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """Findings about the frames of one flight; none where its directions cannot be told.
-
-    Args:
-        card: That was applied.
-        flight: Commands in the heading frame.
-        motion: Velocity and acceleration by differentiated poses.
-    """
+def frame_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about the frames of one flight; none where its directions cannot be told."""
+    card, flight, motion = recording.card, recording.flight, recording.motion
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
     if not moved or len(motion.time) < LEAST_POSES:
         return
@@ -335,14 +331,9 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
     return () if kept or len(turned) < (1 if height < 0 else 2) else turned
 
 
-def sign_findings(card: Card, flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """Findings about signs that are turned together.
-
-    Args:
-        card: That was applied.
-        flight: What came of it.
-        motion: Of the flight.
-    """
+def sign_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about signs that are turned together."""
+    card, flight, motion = recording.card, recording.flight, recording.motion
     told, height = answers_of(flight, motion).of, height_sign(flight)
     turned = overturned(told, height)
     if not turned or card.command_frame != "heading":

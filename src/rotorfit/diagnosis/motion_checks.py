@@ -9,6 +9,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.results import Motion
+from rotorfit.diagnosis.recording import Recording
 
 GRID = 0.05
 """Step of the grid on which command and acceleration are compared [s]."""
@@ -48,13 +49,9 @@ LATCH_SETTLING = 1.0
 """Time after which the vehicle has answered the last change but for its damping [s]."""
 
 
-def motion_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """Findings about command and motion of one flight.
-
-    Args:
-        flight: Its commands.
-        motion: Velocity and acceleration by differentiated poses.
-    """
+def motion_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about command and motion of one flight."""
+    flight, motion = recording.flight, recording.motion
     along = motion.acceleration.copy()
     along[:, :2] = heading_from_world(along[:, :2], motion.yaw)
     for axis in flight.axes:

@@ -9,6 +9,7 @@ from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, UNIT_SCALE, Array, Mask
 from rotorfit.core.results import Motion
+from rotorfit.diagnosis.recording import Recording
 
 LEAP_SIGMAS = 10.0
 """Robust standard deviations of the steps beside the neighbouring motion beyond which a step may be a leap."""
@@ -34,13 +35,9 @@ SMALLEST = 0.02
 """Travel [m], over all of x, y and z, that no flight with commands on them stays within: a hover drifts more."""
 
 
-def pose_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """Findings about the poses of one flight.
-
-    Args:
-        flight: Its poses.
-        motion: Their derivatives.
-    """
+def pose_findings(recording: Recording) -> Iterator[Finding]:
+    """Findings about the poses of one flight."""
+    flight, motion = recording.flight, recording.motion
     yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0])
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1])
     yield from _unit_of_position(flight, motion)

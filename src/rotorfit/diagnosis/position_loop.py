@@ -16,6 +16,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.results import Motion
+from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.kinematics import motion_from_flight
 
 LAGS = np.arange(-0.30, 0.301, 0.02)
@@ -107,13 +108,9 @@ def restored(flights: Sequence[Flight], axis: str) -> bool:
     return bool(moving) and all(restoring_law(flight, axis) is not None for flight in moving)
 
 
-def restoring_findings(flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """What a law that answers poses of the future tells of the stamps; at most one finding.
-
-    Args:
-        flight: Commands and poses.
-        motion: Of the flight.
-    """
+def restoring_findings(recording: Recording) -> Iterator[Finding]:
+    """What a law that answers poses of the future tells of the stamps; at most one finding."""
+    flight, motion = recording.flight, recording.motion
     laws = {axis: law for axis in flight.axes if (law := restoring_law(flight, axis, motion))}
     early = {axis: law for axis, law in laws.items() if law.lag > EARLY}
     if not early:

@@ -15,7 +15,7 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
 from rotorfit.diagnosis.command_checks import spectrum
-from rotorfit.diagnosis.doctor import damage_findings, findings_of_flight
+from rotorfit.diagnosis.doctor import damage_of, findings_of_flight
 from rotorfit.diagnosis.recognition import commands_in, pose_in, velocity_in
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import WHOLE, Span, parse_log
@@ -179,7 +179,7 @@ def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
         why=why,
         recording=_recording(log),
         events=tuple(((event.time - log.events[0].time) / 1e9, event.text) for event in log.events),
-        damage=next(iter(damage_findings(log)), None),
+        damage=damage_of(log),
     )
 
 
@@ -284,7 +284,7 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
         recorder={name: value for name, value in recorder.items() if value is not None},
         axes=excitation(flight),
         notes=flight.notes,
-        findings=findings_of_flight(log, card, flight),
+        findings=findings_of_flight(log, flight),
     )
 
 

@@ -144,7 +144,7 @@ class Studio:
 
         def make() -> Any:
             flight = self.shelf.flight(upload, card)
-            found = findings_of_flight(self.shelf.log(upload), flight.card, flight)
+            found = findings_of_flight(self.shelf.log(upload), flight)
             told = answers_of(flight).of
             return {
                 "findings": [asdict(one) for one in found],

@@ -1,0 +1,34 @@
+"""What a check of the data looks at: a log, the flight that was made of it, and the motion by differentiated poses."""
+
+from dataclasses import dataclass
+
+from rotorfit.core.card import Card
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.log import Log
+from rotorfit.core.results import Motion
+from rotorfit.dynamics.kinematics import motion_from_flight
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One flight as recorded and as repaired.
+
+    Attributes:
+        log: As recorded.
+        flight: What came of it, commands in the heading frame and after the card's scale.
+        motion: Velocity and acceleration of the flight by differentiated poses.
+    """
+
+    log: Log
+    flight: Flight
+    motion: Motion
+
+    @property
+    def card(self) -> Card:
+        """The card that was applied."""
+        return self.flight.card
+
+
+def recording_of(log: Log, flight: Flight) -> Recording:
+    """A log and its flight, with the motion that several checks need."""
+    return Recording(log, flight, motion_from_flight(flight))
