@@ -24,7 +24,7 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import WHOLE, LogSpan
 from rotorfit.flying.flight_loop import fly
-from rotorfit.flying.links import open_link
+from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.mission import attached_to
 from rotorfit.flying.preflight import preflight
 from rotorfit.flying.recorder import record
@@ -47,7 +47,7 @@ def ident_plan() -> Plan:
 def in_the_room(plan: Plan, seed: int) -> Flight:
     """As `rotorfit fly` records it and `rotorfit fit` reads it."""
     name = f"sim:{VEHICLE},{AIR}"
-    link = open_link(name, card_from_mapping(plan.card, VEHICLE), plan.space.start, seed)
+    link = open_link(simulated_at(name, plan.space.start, seed), card_from_mapping(plan.card, VEHICLE))
     with TemporaryDirectory() as folder:
         path = Path(folder, "flight.mcap")
         result = fly(plan, link, record(path, attached_to(plan, preflight(plan, link), name)), land=False)

@@ -53,7 +53,7 @@ from rotorfit.files.models import load, save
 from rotorfit.files.plans import load_plan, save_plan
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flying.flight_loop import fly
-from rotorfit.flying.links import open_link
+from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.mission import attached_to
 from rotorfit.flying.preflight import preflight
 from rotorfit.flying.recorder import record
@@ -110,7 +110,7 @@ def models_of(vehicle: str, seed: int) -> dict[str, Model]:
             plan = plan_of(vehicle, name)
             address, own = f"sim:{vehicle},gusts=0.2", 100 * seed + number
             log = KEPT / f"{vehicle}-{seed}-{name}.mcap"
-            link = open_link(address, card, plan.space.start, own)
+            link = open_link(simulated_at(address, plan.space.start, own), card)
             log.unlink(missing_ok=True)
             fly(plan, link, record(log, attached_to(plan, preflight(plan, link), address)), land=False)
             flights.append(flight_from_log(read(log), card))

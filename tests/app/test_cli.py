@@ -103,7 +103,7 @@ def test_the_version_is_the_packages() -> None:
 def imported_by(*lines: list[str]) -> set[str]:
     """What a fresh process has imported after these command lines, which must all have printed something."""
     code = (
-        "import sys\nfrom rotorfit.cli import main\n"
+        "import sys\nfrom rotorfit.app.cli import main\n"
         f"for line in {lines!r}:\n  try: main(line)\n  except SystemExit as end: assert end.code == 0\n"
         "print('imported:', *(name for name in sys.modules if '.' not in name))"
     )
@@ -517,7 +517,7 @@ def _drained(terminal: int) -> bytes:
 
 def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None:
     reader, writer = pty.openpty()
-    code = "from rotorfit.cli import main; main()"
+    code = "from rotorfit.app.cli import main; main()"
 
     found = subprocess.run(
         [sys.executable, "-c", code, "fit", str(folder / "first.bag"), "--axes", "x", "--json"],

@@ -10,9 +10,10 @@ import pytest
 
 from rotorfit.core.errors import LinkError
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
-from rotorfit.flying.links import open_link, ros1, ros2
+from rotorfit.flying.links import ros1, ros2
 from rotorfit.flying.links.card_fields import PoseFields
 from rotorfit.flying.links.link import wall_clock
+from rotorfit.flying.links.opening import open_link
 from rotorfit.flying.links.ros_messages import (
     action_topic,
     check_pose,

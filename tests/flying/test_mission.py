@@ -17,7 +17,9 @@ from rotorfit.core.errors import LinkError, VehicleError
 from rotorfit.core.flight_plan import Flown, Jitter, Plan
 from rotorfit.files.logs import read
 from rotorfit.files.plans import load_plan, plan_from_text, save_plan
-from rotorfit.flying.links import LINKS, open_link
+from rotorfit.flying.links import LINKS, LinkKind
+from rotorfit.flying.links.opening import open_link, simulated_at
+from rotorfit.flying.links.sim import _scene
 from rotorfit.planning.belief import belief_from_card, belief_mapping
 
 
@@ -115,7 +117,7 @@ def test_before_a_real_vehicle_moves_it_is_asked_and_the_link_is_closed(
 ) -> None:
     link = Watched(room_link())
     link.live = True  # simulated time all the same
-    monkeypatch.setattr("rotorfit.flying.links.open_link", lambda *_: link)
+    monkeypatch.setattr("rotorfit.flying.mission.open_link", lambda *_: link)
     plan, output = saved(tmp_path), tmp_path / "flight.mcap"
 
     refused = rotorfit("fly", plan, "--link", "sim", "-o", output, stdin="n\n")
@@ -128,7 +130,7 @@ def test_before_a_real_vehicle_moves_it_is_asked_and_the_link_is_closed(
     assert link.acts[1:] == ["land", "close"]
     other = Watched(room_link())
     other.live = True
-    monkeypatch.setattr("rotorfit.flying.links.open_link", lambda *_: other)
+    monkeypatch.setattr("rotorfit.flying.mission.open_link", lambda *_: other)
     assert rotorfit("fly", plan, "--link", "sim", "-o", tmp_path / "other.mcap", "--yes").exit_code == 0
 
 
@@ -141,7 +143,7 @@ def test_a_full_disk_in_a_real_process_is_one_line_and_leaves_a_readable_log(tmp
         "from rotorfit.links.sim import SimLink\n"
         "receive = SimLink.receive\n"
         "SimLink.receive = lambda self, until: (time.sleep(0.0005), receive(self, until))[1]\n"
-        "from rotorfit.cli import main\n"
+        "from rotorfit.app.cli import main\n"
         "main()\n"
     )
     output = tmp_path / "flight.mcap"
@@ -170,7 +172,7 @@ def test_an_approach_that_fails_ends_before_the_plan_began(tmp_path: Path) -> No
 def piped(folder: Path, lines: int, *words: object) -> tuple[int, str, Path]:
     """`rotorfit fly | head -n LINES`: exit code and stderr of fly, and where it records."""
     output = folder / "flight.mcap"
-    code = "from rotorfit.cli import main; main()"
+    code = "from rotorfit.app.cli import main; main()"
     with subprocess.Popen(
         [sys.executable, "-c", code, "fly", saved(folder), "--link", "sim", "-o", output, *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1,
@@ -210,12 +212,12 @@ def test_an_unknown_link_lists_the_known_ones() -> None:
 
 
 def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "rotorfit.flying.links.LINKS", {"mavlink": "rotorfit.flying.links.mavlink", "odd": "not_there_at_all"}
-    )
+    monkeypatch.setitem(LINKS, "odd", LinkKind("odd", "not_there_at_all"))
     monkeypatch.setitem(sys.modules, "rotorfit.flying.links.mavlink", None)
 
-    with pytest.raises(LinkError, match=r"needs the Python package rotorfit.links.mavlink: pip install 'rotorfit\[mav"):
+    with pytest.raises(
+        LinkError, match=r"needs the Python package rotorfit.flying.links.mavlink: pip install 'rotorfit\[mav"
+    ):
         open_link("mavlink", CARD)
     with pytest.raises(LinkError, match="link odd needs the Python package not_there_at_all: pip install not_there"):
         open_link("odd", CARD)
@@ -229,6 +231,9 @@ def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatc
         ("bebop2,gusts=strong", "'gusts=strong' is not one of"),
         ("bebop2,gusts=-1", "not negative"),
         ("bebop2,wind=inf", "finite"),
+        ("bebop2,start=1/2", "'start=1/2' is not start=X/Y/Z/YAW"),
+        ("bebop2,seed=one", "'seed=one' is not start="),
+        ("bebop2,flying=maybe", "flying=yes or no"),
     ],
 )
 def test_options_of_the_room_are_checked(address: str, why: str) -> None:
@@ -244,12 +249,20 @@ def test_a_vehicle_that_nobody_knows_or_another_card_is_refused() -> None:
 
 
 def test_the_room_starts_where_the_plan_does() -> None:
-    link = open_link("sim", CARD, (1.0, -1.0, 2.0, 0.5), 1, True)
+    link = open_link("sim,start=1/-1/2/0.5,seed=1", CARD)
     (*_, last) = [one for one in link.receive(link.now + SECOND) if one.stream == "pose"]
 
     assert np.allclose(last.values[:3], (1.0, -1.0, 2.0), atol=0.02)
     assert 2 * np.arctan2(last.values[6], last.values[3]) == pytest.approx(0.5, abs=0.02)
     assert link.receive(link.now - 5) == []
+
+
+def test_what_a_flight_says_of_the_room_gives_way_to_what_the_user_said() -> None:
+    said = simulated_at("sim,seed=7", (1.0, -0.1, 2.0, 0.5), 3, False)
+
+    assert said == "sim,seed=7,start=1.0/-0.1/2.0/0.5,seed=3,flying=no"
+    assert _scene(said.split(",")[1:]) == ((1.0, -0.1, 2.0, 0.5), 7, False)
+    assert simulated_at("ros1", (1.0, -0.1, 2.0, 0.5), 3) == "ros1"
 
 
 # A log played back
@@ -333,7 +346,7 @@ def test_the_status_line_goes_to_a_terminal_only(monkeypatch: pytest.MonkeyPatch
 
 def test_commands_of_the_bebop_reach_it_in_its_own_unit() -> None:
     def speed(command: Sequence[float]) -> tuple[float, ...]:
-        link = open_link("sim", CARD, (0.0, 0.0, 1.5, 0.0), 1, True)
+        link = open_link("sim,seed=1", CARD)
         for _ in range(100):
             link.send(command)
             link.receive(link.now + SECOND // 50)

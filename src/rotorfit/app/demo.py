@@ -22,7 +22,7 @@ from rotorfit.files.logs.mcap_records import MAGIC
 from rotorfit.files.models import save
 from rotorfit.files.plans import PLAN_MARK, load_plan, plan_text
 from rotorfit.flying.flight_loop import fly
-from rotorfit.flying.links import open_link
+from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.mission import attached_to
 from rotorfit.flying.preflight import preflight, refuse
 from rotorfit.flying.recorder import record
@@ -215,7 +215,8 @@ def _planned(name: str, seed: int) -> Plan:
 def _flown(plan: Plan, seed: int, path: Path) -> None:
     """Preflight and flight in the virtual flight room."""
     name = f"sim:{VEHICLE},{AIR}"
-    link = open_link(name, card_from_mapping(plan.card, f"of plan {plan.name}"), plan.space.start, seed)
+    card = card_from_mapping(plan.card, f"of plan {plan.name}")
+    link = open_link(simulated_at(name, plan.space.start, seed), card)
     ready = preflight(plan, link)
     refuse(ready)
     fly(plan, link, record(path, attached_to(plan, ready, name)), land=False)

@@ -46,7 +46,7 @@ class Log:
 
     Attributes:
         path: Where it was read from.
-        format: Name of the format, a key of `sources.FORMATS`, such as `csv` or `rosbag1`; or `simulated`.
+        format: Name of the format, a key of `files.logs.FORMATS`, such as `csv` or `rosbag1`; or `simulated`.
         sha256: Hex digest of the file (of a folder: of the bytes of its files in the order of their names).
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.

@@ -32,11 +32,9 @@ from rotorfit.diagnosis.recognition import (
 )
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.files.cards import builtin_card_text, card_from_mapping
+from rotorfit.files.logs.formats import FORMATS
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import shape_text, source_of
-
-NED_FORMATS = ("ulog", "dataflash", "dataflash_text")
-"""Logs of autopilots, whose world is north, east, down."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def _pose_frame(log: Log, velocity: Recognised) -> tuple[str, str]:
     """The frame of the pose by the format, and what to say of it."""
     if is_of_tello(log, velocity):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
-    if log.format in NED_FORMATS:
+    if log.format in FORMATS and FORMATS[log.format].ned:
         return "NED", 'as autopilots have it; "ENU" where z points up'
     return "ENU", 'of the pose; "NED" where z points down'
 

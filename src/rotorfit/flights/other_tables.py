@@ -12,6 +12,7 @@ from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
+from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import format_of
 from rotorfit.flights.columns import column, is_series, split_source, table_of
 from rotorfit.flights.stamps import (
@@ -29,9 +30,6 @@ from rotorfit.flights.stamps import (
 TOGETHER = 0.1
 """Share of a median period by which a command of another table may be later and still belong to the same instant:
 autopilots write the messages of one step of their controller one after the other."""
-
-FORMATS_OF_ROWS = ("csv", "parquet", "mat", "mat73")
-"""Whose tables may hold several streams in one, each row with blanks for what it does not have."""
 
 
 def is_beside(time: Channel, channel: Channel) -> bool:
@@ -72,7 +70,8 @@ def rows_of_others(log: Log, card: Card) -> Mask:
     """
     own = sample_rows(log, card.command_time, card.command)
     table, clock = table_of(log, str(card.command_time.source))
-    if format_of(log, table.name) not in FORMATS_OF_ROWS:
+    kind = FORMATS.get(format_of(log, table.name))
+    if kind is None or not kind.rows:
         return np.zeros(len(own), dtype=np.bool_)
     taken = {split_source(channel.source)[1] for channel in card.command.values()} | {clock}
     others = [values.ravel() for name, values in table.columns.items() if name not in taken and is_series(values)]

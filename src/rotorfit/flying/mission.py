@@ -11,8 +11,8 @@ from rotorfit.core.flight_plan import Flown, Plan
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.plans import load_plan, plan_text
 from rotorfit.flying.flight_loop import OnStatus, fly
-from rotorfit.flying.links import open_link
 from rotorfit.flying.links.link import Link
+from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.operator import operator_abort
 from rotorfit.flying.preflight import Ready, preflight
 from rotorfit.flying.recorder import card_as_recorded, record
@@ -64,7 +64,7 @@ def mission(
     check_new(output)
     now = load_card(card) if card else None
     own = now or card_from_mapping(plan.card, f"of plan {plan_path}")
-    opened = open_link(link, own, plan.space.start, seed, not take_off, poses)
+    opened = open_link(simulated_at(link, plan.space.start, seed, not take_off), own, poses)
     try:
         yield Mission(plan, opened, link, preflight(plan, opened, now, take_off), output, take_off)
     finally:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorfit.app.cli.options import JSON, card_option, file_at, print_json, progress_bar, silence, some_axes_of
+from rotorfit.flying.links import LINKS
 
 if TYPE_CHECKING:
     from rotorfit.app.terminal.tables import View
@@ -77,7 +78,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
     "link",
     metavar="NAME[:ADDRESS]",
     required=True,
-    help="sim, sim:VEHICLE,wind=1,gusts=0.3 [m/s], replay:FILE, ros1, ros2, mavlink, tello.",
+    help=f"{', '.join(kind.usage for kind in LINKS.values())}.",
 )
 @click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
 @click.option("-o", "output", type=file_at(), metavar="flight.mcap", required=True, help="The recording to write.")

@@ -101,12 +101,11 @@ def cards(name: str | None, as_json: bool) -> None:
 def formats(as_json: bool) -> None:
     """List the formats of logs that can be read."""
     from rotorfit.app.terminal import show
-    from rotorfit.app.terminal.contents import FORMATS as WORDS
     from rotorfit.app.terminal.contents import formats_view
-    from rotorfit.files.logs import FORMATS
+    from rotorfit.files.logs.formats import FORMATS
 
     if as_json:
-        return print_json({"formats": {name: WORDS[name] for name in FORMATS}})
+        return print_json({"formats": {name: form.text for name, form in FORMATS.items()}})
     return show(formats_view(FORMATS))
 
 

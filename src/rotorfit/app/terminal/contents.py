@@ -12,6 +12,7 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, finding_view, indented, table, title
 from rotorfit.core.card import Card, Channel
+from rotorfit.files.logs.formats import Format
 from rotorfit.flights.columns import split_source
 from rotorfit.flights.stamps import Rate
 
@@ -142,23 +143,6 @@ def _excitation_table(axes: "Iterable[CommandActivity]") -> RenderableType:
     return Padding(out, (0, 0, 0, 2), expand=False)
 
 
-FORMATS = {
-    "rosbag1": "ROS 1 bag (.bag)",
-    "rosbag2": "ROS 2 bag: its folder, or a lone .db3",
-    "mcap": "MCAP with ROS messages (.mcap), encodings cdr and ros1",
-    "mat": "MATLAB, version 5 to 7.2 (.mat), also from Octave and scipy",
-    "mat73": "MATLAB, version 7.3 (.mat); needs h5py: pip install 'rotorfit[mat73]'",
-    "ulog": "PX4 log (.ulg)",
-    "dataflash": "ArduPilot log (.bin), with TimeUS, TimeMS or no time",
-    "dataflash_text": "ArduPilot log as text (.log)",
-    "parquet": "Parquet: one flat table (.parquet)",
-    "motive": "OptiTrack Motive export (.csv), format 1.2 and later",
-    "vicon": "Vicon export (.csv) of Tracker or Nexus",
-    "csv": "CSV: a row of names, then rows of numbers between commas, semicolons or tabs",
-}
-"""Format to what a user calls it."""
-
-
 def cards_view(cards: Mapping[str, Card]) -> View:
     """Built-in cards: name, vehicle, columns."""
     for name, card in cards.items():
@@ -177,10 +161,10 @@ def _columns(channels: Mapping[str, Channel]) -> str:
     return f"{table}: {names}" if table else names
 
 
-def formats_view(formats: Iterable[str]) -> View:
+def formats_view(formats: Mapping[str, Format]) -> View:
     """Formats of logs that can be read."""
     out = table("format", "what it is", left=(0, 1))
-    for name in formats:
-        out.add_row(name, FORMATS[name])
+    for name, form in formats.items():
+        out.add_row(name, form.text)
     yield out
     yield Text("A format is found by content, not by name.", style="dim")

@@ -54,6 +54,7 @@ def constants_mapping() -> dict[str, Any]:
     from rotorfit.core.card import LIMIT_UNITS
     from rotorfit.core.laws import STRUCTURES
     from rotorfit.files.cards import builtin_cards
+    from rotorfit.files.logs.formats import FORMATS as LOG_FORMATS
 
     return {
         "version": __version__,
@@ -65,6 +66,7 @@ def constants_mapping() -> dict[str, Any]:
         "limits": LIMIT_UNITS,
         "cards": {name: card.name for name, card in builtin_cards().items()},
         "structures": ["auto", *STRUCTURES],
+        "formats": [form.label for form in LOG_FORMATS.values()],
         "exports": {name: form.text for name, form in FORMATS.items()},
         "untold": UNTOLD,
         "methods": {name: f"{method.label} ({name})" for name, method in METHODS.items()},

@@ -12,32 +12,14 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from threading import Event
-from types import MappingProxyType
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
 from rotorfit.files.logs.content import Content, one_line
+from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import join_logs, parts_of
 
 __all__ = ["FORMATS", "read"]
-
-FORMATS = MappingProxyType(
-    {
-        "rosbag1": "rotorfit.files.logs.rosbag1",
-        "rosbag2": "rotorfit.files.logs.rosbag2",
-        "mcap": "rotorfit.files.logs.mcap",
-        "mat": "rotorfit.files.logs.mat",
-        "mat73": "rotorfit.files.logs.mat73",
-        "ulog": "rotorfit.files.logs.ulog",
-        "dataflash": "rotorfit.files.logs.dataflash",
-        "dataflash_text": "rotorfit.files.logs.dataflash_text",
-        "parquet": "rotorfit.files.logs.parquet",
-        "motive": "rotorfit.files.logs.motive",
-        "vicon": "rotorfit.files.logs.vicon",
-        "csv": "rotorfit.files.logs.csv",
-    }
-)
-"""Format to the module that reads it, in the order of asking: signatures first, CSV, which has none, last."""
 
 _HEAD = 1 << 16  # two lines of the widest CSV
 
@@ -65,8 +47,8 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     path = Path(path)
     try:
         head = _head(path)
-        for name, module in FORMATS.items():
-            source = import_module(module)
+        for name, form in FORMATS.items():
+            source = import_module(form.module)
             if source.sniff(path, head):
                 with _hashed(path) as digest:
                     content: Content = source.read(path, None if tables is None else frozenset(tables))

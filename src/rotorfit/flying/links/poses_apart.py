@@ -1,21 +1,12 @@
 """Two links as one: commands by the first, poses by the second, for vehicles that do not know where they are."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from types import MappingProxyType
 
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
+from rotorfit.flying.links import LINKS
 from rotorfit.flying.links.link import Action, Link
-
-POSES: Mapping[str, str] = MappingProxyType(
-    {
-        "ros1": "rotorfit.flying.links.ros1",
-        "ros2": "rotorfit.flying.links.ros2",
-        "mavlink": "rotorfit.flying.links.mavlink",
-    }
-)
-"""Name of a link that can give poses alone to its module."""
 
 
 def join(commands: Link, text: str) -> Link:
@@ -30,11 +21,12 @@ def join(commands: Link, text: str) -> Link:
         ModuleNotFoundError: A package that the other needs is missing.
     """
     name, _, address = text.partition(":")
-    if name not in POSES:
-        raise LinkError(f"--poses {text}: poses come from {', '.join(POSES)}, as in ros1:/vicon/tello/tello")
+    sources = [kind for kind, link in LINKS.items() if link.poses]
+    if name not in sources:
+        raise LinkError(f"--poses {text}: poses come from {', '.join(sources)}, as in ros1:/vicon/tello/tello")
     if not commands.live:
         raise LinkError(f"--poses {text}: a simulated vehicle has its own poses; leave --poses out")
-    poses: Link = import_module(POSES[name]).open_poses(address)
+    poses: Link = import_module(LINKS[name].module).open_poses(address)
     return Joined(commands, poses)
 
 

@@ -4,6 +4,7 @@ sim                        a Bebop 2 in still air
 sim,wind=2                 the same in wind
 sim:VEHICLE                a built-in vehicle, or a file of one
 sim:VEHICLE,wind=2,gusts=0.3   mean wind along the world's x, and standard deviation of gusts [m/s]
+sim,start=0/0/1.5/0,seed=3,flying=no   where the vehicle is, x/y/z/yaw [m, rad]; of wind, noise and radio; on the floor
 """
 
 import math
@@ -28,15 +29,17 @@ EPOCH = 1_577_836_800 * 10**9
 """2020-01-01 [ns], where simulated time begins, so that a log of it looks like a real one."""
 
 
-def open_link(address: str, card: Card, start: Four, seed: int, flying: bool) -> "SimLink":
+DEFAULTS = {"start": "0/0/1.5/0", "seed": "0", "flying": "yes"}
+"""Where the vehicle is, what its wind and noise are drawn from, and whether it is in the air already."""
+
+
+def open_link(address: str, card: Card) -> "SimLink":
     """Opens the virtual flight room.
 
     Args:
-        address: `VEHICLE,wind=MEAN,gusts=SIGMA`; each may be left out.
+        address: `VEHICLE,wind=MEAN,gusts=SIGMA,start=X/Y/Z/YAW,seed=N,flying=no`; each may be left out, and the first
+            of two counts.
         card: Of the plan; its commands must mean what the vehicle takes them for.
-        start: x, y, z [m] and yaw [rad].
-        seed: Of wind, noise and radio.
-        flying: Whether the vehicle is in the air already.
 
     Raises:
         LinkError: An option that nobody knows, or a card whose commands mean something else to this vehicle.
@@ -45,13 +48,28 @@ def open_link(address: str, card: Card, start: Four, seed: int, flying: bool) ->
     from rotorfit.simulation.flight_room import Conditions, FlightRoom
     from rotorfit.simulation.vehicle import load_vehicle
 
-    name, *options = address.split(",")
+    name, *given = address.split(",")
+    options = [option for option in given if option.partition("=")[0] not in DEFAULTS]
+    start, seed, flying = _scene([option for option in given if option not in options])
+    wind = wind_of(options, ",".join([name, *options]))
     vehicle = load_vehicle(name or VEHICLE)
     if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name)):
         raise LinkError(
             f"sim: the plan's card is not one of {vehicle.name}: {trouble}; plan with --card sim:{name or VEHICLE}"
         )
-    return SimLink(FlightRoom(vehicle, Conditions(wind_of(options, address)), seed, start, flying))
+    return SimLink(FlightRoom(vehicle, Conditions(wind), seed, start, flying))
+
+
+def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
+    """Place, seed and whether the vehicle flies, from their options."""
+    scene = DEFAULTS | {key: text for key, _, text in (option.partition("=") for option in reversed(options))}
+    try:
+        x, y, z, yaw = (float(part) for part in scene["start"].split("/"))
+        return (x, y, z, yaw), int(scene["seed"]), {"yes": True, "no": False}[scene["flying"]]
+    except (ValueError, KeyError):
+        raise LinkError(
+            f"--link sim: {', '.join(options)!r} is not start=X/Y/Z/YAW [m, rad], seed=NUMBER, flying=yes or no"
+        ) from None
 
 
 class SimLink:

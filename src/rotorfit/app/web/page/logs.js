@@ -10,7 +10,7 @@ export function logsPanel(place, studio) {
   const picker = h("input", {type: "file", multiple: true, id: "file-picker", className: "hidden", onchange: () => { receive(picker.files); picker.value = ""; }});
   const zone = h("div", {className: "zone"},
     h("p", {className: "lead"}, "Drop one or several logs here"),
-    h("p", {className: "muted"}, "ROS bags, MCAP, ULog, DataFlash, MAT, CSV, Parquet, Motive, Vicon. They stay on this machine."),
+    h("p", {className: "muted"}, `${studio.constants.formats.join(", ")}. They stay on this machine.`),
     picker, h("label", {for: "file-picker", className: "button primary"}, "Choose files"));
   const queue = h("ul", {className: "queue", "aria-live": "polite"});
   const list = h("ul", {className: "cards"});

@@ -1,0 +1,71 @@
+"""Opens a link by name, and the poses of another one beside it."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.flight_plan import Four
+from rotorfit.flying.links import LINKS
+from rotorfit.flying.links.link import Link
+from rotorfit.flying.links.poses_apart import join
+
+
+def open_link(text: str, card: Card, poses: str = "") -> Link:
+    """Opens a link.
+
+    Args:
+        text: `NAME`, `NAME:ADDRESS` or `NAME,OPTION=VALUE`; what an address is, each link says.
+        card: Meaning and unit of the commands; for links that carry named messages, also which.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
+
+    Raises:
+        LinkError: No such link, something to install is missing, or nobody answers.
+    """
+    name, address = _split(text)
+    if name not in LINKS:
+        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    with _told_to_install(name):
+        link: Link = import_module(LINKS[name].module).open_link(address, card)
+    if not poses:
+        return link
+    try:
+        with _told_to_install(poses.partition(":")[0]):
+            return join(link, poses)
+    except LinkError:
+        link.act("close")
+        raise
+
+
+def simulated_at(text: str, start: Four, seed: int = 0, flying: bool = True) -> str:
+    """The link with the place, the seed and the state of its simulated vehicle; any other link as it is.
+
+    Args:
+        text: As for `open_link`; what it says itself stays.
+        start: x, y, z [m] and yaw [rad].
+        seed: Of wind, noise and radio.
+        flying: Whether the vehicle is in the air already.
+    """
+    name, _ = _split(text)
+    if name not in LINKS or not LINKS[name].simulated:
+        return text
+    place = "/".join(repr(float(value)) for value in start)
+    return f"{text},start={place},seed={seed},flying={'yes' if flying else 'no'}"
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Name and address; options may follow the name itself, as in `sim,wind=2`."""
+    name = re.split("[:,]", text, maxsplit=1)[0]
+    return name, text[len(name) :].removeprefix(":")
+
+
+@contextmanager
+def _told_to_install(name: str) -> Iterator[None]:
+    """A package that is missing is one line that says how to get it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        remedy = (LINKS[name].install if name in LINKS else "") or f"pip install {error.name}"
+        raise LinkError(f"link {name} needs the Python package {error.name}: {remedy}") from error
