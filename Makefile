@@ -1,7 +1,7 @@
 # `make demo` and `make test` each work alone on a machine that has make and Python 3.11 or newer.
 # PYTHON names another one: make test PYTHON=python3.12
 
-.PHONY: help demo test test-slow test-live bench clean
+.PHONY: help demo lint test test-fast test-slow test-live bench clean
 .DELETE_ON_ERROR:
 
 # The first of these that is new enough; python3 where none is, so that the complaint names it.
@@ -24,7 +24,8 @@ INSTALL := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pip install --quiet -
 
 help:
 	@echo "make demo       simulate, fit, validate; results in ./demo"
-	@echo "make test       lint, types, tests"
+	@echo "make test       lint, types, layers, tests with coverage"
+	@echo "make test-fast  the daily loop: what takes no simulated or recorded flight, under a minute"
 	@echo "make test-slow  the tests that simulate hundreds of flights"
 	@echo "make test-live  flights over ROS 1, MAVLink and UDP against fake vehicles; as root installs Debian's rospy"
 	@echo "make bench      timings"
@@ -33,11 +34,17 @@ help:
 demo: .venv/installed
 	$(BIN)/rotorfit demo demo
 
-test: .venv/installed-dev
+lint: .venv/installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/pytest
+	$(BIN)/lint-imports
+
+test: lint
+	$(BIN)/pytest --numprocesses auto --dist worksteal --cov --cov-report term:skip-covered --cov-report xml
+
+test-fast: .venv/installed-dev
+	$(BIN)/pytest --numprocesses auto -m 'not slow and not flights'
 
 test-slow: .venv/installed-dev
 	$(BIN)/pytest -m slow
