@@ -56,7 +56,7 @@ class Row:
         what: The file and what is asked of it.
         other: Whose reader it is compared with.
         messages: Messages asked for.
-        ours: Seconds of `rotorfit.sources.read`, the best.
+        ours: Seconds of `rotorfit.read`, the best.
         theirs: Seconds of the other, the best.
         ratio: Seconds of the other for one of ours.
         unhashed: The same without the SHA-256 of the file, which others do not take.
@@ -78,10 +78,10 @@ class Row:
 
 
 OURS = """
-from rotorfit.sources import read
+from rotorfit.files.logs import read
 import rosbags.typesys, backports.zstd, lz4.frame, sqlite3, hashlib, threading, importlib
 for name in ("rosbag1", "rosbag2", "mcap", "ulog", "dataflash"):
-    importlib.import_module(f"rotorfit.sources.{name}")
+    importlib.import_module(f"rotorfit.files.logs.{name}")
 rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS1_NOETIC)
 rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
 def work():
@@ -94,8 +94,8 @@ def work():
 UNHASHED = (
     OURS
     + """
-import rotorfit.sources
-rotorfit.sources._sha256 = lambda path, stop: ""
+import rotorfit.files.logs
+rotorfit.files.logs._sha256 = lambda path, stop: ""
 """
 )
 

@@ -29,7 +29,6 @@ from bokeh.plotting import figure
 from bokeh.resources import INLINE
 from playwright.sync_api import Browser, CDPSession, sync_playwright
 from plotly import graph_objects
-from rotorfit.paper_vehicle import as_log
 
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.validation import validate
@@ -43,7 +42,7 @@ from rotorfit.reporting import write_cases
 from rotorfit.reporting.evidence import horizon_charts, profile_charts, residual_charts, scores_of
 from rotorfit.reporting.panels import flight_panels
 from rotorfit.reporting.views import Chart
-from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
+from rotorfit.simulation.paper_vehicle import Truth, as_log, simulate_flight
 
 LOOK = {"measured": "#7a8593", "model": "#0b57b7", "paper": "#b4470b", "hold": "#6f42c1", "residual": "#0b57b7"}
 SCROLL = """(async () => {

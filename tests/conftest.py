@@ -1,12 +1,9 @@
 """What the tests share."""
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).parent / "fakes"))  # fake vehicles, which also run as programs of their own
 
 REAL_FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -43,7 +43,7 @@ def graph() -> grimp.ImportGraph:
 
 
 def reach(graph: grimp.ImportGraph, module: str) -> set[str]:
-    """The project's own modules that a module needs, through others too; packages with no code of their own left out."""
+    """The project's own modules that a module needs, through others too; packages themselves left out."""
     return {
         name
         for name in graph.find_upstream_modules(f"rotorfit.{module}")
@@ -75,12 +75,16 @@ def test_a_package_says_its_job_what_comes_in_and_what_goes_out(package: str) ->
 def test_naming_a_noun_costs_next_to_nothing(graph: grimp.ImportGraph, module: str) -> None:
     defined = (ROOT / Path(*module.split("."))).with_suffix(".py").read_text(encoding="utf-8")
 
-    assert all(f"class {noun}" in defined or f"{noun} = " in defined or f"{noun}: " in defined for noun in NOUNS[module])
+    assert all(
+        f"class {noun}" in defined or f"{noun} = " in defined or f"{noun}: " in defined for noun in NOUNS[module]
+    )
     assert len(reach(graph, module)) <= NOUN_REACH
 
 
 def kernels(graph: grimp.ImportGraph) -> list[str]:
-    inside = [m[9:] for m in graph.modules if m.startswith(("rotorfit.core.", "rotorfit.dynamics.", "rotorfit.simulation."))]
+    inside = [
+        m[9:] for m in graph.modules if m.startswith(("rotorfit.core.", "rotorfit.dynamics.", "rotorfit.simulation."))
+    ]
     return [module for module in inside if module not in COMPOSED]
 
 

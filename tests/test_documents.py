@@ -9,7 +9,6 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from types import FunctionType
 
 import click
 import numpy as np
@@ -23,7 +22,6 @@ from rotorfit.assessment import advice, plausibility, whiteness
 from rotorfit.core.frames import AXES, UNIT_SCALE
 from rotorfit.diagnosis import clock_checks, command_checks, doctor, frame_checks, motion_checks, pose_checks
 from rotorfit.dynamics import protocol as forecast
-from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.identifiability import LEAST_TIME, WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.estimation.likelihood import axis_estimate as estimate
 from rotorfit.estimation.likelihood import blocks as record
@@ -36,7 +34,6 @@ from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.files.logs import FORMATS
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
-from test_river import RIVER
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -44,11 +41,6 @@ CARDS, FINDINGS, METHOD, ARCHITECTURE = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     for name in ("cards", "findings", "method", "architecture")
 )
-CHECKS = (
-    "advice", "clock_checks", "command_checks", "constancy", "convert", "doctor", "frame_checks", "motion_checks",
-    "influence", "plausibility", "pose_checks", "restoring", "robust", "sign_checks", "two_files", "uncertainty",
-    "whiteness",
-)  # fmt: skip
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 PUBLIC = (
     "RotorfitError", "__version__", "export", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
@@ -73,9 +65,13 @@ def commands(text: str) -> list[list[str]]:
 
 
 def codes_in(path: str, name: str) -> set[str]:
-    """First arguments, written out, of all calls of a name in a module."""
-    tree = ast.parse((ROOT / "src" / "rotorfit" / path).read_text(encoding="utf-8"))
-    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name))
+    """First arguments, written out, of all calls of a name in the modules of a folder, or in one of them."""
+    place = ROOT / "src" / "rotorfit" / path
+    trees = [
+        ast.parse(each.read_text(encoding="utf-8")) for each in (place.rglob("*.py") if place.is_dir() else [place])
+    ]
+    nodes = (node for tree in trees for node in ast.walk(tree))
+    calls = (node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name))
     firsts = (call.args[0] for call in calls if call.func.id == name and call.args)  # type: ignore[attr-defined]
     return {first.value for first in firsts if isinstance(first, ast.Constant) and isinstance(first.value, str)}
 
@@ -207,7 +203,7 @@ def test_the_readme_names_every_format_every_built_in_card_and_every_verb() -> N
 
 def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round() -> None:
     described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
-    told = set[str]().union(*(codes_in(f"{module}.py", "Finding") for module in CHECKS))
+    told = codes_in("", "Finding")
     assert sorted(described) == sorted(told)
 
 
@@ -217,7 +213,7 @@ CLOSED = {"commands_outside_window", "commands_on_ground", "idle_commands"}
 
 def test_every_note_of_the_code_is_in_the_documents() -> None:
     notes = section(FINDINGS, "Notes")
-    codes = codes_in("stream.py", "Note") | codes_in("flight.py", "Note") | codes_in("robust.py", "Note") | CLOSED
+    codes = codes_in("", "Note") | CLOSED
 
     assert len(codes) >= 7
     assert {code for code in codes if f"`{code}`" not in notes} == set()
@@ -326,8 +322,8 @@ def test_every_key_and_every_unit_of_a_card_is_explained() -> None:
 
 
 def known_keys() -> set[str]:
-    """Every key that `card_file.py` lets pass: those of its sections, and those written out where keys are checked."""
-    tree = ast.parse((ROOT / "src" / "rotorfit" / "card_file.py").read_text(encoding="utf-8"))
+    """Every key that `files/cards.py` lets pass: those of its sections, and those written out where keys are checked."""
+    tree = ast.parse((ROOT / "src/rotorfit/files/cards.py").read_text(encoding="utf-8"))
     checks = [
         node
         for node in ast.walk(tree)
@@ -339,10 +335,15 @@ def known_keys() -> set[str]:
     return written | {key for keys in card_file._SECTIONS.values() for key in keys}
 
 
-def test_the_architecture_lists_the_modules_in_the_order_of_the_river() -> None:
-    listed = re.findall(r"^\| `(\w+)` \|", section(ARCHITECTURE, "The river"), re.MULTILINE)
+def test_the_architecture_lists_every_package_and_names_modules_that_are_there() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (.+) \|$", section(ARCHITECTURE, "The packages"), re.MULTILINE)
+    package = ROOT / "src/rotorfit"
+    named = [package / name / module for name, modules in rows for module in re.findall(r"`([\w/]+)`", modules)]
+    located = re.findall(r"`([a-z_]+/[\w/]+(?:\.py|/))`", section(ARCHITECTURE, "Where is ..."))
 
-    assert tuple(listed) == RIVER
+    assert sorted(name for name, _ in rows) == sorted(path.parent.name for path in package.glob("*/__init__.py"))
+    assert [path for path in named if not path.is_dir() and not path.with_suffix(".py").is_file()] == []
+    assert [path for path in located if not (package / path).exists()] == []
 
 
 def test_links_and_pictures_of_the_documents_lead_somewhere() -> None:
@@ -380,16 +381,6 @@ def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
     heavy = "{'numpy', 'numba', 'scipy', 'polars', 'rosbags', 'matplotlib', 'rich'}"
-    code = f"import sys, rotorfit, rotorfit.cli; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, rotorfit, rotorfit.app.cli; print(sorted({heavy} & set(sys.modules)))"
 
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
-
-
-def test_fit_is_the_function_also_after_the_module_of_that_name_was_imported() -> None:
-    code = "import rotorfit.fit, rotorfit.pipeline; print(type(rotorfit.fit).__name__)"
-
-    assert isinstance(rotorfit.fit, FunctionType)
-    assert rotorfit.fit is fit
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "function\n"
-    )

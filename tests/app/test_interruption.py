@@ -23,7 +23,7 @@ def struck(self, pointer):  # called back by LLVM, which asks for the code of a 
     return plain(self, pointer)
 
 ExecutionEngine._find_module_ptr = struck
-from rotorfit.cli import main
+from rotorfit.app.cli import main
 main()
 """
 

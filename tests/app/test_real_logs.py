@@ -36,13 +36,13 @@ import numpy as np
 import pytest
 from test_survey import loaded
 
-import rotorfit.diagnosis.card_choice
 from rotorfit.app.workflows import fit_logs, load_flight
 from rotorfit.core.card import Card
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Log, Table
 from rotorfit.core.results import Fit
+from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.card_draft import draft_card
 from rotorfit.diagnosis.command_response import answers_of
@@ -172,7 +172,7 @@ def test_the_motion_tells_axes_and_signs_of_every_recorded_set(real_flights: Pat
 def test_a_draft_finds_axes_signs_and_frame_of_px4_by_itself(
     real_flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(rotorfit.proposal, "fitting_cards", lambda _: {})
+    monkeypatch.setattr(card_choice, "fitting_cards", lambda _: {})
     log = read(real_flights / PX4)
 
     text = draft_card(log)

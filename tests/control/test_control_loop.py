@@ -18,7 +18,7 @@ from rotorfit.simulation.air import wind_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.vehicle import load_vehicle
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "control.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "control.md"
 
 
 def documented() -> dict[str, Any]:

@@ -15,7 +15,7 @@ from rotorfit.core.limits import expectation, gain_factor, limit_text, limit_tha
 from rotorfit.files.cards import builtin_cards, card_from_mapping
 from rotorfit.simulation.published import PUBLISHED, sets_for, vehicle_of
 
-SETTINGS = (Path(__file__).resolve().parents[1] / "docs" / "settings.md").read_text(encoding="utf-8")
+SETTINGS = (Path(__file__).resolve().parents[2] / "docs" / "settings.md").read_text(encoding="utf-8")
 DEG = math.pi / 180
 
 

@@ -357,8 +357,8 @@ def test_damage_of_the_file_is_said_first_and_once(verb: str, tmp_path: Path, mo
     def damaged(path: str | Path, tables: Collection[str] | None = None) -> Log:
         return replace(read(path, tables), damage=(damage,), notes=(note,))
 
-    monkeypatch.setattr("rotorfit.files.logs.read", damaged)
-    monkeypatch.setattr("rotorfit.files.logs.read", damaged)
+    monkeypatch.setattr("rotorfit.diagnosis.survey.read", damaged)
+    monkeypatch.setattr("rotorfit.app.workflows.read", damaged)
 
     text = CliRunner(env={"COLUMNS": "300"}).invoke(main, [verb, *words]).output
 

@@ -8,10 +8,10 @@ import pytest
 from test_builtin_cards import COMMAND, T, followed, motion
 from test_survey import csv_log, loaded, log_of, message_log
 
-import rotorfit.diagnosis.card_choice
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import heading_from_world, world_from_heading
+from rotorfit.diagnosis import card_choice
 from rotorfit.diagnosis.card_draft import draft_card, write_draft
 from rotorfit.files.cards import builtin_card_text, load_card
 from rotorfit.files.logs import read
@@ -177,7 +177,7 @@ def test_drafts_by_names_alone_give_the_flights_of_the_real_cards(
         log = read(real_flights / folder / file)
         expected = flight_from_log(log, load_card(folder))
         with monkeypatch.context() as patch:
-            patch.setattr(rotorfit.proposal, "fitting_cards", lambda _: {})
+            patch.setattr(card_choice, "fitting_cards", lambda _: {})
             found = flight_from_log(log, loaded(draft_card(log), tmp_path))
 
         np.testing.assert_array_equal(found.position, expected.position)
@@ -354,7 +354,7 @@ def test_commands_of_a_bag_without_a_pose_are_commands_and_the_pose_is_missed() 
     assert "INCOMPLETE: nothing was recognised for [pose] x; [pose] y; [pose] z; [pose] yaw or quaternion" in text
     assert "[velocity]" not in text
     with pytest.raises(CardError, match="holds commands but nothing that looks like a position"):
-        rotorfit.proposal.proposal(log)
+        card_choice.proposal(log)
 
 
 # A pose that is not what it seems

@@ -32,7 +32,7 @@ from rotorfit.exports.formats import FORMATS
 from rotorfit.exports.validity import scores, trained_on
 from rotorfit.files.models import save
 
-BENCH = Path(__file__).resolve().parents[1] / "bench"
+BENCH = Path(__file__).resolve().parents[2] / "bench"
 PAGE = (BENCH.parent / "docs" / "exports.md").read_text(encoding="utf-8")
 POINTS = {"x": (3.7, 0.18, 0.1664), "y": (3.6, 0.41, 0.1973), "z": (2.3, 2.05, 0.0529), "yaw": (4.4, 2.7, 0.0754)}
 STEPPED, EXACT = 1e-6, 1e-9  # m, rad and their rates, over 20 s: by Runge-Kutta steps, in closed form

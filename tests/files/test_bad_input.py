@@ -357,7 +357,7 @@ def test_a_bug_keeps_its_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("rotorfit.estimation.fitting.fit", broken)
+    monkeypatch.setattr("rotorfit.app.workflows.fit", broken)
 
     result = run("fit", csv(tmp_path, columns()))
 

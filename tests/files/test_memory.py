@@ -17,8 +17,8 @@ MB = 1_000_000
 READ = """
 import re, resource, sys
 from pathlib import Path
-from rotorfit.errors import LogError
-from rotorfit.sources import read
+from rotorfit.core.errors import LogError
+from rotorfit.files.logs import read
 path = sys.argv[1]
 try:
     print(len(next(iter(read(path).tables.values())).columns))

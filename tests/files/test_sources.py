@@ -702,7 +702,7 @@ def test_the_digest_is_that_of_the_file_and_of_a_folder_that_of_its_files_by_nam
 
 def test_importing_the_readers_imports_nothing_heavy() -> None:
     heavy = {"scipy", "polars", "rosbags", "h5py", "numba"}
-    code = f"import sys, rotorfit.sources; print(sorted({heavy!r} & set(sys.modules)))"
+    code = f"import sys, rotorfit.files.logs; print(sorted({heavy!r} & set(sys.modules)))"
 
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 

@@ -372,7 +372,7 @@ def test_a_command_that_is_no_number_is_never_sent(tmp_path: Path) -> None:
 
 
 def started(path: Path) -> "subprocess.Popen[str]":
-    tests = Path(__file__).parent
+    tests = Path(__file__).parents[1]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tests), *sys.path])}
     process = subprocess.Popen(
         [sys.executable, str(tests / "flying.py"), str(path)], stdout=subprocess.PIPE, text=True, env=environment

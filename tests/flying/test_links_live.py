@@ -40,7 +40,7 @@ from rotorfit.simulation.vehicle import load_vehicle
 
 pytestmark = pytest.mark.slow
 
-FAKES = Path(__file__).parent / "fakes"
+FAKES = Path(__file__).parents[1] / "fakes"
 DEBIAN = "/usr/lib/python3/dist-packages"
 ROS1 = ("python3-rospy", "python3-rosmaster", "python3-geometry-msgs", "python3-nav-msgs", "python3-std-msgs")
 DURATION = 45.0

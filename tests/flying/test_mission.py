@@ -140,7 +140,7 @@ def test_a_full_disk_in_a_real_process_is_one_line_and_leaves_a_readable_log(tmp
         "import resource, signal, sys, time\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
-        "from rotorfit.links.sim import SimLink\n"
+        "from rotorfit.flying.links.sim import SimLink\n"
         "receive = SimLink.receive\n"
         "SimLink.receive = lambda self, until: (time.sleep(0.0005), receive(self, until))[1]\n"
         "from rotorfit.app.cli import main\n"

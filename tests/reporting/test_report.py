@@ -754,7 +754,7 @@ def test_everything_that_reacts_to_the_pointer_reacts_to_the_keyboard(html: str)
 
 def themes() -> dict[str, dict[str, str]]:
     """Colours of the page by theme: what each sets anew over the light one."""
-    css = (Path(__file__).parents[1] / "src/rotorfit/report/templates/page.css").read_text(encoding="utf-8")
+    css = (Path(__file__).parents[2] / "src/rotorfit/reporting/templates/page.css").read_text(encoding="utf-8")
     blocks = [
         dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block)) for block in re.findall(r":root \{(.*?)\}", css, re.S)
     ]

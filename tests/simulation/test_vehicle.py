@@ -19,7 +19,7 @@ NAMES = ("ardrone2", "bebop2", "crazyflie", "m100", "tello")
 
 
 def text_of(name: str) -> str:
-    return resources.files("rotorfit").joinpath("vehicles", f"{name}.toml").read_text(encoding="utf-8")
+    return resources.files("rotorfit.simulation").joinpath("vehicles", f"{name}.toml").read_text(encoding="utf-8")
 
 
 def raw_of(name: str = "bebop2") -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The worker: a fit or comparison in a process of its own, which may be cancelled or die without taking the page along.
 
-    python -m rotorfit.studio.worker WORKSPACE FIT
+    python -m rotorfit.app.web.worker WORKSPACE FIT
 
 It reads `request.json` and `card.toml` of the fit's folder, says how far it is on its standard output (a line of JSON
 each), and writes `model.json`, `validation.json`, `result.json` and `report.html`. It ends when its standard input

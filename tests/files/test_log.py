@@ -249,12 +249,12 @@ def test_a_block_that_unpacks_beyond_the_bound_is_refused(
     path = tmp_path / "bomb"
     bomb = bytes(3_000_000)
     if module == "mat":
-        monkeypatch.setattr("rotorfit.files.logs.content.LIMIT", 1_000_000)
+        monkeypatch.setattr("rotorfit.files.logs.mat.LIMIT", 1_000_000)
         block = zlib.compress(struct.pack("<II", 14, len(bomb)) + bomb)
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + struct.pack("<II", 15, len(block)) + block)
         expected = "unpacks to more than"
     else:
-        monkeypatch.setattr("rotorfit.files.logs.content.BLOCK_LIMIT", 1_000_000)
+        monkeypatch.setattr("rotorfit.files.logs.compression.BLOCK_LIMIT", 1_000_000)
         fields = [b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", len(bomb))]
         header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
         path.write_bytes(b"#ROSBAG V2.0\n" + text(header) + text(bz2.compress(bomb)))
@@ -265,7 +265,7 @@ def test_a_block_that_unpacks_beyond_the_bound_is_refused(
 
 def test_more_numbers_than_the_bound_are_refused_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_rosbag1(tmp_path / "bag", recording())
-    monkeypatch.setattr("rotorfit.files.logs.content.LIMIT", 1000)
+    monkeypatch.setattr("rotorfit.files.logs.topics.LIMIT", 1000)
 
     assert "read only the topics that you need" in error_of(path)
 
