@@ -19,6 +19,9 @@ PROBLEM = $(shell python='$(PYTHON)'; \
 	fi)
 
 BIN := .venv/bin
+# Tests run on all cores already, and the matrices are tiny: threads inside BLAS would only wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
 # Byte-code is compiled once here, even where the shell forbids it: otherwise every first import takes seconds.
 INSTALL := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pip install --quiet --disable-pip-version-check --compile
 
