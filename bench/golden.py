@@ -318,10 +318,10 @@ CASES: Mapping[str, Callable[[], Figures]] = {
 
 def write(path: Path, only: str) -> None:
     wanted = [name for name in CASES if name.startswith(only)]
-    if not RECORDED.is_dir():
-        left = [name for name in wanted if name.startswith("recorded/")]
+    left = [name for name in wanted if name.startswith("recorded/") and not RECORDED.is_dir()]
+    if left:
         print("the recorded flights are not there; left out:", *left, file=sys.stderr)
-        wanted = [name for name in wanted if name not in left]
+    wanted = [name for name in wanted if name not in left]
     found: dict[str, Any] = {}
     target = path.resolve()
     with tempfile.TemporaryDirectory() as folder, chdir(folder):  # paths in results are the same wherever this runs
