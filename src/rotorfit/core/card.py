@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from rotorfit.core.tabular import html_table
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -112,6 +114,17 @@ class Card:
     clock: Literal["own", "one"] = "own"
     fail_safe: str = ""
     over: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Card({self.name!r}, commands {' '.join(self.command)}, pose {' '.join(self.pose)} in {self.frame})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (f"{what} {axis}", str(one.source), f"{one.scale:g}", one.unit or "", one.meaning or "")
+            for what, channels in (("command", self.command), ("pose", self.pose), ("velocity", self.velocity))
+            for axis, one in channels.items()
+        ]
+        return html_table(repr(self), ("what", "from", "scale", "unit", "meaning"), rows)
 
     @property
     def velocity_only(self) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from html import escape
 from typing import Literal
 
 Severity = Literal["info", "warning", "error"]
@@ -29,6 +30,11 @@ class Finding:
     effect: str
     remedy: str
     axis: str | None = None
+
+    def _repr_html_(self) -> str:
+        where = f" ({self.axis})" if self.axis else ""
+        said = f"{self.evidence}; {self.effect}; {self.remedy}"
+        return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
 
 
 def counted(number: int, what: str) -> str:

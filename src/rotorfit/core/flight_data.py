@@ -2,12 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from rotorfit.core.card import Card
-from rotorfit.core.finding import Finding
+from rotorfit.core.finding import Finding, counted
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.plotting import AXIS_COLOURS, Line, Panel, line_panels
+from rotorfit.core.tabular import FrameLibrary, frame, html_table, short_repr
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,8 @@ class Velocity:
     late_error: Array | None = None
     onboard: bool = False
 
+    __repr__ = short_repr
+
     @property
     def rounding(self) -> Array:
         """Variance that the rounding adds to each, shape (4,): that of a uniform error [m^2/s^2, rad^2/s^2]."""
@@ -175,6 +184,65 @@ class Flight:
     clocks: Clocks | None = None
     velocity: Velocity | None = None
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        said = (
+            f"{self.duration:.1f} s", f"axes {' '.join(self.axes)}", counted(self.command_time.size, "command"),
+            counted(self.pose_time.size, "pose"), counted(len(self.notes), "repair"),
+            counted(len(self.findings), "finding"),
+        )  # fmt: skip
+        return f"Flight({self.path!r}, {', '.join(said)})"
+
+    def _repr_html_(self) -> str:
+        rows = [(note.code, str(note.count), note.text) for note in self.notes]
+        return html_table(repr(self), ("repair", "samples", "what"), rows, self.findings)
+
+    @overload
+    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    @overload
+    def to_frame(self, library: Literal["pandas"]) -> Any: ...
+    def to_frame(self, library: FrameLibrary = "polars") -> Any:
+        """The poses as a data frame, with the command that was held at each.
+
+        Args:
+            library: `polars`, or `pandas`, which must be installed.
+
+        Returns:
+            A `DataFrame` of the columns `time` [s], `x`, `y`, `z` [m], `yaw` [rad] and `command_x` to `command_yaw`,
+            in the heading frame; NaN where the command is not known.
+
+        Raises:
+            RotorfitError: pandas is asked for and not installed, or another library.
+        """
+        held = np.searchsorted(self.command_time, self.pose_time, side="right") - 1
+        known = np.any([(self.pose_time >= s.start) & (self.pose_time <= s.end) for s in self.segments], axis=0)
+        command = np.where(known[:, None], self.command[np.maximum(held, 0)], np.nan)
+        pose = {**dict(zip(AXES, self.position.T, strict=False)), "yaw": self.yaw}
+        sent = {f"command_{axis}": command[:, k] for k, axis in enumerate(AXES)}
+        return frame({"time": self.pose_time, **pose, **sent}, library)
+
+    def plot(self) -> "tuple[Axes, ...]":
+        """Draws commands, position and heading over time; grey where the commands are not known.
+
+        Returns:
+            The three matplotlib axes, from top to bottom.
+        """
+        ends = [float(self.pose_time[0]), *(end for s in self.segments for end in (s.start, s.end))]
+        holes = list(zip(ends[::2], [*ends[1::2], float(self.pose_time[-1])], strict=True))
+
+        def lines(time: Array, values: Mapping[str, Array], style: str) -> list[Line]:
+            looks = {axis: {"color": AXIS_COLOURS[axis], "drawstyle": style, "linewidth": 1.0} for axis in values}
+            return [Line(axis, time, series, looks[axis]) for axis, series in values.items()]
+
+        command = {axis: self.command[:, AXES.index(axis)] for axis in self.axes}
+        position = dict(zip(AXES, self.position.T, strict=False))
+        drawn = (
+            ("commands, heading frame", "command", lines(self.command_time, command, "steps-post")),
+            ("position, world frame", "position [m]", lines(self.pose_time, position, "default")),
+            ("heading", "yaw [rad]", lines(self.pose_time, {"yaw": self.yaw}, "default")),
+        )
+        panels = [Panel(title, "time [s]", label, parts, holes) for title, label, parts in drawn]
+        return line_panels(panels, 1, (8.0, 2.1))
 
     @property
     def velocity_only(self) -> tuple[str, ...]:

@@ -8,11 +8,16 @@ A plan is a TOML file that a person can read, edit and send on.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.plotting import AXIS_COLOURS, Line, Panel, line_panels
+from rotorfit.core.tabular import html_table, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,35 @@ class Plan:
     belief: Mapping[str, Any] = field(default_factory=dict)
     predicted: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+
+    def __repr__(self) -> str:
+        axes = " ".join(dict.fromkeys(each.axis for each in self.excitations))
+        loop = f"feedback on {' '.join(self.feedback.axes)}" if self.feedback else "open loop"
+        return f"Plan({self.name!r}, {self.duration:g} s at {self.rate:g} Hz, moves {axes}, {loop})"
+
+    def _repr_html_(self) -> str:
+        errors = self.predicted.get("stderr", {})
+        heads = ("axis", *(f"standard error of {name}" for name in next(iter(errors.values()), {})))
+        rows = [(axis, *(number(error) for error in row.values())) for axis, row in errors.items()]
+        return html_table(repr(self), heads, rows)
+
+    def plot(self) -> "tuple[Axes, ...]":
+        """Draws the signals over time, with their ramps and without the feedback; see `rotorfit plan --picture`.
+
+        Returns:
+            The matplotlib axes: one for the signals that are commands, one for those that are positions to track.
+        """
+        t = np.arange(0.0, self.duration, 1 / self.rate)
+        panels = []
+        for target, title, label, series in (
+            ("command", "commands of the signals", "command", command_at(self, t)),
+            ("position", "position references, from the start", "m, rad", reference_at(self, t)[0]),
+        ):
+            axes = dict.fromkeys(each.axis for each in self.excitations if each.target == target)
+            lines = [Line(axis, t, series[:, AXES.index(axis)], {"color": AXIS_COLOURS[axis]}) for axis in axes]
+            if lines:
+                panels.append(Panel(title, "time [s]", label, lines))
+        return line_panels(panels, 1, (8.0, 2.4))
 
 
 Three = tuple[Array, Array, Array]

@@ -8,6 +8,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from rotorfit.core.finding import counted
+from rotorfit.core.tabular import html_table, short_repr
+
 Column = npt.NDArray[Any]
 """A column: shape (N,), or (N, M) / (M, N) for a matrix as MAT files hold them. Any numeric type, as recorded."""
 
@@ -25,6 +28,8 @@ class Table:
 
     name: str
     columns: Mapping[str, Column]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,16 @@ class Log:
     file_of: Mapping[str, str] = field(default_factory=dict)
     retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
     damage: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Log({str(self.path)!r}, {self.format}, {counted(len(self.tables), 'table')})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for table in self.tables.values():
+            length = max((len(column) for column in table.columns.values()), default=0)
+            rows.append((table.name, str(length), ", ".join(table.columns)))
+        return html_table(repr(self), ("table", "rows", "columns"), rows)
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from rotorfit.core.accuracy import PriorUse, Uncertainty
 from rotorfit.core.card import Card
 from rotorfit.core.errors import ModelError
-from rotorfit.core.finding import Finding
+from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.limits import Conversion, Quantity
+from rotorfit.core.plotting import AXIS_COLOURS, IntervalMark, interval_panels
+from rotorfit.core.tabular import FrameLibrary, columns_of, frame, html_table, interval, number, text_table
 from rotorfit.version import __version__
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.axes import Axes
 
 COEFFICIENTS = ("input", "damping", "delay")
 
@@ -175,6 +181,14 @@ class Axis:
     candidates: tuple[Candidate, ...] = ()
     samples: float | None = None
 
+    def __repr__(self) -> str:
+        known = {"input": self.input, "damping": self.damping, "delay": self.delay, **self.extra}
+        said = (
+            f"{name} {self.status[name]}" if value is None else f"{name} {number(value)} ({interval(*self.ci95[name])})"
+            for name, value in known.items()
+        )
+        return f"Axis({', '.join(said)})"
+
 
 def unknown_axis(status: str) -> Axis:
     """An axis of which nothing is known, and why."""
@@ -246,6 +260,65 @@ class Model:
     physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
     leave_one_out: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        return text_table(self._title(), self._HEADS, self._texts())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._HEADS, self._texts(), self.findings)
+
+    @overload
+    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    @overload
+    def to_frame(self, library: Literal["pandas"]) -> Any: ...
+    def to_frame(self, library: FrameLibrary = "polars") -> Any:
+        """The coefficients as a data frame, a row each.
+
+        Args:
+            library: `polars`, or `pandas`, which must be installed.
+
+        Returns:
+            A `DataFrame` of the columns `axis`, `coefficient`, `estimate`, `stderr`, `low` and `high` of the 95 %
+            interval, `status`, `structure`; null where the data cannot tell, and for open ends.
+
+        Raises:
+            RotorfitError: pandas is asked for and not installed, or another library.
+        """
+        heads = ("axis", "coefficient", "estimate", "stderr", "low", "high", "status", "structure")
+        return frame(columns_of(heads, self._rows()), library)
+
+    def plot(self) -> "tuple[Axes, ...]":
+        """Draws the coefficients with their 95 % intervals, open ends as arrows, beside those of the paper's method.
+
+        Returns:
+            Three matplotlib axes: input, damping and delay.
+        """
+        paper = dict(zip(((axis, name) for axis in AXES for name in COEFFICIENTS[:2]), self.paper, strict=True))
+        known: dict[str, list[IntervalMark]] = {name: [] for name in COEFFICIENTS}
+        for axis, name, value, _, low, high, *_ in self._rows():
+            if name in known and value is not None:
+                known[name].append(IntervalMark(axis, value, low, high, AXIS_COLOURS[axis], paper.get((axis, name))))
+        titles = ("input [m/s², yaw rad/s²]", "damping [1/s]", "delay [s]")
+        return interval_panels(list(zip(titles, known.values(), strict=True)), "the paper's method")
+
+    _HEADS = ("axis", "coefficient", "estimate", "95 % interval", "status")
+
+    def _title(self) -> str:
+        made = f"{counted(len(self.flights), 'flight')}, {counted(len(self.findings), 'finding')}"
+        return f"Model of {self.card.name!r}: method {self.method}, structure {self.structure}, {made}"
+
+    def _rows(self) -> list[tuple[Any, ...]]:
+        return [
+            (name, each, value, axis.stderr[each], *axis.ci95[each], axis.status[each], axis.structure)
+            for name, axis in self.axes.items()
+            for each, value in {**{one: getattr(axis, one) for one in COEFFICIENTS}, **axis.extra}.items()
+        ]
+
+    def _texts(self) -> list[tuple[str, ...]]:
+        return [
+            (axis, name, number(value), interval(low, high), status)
+            for axis, name, value, _, low, high, status, _ in self._rows()
+        ]
 
     @property
     def gamma(self) -> tuple[float | None, ...]:

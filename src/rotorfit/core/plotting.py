@@ -49,7 +49,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Interval:
+class IntervalMark:
     """A value with its ends, an open one None; `other` is what it is compared with."""
 
     name: str
@@ -83,7 +83,7 @@ def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]
     return drawn
 
 
-def interval_panels(panels: Sequence[tuple[str, Sequence[Interval]]], other: str) -> tuple[Axes, ...]:
+def interval_panels(panels: Sequence[tuple[str, Sequence[IntervalMark]]], other: str) -> tuple[Axes, ...]:
     """Draws values with their intervals, a panel for each title, side by side.
 
     Args:

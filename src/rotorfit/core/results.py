@@ -2,12 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
-from rotorfit.core.finding import Finding
+import numpy as np
+
+from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import Model
+from rotorfit.core.plotting import PREDICTOR_LOOKS, Line, Panel, line_panels
+from rotorfit.core.tabular import FrameLibrary, columns_of, frame, html_table, number, short_repr, text_table
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.axes import Axes
 
 PaperStatus = Literal["ok", "not_excited", "not_identifiable", "too_short"]
 
@@ -29,6 +37,8 @@ class Motion:
     command: Array
     velocity: Array
     acceleration: Array
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,8 @@ class PaperFit:
     degree: int
     motions: tuple[Motion, ...]
     modelled: tuple[Array, ...]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -116,6 +128,8 @@ class StartErrors:
     steps: Array
     position: Array
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Outlier:
@@ -155,6 +169,12 @@ class Fit:
     estimates: Mapping[str, Any] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     outliers: Outliers = ()
+
+    def __repr__(self) -> str:
+        return f"Fit to {', '.join(repr(flight.path) for flight in self.flights)}\n{self.model!r}"
+
+    def _repr_html_(self) -> str:
+        return self.model._repr_html_()
 
 
 def student_quantile(freedom: float) -> float:
@@ -249,6 +269,8 @@ class Innovations:
     past: Array
     sensitivity: Array
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Correlogram:
@@ -263,6 +285,8 @@ class Correlogram:
     lag: Array
     value: Array
     band: Array
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -324,6 +348,12 @@ class FlightScores:
     moved: tuple[str, ...] = ()
 
 
+SCORE_COLUMNS = (
+    "flight", "fitted", "axis", "moved", "predictor", "horizon", "velocity_rmse", "position_rmse", "n", "fit_percent",
+)  # fmt: skip
+"""Of the rows of a validation."""
+
+
 @dataclass(frozen=True)
 class Validation:
     """Prediction errors of a model and of the naive baselines on the same flights.
@@ -345,3 +375,92 @@ class Validation:
     paired: tuple[PairedTest, ...] = ()
     residuals: tuple[Mapping[str, ResidualTests], ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        return text_table(*self._table())
+
+    def _repr_html_(self) -> str:
+        return html_table(*self._table(), self.findings)
+
+    @overload
+    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    @overload
+    def to_frame(self, library: Literal["pandas"]) -> Any: ...
+    def to_frame(self, library: FrameLibrary = "polars") -> Any:
+        """The errors of predictions as a data frame, a row for each flight, axis, predictor and horizon.
+
+        Args:
+            library: `polars`, or `pandas`, which must be installed.
+
+        Returns:
+            A `DataFrame` of the columns `flight`, `fitted` (the model knows the flight), `axis`, `moved` (the flight
+            moves it), `predictor` (`model`, `hold`, `paper`), `horizon` [s], `velocity_rmse`, `position_rmse` [SI],
+            `n` and `fit_percent`; null where there is no number.
+
+        Raises:
+            RotorfitError: pandas is asked for and not installed, or another library.
+        """
+        return frame(columns_of(SCORE_COLUMNS, self.rows()), library)
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """The rows of `to_frame`, of the columns `SCORE_COLUMNS`."""
+        return [
+            (
+                flight.path,
+                flight.fitted,
+                axis,
+                axis in flight.moved,
+                predictor,
+                float(horizon),
+                errors.velocity_rmse,
+                errors.position_rmse,
+                errors.n,
+                score.fit_percent,
+            )  # fmt: skip
+            for predictor, flights in {"model": self.flights, **self.baselines}.items()
+            for flight in flights
+            for axis, score in flight.axes.items()
+            for horizon, errors in score.horizons.items()
+        ]
+
+    def plot(self) -> "tuple[Axes, ...]":
+        """Draws the errors of predictions over the horizon, a line for each flight that moves the axis.
+
+        Returns:
+            The matplotlib axes: errors of the velocity of each axis, then of its position.
+        """
+        axes = [axis for axis in AXES if any(axis in flight.moved for flight in self.flights)]
+        units = {axis: "rad" if axis == "yaw" else "m" for axis in AXES}
+        panels = [
+            Panel(axis, "horizon [s]", f"{what} error [{units[axis]}{per}]", self._lines(axis, f"{what}_rmse"))
+            for what, per in (("velocity", "/s"), ("position", ""))
+            for axis in axes
+        ]
+        return line_panels(panels, max(len(axes), 1), (2.9, 2.4))
+
+    def _lines(self, axis: str, error: str) -> list[Line]:
+        """Lines of one panel; each predictor has its name in the legend once."""
+        lines = []
+        for predictor, flights in {"model": self.flights, **self.baselines}.items():
+            scores = [flight.axes[axis].horizons for flight in flights if axis in flight.moved]
+            for place, horizons in enumerate(scores):
+                errors = np.array([getattr(each, error) for each in horizons.values()], float)
+                name = "" if place else predictor
+                lines.append(Line(name, np.array([float(h) for h in horizons]), errors, PREDICTOR_LOOKS[predictor]))
+        return lines
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
+        """Title, heads and rows: errors of the velocity at the horizon nearest to 1 s, of the axes that are moved."""
+        horizons = {horizon for flight in self.flights for score in flight.axes.values() for horizon in score.horizons}
+        if not horizons:
+            return "Validation on no flight", (), []
+        shown = min(horizons, key=lambda horizon: abs(float(horizon) - 1.0))
+        everyone = {"model": self.flights, **self.baselines}
+        rows = []
+        for place, flight in enumerate(self.flights):
+            for axis in flight.moved:
+                scores = [each[place].axes[axis].horizons[shown] for each in everyone.values()]
+                rows.append((flight.path, axis, *(number(score.velocity_rmse) for score in scores)))
+        what = f"error of the velocity up to {shown} s ahead [m/s, yaw rad/s]"
+        title = f"Validation on {counted(len(self.flights), 'flight')}: {what}"
+        return title, ("flight", "axis", *everyone), rows

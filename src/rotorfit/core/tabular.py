@@ -75,15 +75,8 @@ def html_table(
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
 
     table = f"<table>{cells('th', heads)}{''.join(cells('td', row) for row in rows)}</table>" if rows else ""
-    found = "".join(f"<li>{finding_html(each)}</li>" for each in findings)
+    found = "".join(f"<li>{each._repr_html_()}</li>" for each in findings)
     return f"<div><p>{escape(title)}</p>{table}{f'<ul>{found}</ul>' if found else ''}</div>"
-
-
-def finding_html(finding: Finding) -> str:
-    """A finding as one line of HTML."""
-    where = f" ({finding.axis})" if finding.axis else ""
-    said = f"{finding.evidence}; {finding.effect}; {finding.remedy}"
-    return f"<b>{escape(finding.severity)}</b> <code>{escape(finding.code)}</code>{escape(where)}: {escape(said)}"
 
 
 def short_repr(value: Any) -> str:
