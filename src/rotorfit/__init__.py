@@ -1,9 +1,13 @@
 """rotorfit: from a flight log to a trustworthy model of a velocity-commanded multirotor.
 
-    read -> Log, load_card -> Card, flight_from_log -> Flight, fit -> Fit (holds a Model), validate -> Validation
+    import rotorfit as rf
 
-The names of `__all__` are the public interface. Each is loaded when it is first asked for, because numba, which the
-estimator needs, takes longer to import than `rotorfit --help` may.
+    fit = rf.fit("flight1.csv", card="my-drone.toml")
+    proof = rf.validate(fit, "flight2.csv")
+    rf.report(fit, "flight2.csv", "report.html")
+
+The names of `__all__` are the public interface (docs/api.md). Each is loaded when it is first asked for, because numba,
+which the estimator needs, takes longer to import than `rotorfit --help` may.
 """
 
 from importlib import import_module
@@ -12,55 +16,84 @@ from typing import TYPE_CHECKING, Any
 from rotorfit.version import __version__
 
 if TYPE_CHECKING:
+    from rotorfit.app.applications import convert, export, fly, plan, simulate, state_space, tune
+    from rotorfit.app.library import compare, diagnose, fit, flight, flight_from_log, ladder, report, save, validate
     from rotorfit.app.web import studio
-    from rotorfit.assessment.validation import validate
-    from rotorfit.control.tuning import tune
+    from rotorfit.core.card import Card
     from rotorfit.core.errors import RotorfitError
-    from rotorfit.dynamics.trajectory import simulate
-    from rotorfit.estimation.fitting import fit
-    from rotorfit.exports import export
+    from rotorfit.core.finding import Finding
+    from rotorfit.core.flight_data import Flight
+    from rotorfit.core.flight_plan import Plan
+    from rotorfit.core.log import Log
+    from rotorfit.core.model import Axis, Model
+    from rotorfit.core.results import Fit, Validation
     from rotorfit.files.cards import load_card
     from rotorfit.files.logs import read
-    from rotorfit.files.models import load, save
-    from rotorfit.flights.assemble import flight_from_log
+    from rotorfit.files.models import load
+    from rotorfit.files.plans import load_plan
 
 __all__ = [
+    "Axis",
+    "Card",
+    "Finding",
+    "Fit",
+    "Flight",
+    "Log",
+    "Model",
+    "Plan",
     "RotorfitError",
+    "Validation",
     "__version__",
+    "compare",
+    "convert",
+    "diagnose",
     "export",
     "fit",
+    "flight",
     "flight_from_log",
+    "fly",
+    "ladder",
     "load",
     "load_card",
+    "load_plan",
+    "plan",
     "read",
+    "report",
     "save",
     "simulate",
+    "state_space",
     "studio",
     "tune",
     "validate",
 ]
 
 _HOMES = {
-    "RotorfitError": "rotorfit.core.errors",
-    "export": "rotorfit.exports",
-    "fit": "rotorfit.estimation.fitting",
-    "flight_from_log": "rotorfit.flights.assemble",
-    "load": "rotorfit.files.models",
-    "load_card": "rotorfit.files.cards",
-    "read": "rotorfit.files.logs",
-    "save": "rotorfit.files.models",
-    "simulate": "rotorfit.dynamics.trajectory",
-    "studio": "rotorfit.app.web",
-    "tune": "rotorfit.control.tuning",
-    "validate": "rotorfit.assessment.validation",
-}
-"""Public name to the module that defines it."""
+    "app.applications": ("convert", "export", "fly", "plan", "simulate", "state_space", "tune"),
+    "app.library": (
+        "compare", "diagnose", "fit", "flight", "flight_from_log", "ladder", "report", "save", "validate",
+    ),
+    "app.web": ("studio",),
+    "core.card": ("Card",),
+    "core.errors": ("RotorfitError",),
+    "core.finding": ("Finding",),
+    "core.flight_data": ("Flight",),
+    "core.flight_plan": ("Plan",),
+    "core.log": ("Log",),
+    "core.model": ("Axis", "Model"),
+    "core.results": ("Fit", "Validation"),
+    "files.cards": ("load_card",),
+    "files.logs": ("read",),
+    "files.models": ("load",),
+    "files.plans": ("load_plan",),
+}  # fmt: skip
+"""Module to the public names that it defines; the imports above say the same to type checkers."""
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(f"{__name__}.{home}"), name)
 
 
 def __dir__() -> list[str]:

@@ -5,8 +5,9 @@ Log -> Flight -> Fit -> Validation: the compositions that the command line and t
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
@@ -26,7 +27,8 @@ from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.progress import Progress, part_of
-from rotorfit.core.results import Fit, PairedTest, Validation
+from rotorfit.core.results import SCORE_COLUMNS, Fit, PairedTest, Validation
+from rotorfit.core.tabular import FrameLibrary, columns_of, frame
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.dynamics.protocol import CURVE, HORIZONS
@@ -34,18 +36,27 @@ from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.methods import BEST
 from rotorfit.files.cards import card_from_mapping, load_card
-from rotorfit.files.log_span import WHOLE, LogSpan, Span, parse_log
+from rotorfit.files.log_span import LogSpan, parse_log
 from rotorfit.files.logs import read
 from rotorfit.files.models import is_model_file, load
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import fits, tables_of
 from rotorfit.flights.several_files import flights_of
 
+if TYPE_CHECKING:
+    import polars as pl
 
-def load_flight(log: LogSpan, card: str | Card | None = None) -> Flight:
-    """Reads a log and applies a card: by name or file, as it is, the log's own, or the one built-in card that fits."""
+
+def load_flight(log: LogSpan, card: str | Card | None = None, raw: Log | None = None) -> Flight:
+    """Makes a flight of a log, with the findings about its data.
+
+    Args:
+        log: With its span.
+        card: Name, file or card; None for the log's own, or the one built-in card that fits.
+        raw: The log, where it has been read.
+    """
     chosen = load_card(card) if isinstance(card, str) else card
-    return _flown(log, _read(log, chosen), chosen)[1]
+    return _diagnosed(*_flown(log, raw or _read(log, chosen), chosen))
 
 
 def load_flights(
@@ -60,11 +71,6 @@ def load_flights(
     """
     chosen = load_card(card) if isinstance(card, str) else card
     return tuple(flight for _, flight in _all_flown(logs, chosen, otherwise))
-
-
-def flight_of(raw: Log, card: Card | None, span: Span = WHOLE) -> Flight:
-    """The flight in a log, by a card, the log's own or the built-in card that fits, with the findings about it."""
-    return _diagnosed(*_flown(LogSpan(str(raw.path), span), raw, card))
 
 
 def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
@@ -225,6 +231,30 @@ class Comparison:
     validations: tuple[Validation, ...]
     paired: tuple[PairedTest, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return "\n\n".join(f"{name}: {one!r}" for name, one in zip(self.paths, self.validations, strict=True))
+
+    def _repr_html_(self) -> str:
+        parts = zip(self.paths, self.validations, strict=True)
+        return "".join(f"<h4>{escape(name)}</h4>{one._repr_html_()}" for name, one in parts)
+
+    @overload
+    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    @overload
+    def to_frame(self, library: Literal["pandas"]) -> Any: ...
+    def to_frame(self, library: FrameLibrary = "polars") -> Any:
+        """The errors of predictions as a data frame: the column `model`, then those of `Validation.to_frame`.
+
+        Args:
+            library: `polars`, or `pandas`, which must be installed.
+
+        Raises:
+            RotorfitError: pandas is asked for and not installed, or another library.
+        """
+        parts = zip(self.paths, self.validations, strict=True)
+        rows = [(name, *row) for name, one in parts for row in one.rows()]
+        return frame(columns_of(("model", *SCORE_COLUMNS), rows), library)
 
 
 def compare_logs(

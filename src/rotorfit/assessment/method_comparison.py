@@ -12,6 +12,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, FlightScores
+from rotorfit.core.tabular import short_repr
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST, compared_methods
 
@@ -74,6 +75,8 @@ class Ladder:
     paths: tuple[str, ...]
     axes: Mapping[str, tuple[MethodRow, ...]]
     held: Mapping[str, float | None]
+
+    __repr__ = short_repr
 
 
 def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Progress | None = None) -> Ladder:

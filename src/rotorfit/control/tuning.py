@@ -5,8 +5,10 @@ keep a peak of the sensitivity of at most `PEAK` and a delay margin of at least 
 none is unstable. A model that knows its vehicle poorly gets slower gains, and one that knows too little gets none.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.model import Model
+from rotorfit.core.tabular import html_table, number, text_table
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale
@@ -88,6 +91,22 @@ class Tuning:
     latency: float
     axes: Mapping[str, AxisTuning]
     refused: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        return "\n".join([text_table(*self._table()), *(f"{axis}: {why}" for axis, why in self.refused.items())])
+
+    def _repr_html_(self) -> str:
+        why = "".join(f"<p>{axis}: {escape(reason)}</p>" for axis, reason in self.refused.items())
+        return html_table(*self._table()) + why
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
+        heads = ("axis", "bandwidth", "stiffness", "rate_gain", "phase margin", "delay margin")
+        rows = []
+        for axis, one in self.axes.items():
+            figures = (one.bandwidth, one.law.stiffness, one.law.rate, math.degrees(one.margins.phase))
+            rows.append((axis, *map(number, figures), number(one.margins.delay)))
+        loop = f"{self.rate:g} commands a second, poses {self.latency:g} s old"
+        return f"Gains by {self.kind}, {loop} [rad/s, 1/s^2, 1/s, deg, s]", heads, rows
 
 
 def tune(

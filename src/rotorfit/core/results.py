@@ -404,23 +404,17 @@ class Validation:
 
     def rows(self) -> list[tuple[Any, ...]]:
         """The rows of `to_frame`, of the columns `SCORE_COLUMNS`."""
-        return [
-            (
-                flight.path,
-                flight.fitted,
-                axis,
-                axis in flight.moved,
-                predictor,
-                float(horizon),
-                errors.velocity_rmse,
-                errors.position_rmse,
-                errors.n,
-                score.fit_percent,
-            )  # fmt: skip
-            for predictor, flights in {"model": self.flights, **self.baselines}.items()
+        everyone = {"model": self.flights, **self.baselines}
+        scores = [
+            ((flight.path, flight.fitted, axis, axis in flight.moved, predictor), score)
+            for predictor, flights in everyone.items()
             for flight in flights
             for axis, score in flight.axes.items()
-            for horizon, errors in score.horizons.items()
+        ]
+        return [
+            (*whose, float(horizon), one.velocity_rmse, one.position_rmse, one.n, score.fit_percent)
+            for whose, score in scores
+            for horizon, one in score.horizons.items()
         ]
 
     def plot(self) -> "tuple[Axes, ...]":

@@ -49,7 +49,7 @@ def columns_of(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str,
 
 def number(value: float | None) -> str:
     """A number with four digits; `-` where there is none."""
-    return "-" if value is None else f"{value:.4g}"
+    return "-" if value is None else f"{value:#.4g}".rstrip(".")
 
 
 def interval(low: float | None, high: float | None) -> str:

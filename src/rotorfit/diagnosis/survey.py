@@ -9,10 +9,11 @@ import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, FlightError
-from rotorfit.core.finding import Finding
+from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log, Table
+from rotorfit.core.tabular import html_table, number
 from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
 from rotorfit.diagnosis.command_checks import spectrum
 from rotorfit.diagnosis.doctor import damage_of, findings_of_flight
@@ -139,6 +140,21 @@ class Survey:
     recording: Mapping[str, str] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()
     damage: Finding | None = None
+
+    def __repr__(self) -> str:
+        said = self.problem or ""
+        if self.flight:
+            found = counted(len(self.flight.findings), "finding")
+            said = f"read with the card {self.card!r}, {self.flight.duration:.1f} s of flight, {found}"
+        return f"Survey({self.path!r}, {self.format}, {counted(len(self.tables), 'table')}: {said})"
+
+    def _repr_html_(self) -> str:
+        heads = ("command", "not 0", "rms", "lowest", "highest", "levels")
+        rows = [
+            (one.axis, f"{one.nonzero_share:.0%}", number(one.rms), number(one.low), number(one.high), str(one.levels))
+            for one in (self.flight.axes if self.flight else ())
+        ]
+        return html_table(repr(self), heads, rows, self.flight.findings if self.flight else ())
 
 
 def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:

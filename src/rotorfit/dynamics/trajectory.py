@@ -8,6 +8,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of, structure_named
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
+from rotorfit.core.tabular import short_repr
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,8 @@ class Trajectory:
     time: Array
     pose: Array
     velocity: Array
+
+    __repr__ = short_repr
 
 
 def simulate(

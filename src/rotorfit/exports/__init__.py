@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,8 +40,8 @@ class Export:
     name: str
     axes: tuple[str, ...]
     notes: tuple[str, ...]
-    model: "Model"
-    text: str
+    model: "Model" = field(repr=False)
+    text: str = field(repr=False)
 
 
 def export(

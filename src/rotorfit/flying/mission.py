@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError, LogError
 from rotorfit.core.flight_plan import Flown, Plan
 from rotorfit.files.cards import card_from_mapping, load_card
@@ -41,16 +42,16 @@ class Mission:
 
 @contextmanager
 def mission(
-    plan_path: str, link: str, output: Path, card: str | None = None, take_off: bool = False, seed: int = 0,
+    plan: str | Plan, link: str, output: Path, card: str | Card | None = None, take_off: bool = False, seed: int = 0,
     poses: str = "",
 ) -> Iterator[Mission]:  # fmt: skip
     """Opens a link for a plan and looks at both; the link is closed at the end.
 
     Args:
-        plan_path: Of the plan file.
+        plan: A plan, or its file.
         link: `NAME` or `NAME:ADDRESS`.
         output: Of a file that does not exist yet.
-        card: Name or file of the card that says how the vehicle is set and connected now; None for the plan's.
+        card: The card that says how the vehicle is set and connected now, its name or file; None for the plan's.
         take_off: Whether the flight begins on the floor.
         seed: Of a simulated vehicle.
         poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
@@ -60,10 +61,11 @@ def mission(
         LinkError: The link cannot be opened.
         LogError: The recording would be written over something.
     """
-    plan = load_plan(plan_path)
+    named = plan.name if isinstance(plan, Plan) else plan
+    plan = plan if isinstance(plan, Plan) else load_plan(plan)
     check_new(output)
-    now = load_card(card) if card else None
-    own = now or card_from_mapping(plan.card, f"of plan {plan_path}")
+    now = load_card(card) if isinstance(card, str) else card
+    own = now or card_from_mapping(plan.card, f"of plan {named}")
     opened = open_link(simulated_at(link, plan.space.start, seed, not take_off), own, poses)
     try:
         yield Mission(plan, opened, link, preflight(plan, opened, now, take_off), output, take_off)

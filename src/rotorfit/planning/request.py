@@ -12,6 +12,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Plan, Space
 from rotorfit.core.frames import AXES
+from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.models import load
@@ -84,8 +85,8 @@ class Request:
     """What is asked.
 
     Attributes:
-        card: Name or file of a card; None with `after`.
-        after: Model file whose next flight is wanted; None with `card`.
+        card: A card, its name or its file; None with `after`.
+        after: A model whose next flight is wanted, or its file; None with `card`.
         design: A name of `excitation.DESIGNS`; None for the default, or after a model for the one that tells most.
         room: Size of the room, `6x4x3`; None for that, or with `box`.
         box: The fence, `x0,y0,z0,x1,y1,z1`; None with `room`.
@@ -98,8 +99,8 @@ class Request:
         seed: Of sequences and draws.
     """
 
-    card: str | None = None
-    after: str | Path | None = None
+    card: str | Card | None = None
+    after: str | Path | Model | None = None
     design: str | None = None
     room: str | None = None
     box: str | None = None
@@ -153,8 +154,10 @@ def _believed(request: Request) -> tuple[Card, Belief]:
     if (request.card is None) == (request.after is None):
         raise PlanError("give --card with the limits of the vehicle, or --after with a model of it, and not both")
     if request.card is not None:
-        card = _card(request.card)
+        card = request.card if isinstance(request.card, Card) else _card(request.card)
         return card, belief_from_card(card)
+    if isinstance(request.after, Model):
+        return request.after.card, belief_from_model(request.after, "a model in memory")
     model = load(str(request.after))
     return model.card, belief_from_model(model, str(request.after))
 

@@ -1,0 +1,281 @@
+"""The public functions that use a model: simulate, convert, plan the next flight, fly it, tune, export."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rotorfit.app.inputs import CardLike, FilePath, ModelLike, as_axes, as_card, as_model, joined, path_text
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_plan import Flown, Plan, Status
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import Model
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import Fit, Validation
+
+if TYPE_CHECKING:
+    from rotorfit.control.control_law import Kind
+    from rotorfit.control.tuning import Tuning
+    from rotorfit.dynamics.trajectory import StateSpace, Trajectory
+    from rotorfit.exports import Export
+
+
+def simulate(
+    model: ModelLike,
+    command_time: Array,
+    command: Array,
+    time: Array,
+    pose: Array | None = None,
+    velocity: Array | None = None,
+) -> "Trajectory":
+    """Computes the motion under held commands from a given state; axes without numbers keep their velocity.
+
+    Args:
+        model: A model, a fit, or a model file.
+        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first, the first.
+        command: x, y, z, yaw commands in the heading frame, shape (M, 4).
+        time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
+        pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.
+        velocity: Its rate, shape (4,); rest by default.
+
+    Returns:
+        Pose and velocity at these times, world frame, without trim and disturbance.
+
+    Raises:
+        TypeError: No model.
+        ModelError: The model file cannot be used.
+    """
+    from rotorfit.dynamics import trajectory
+
+    return trajectory.simulate(as_model(model), command_time, command, time, pose, velocity)
+
+
+def state_space(model: ModelLike) -> "StateSpace":
+    """Writes the model as a linear state space with an input delay, in a frame that keeps the heading.
+
+    Args:
+        model: A model, a fit, or a model file.
+
+    Returns:
+        The matrices A, B and C, and the delay of each input.
+
+    Raises:
+        TypeError: No model.
+        ModelError: No axis has numbers, or the structure of one is not linear; the file cannot be used.
+    """
+    from rotorfit.dynamics import trajectory
+
+    return trajectory.state_space(as_model(model))
+
+
+def convert(model: ModelLike, limits: str | Mapping[str, Any]) -> Model:
+    """Converts a model to other limits: the same vehicle under another tilt, climb, rotation or speed limit.
+
+    Args:
+        model: A model, a fit, or a model file.
+        limits: Such as `tilt=20deg,vertical_speed=2`, or a mapping as `[limits]` of a card has it.
+
+    Returns:
+        The converted model.
+
+    Raises:
+        TypeError: No model.
+        ModelError: The model cannot be converted so, or its file not be used.
+        CardError: A limit that no card has.
+    """
+    from rotorfit.core.limits import limits_from_text
+    from rotorfit.dynamics import other_limits
+
+    return other_limits.convert(as_model(model), limits_from_text(limits) if isinstance(limits, str) else limits)
+
+
+def plan(
+    card: CardLike | None = None,
+    *,
+    after: ModelLike | None = None,
+    design: str | None = None,
+    room: str | Sequence[float] | None = None,
+    box: str | Sequence[float] | None = None,
+    axes: str | Sequence[str] | None = None,
+    open_loop: bool = False,
+    duration: float = 60.0,
+    amplitude: float | None = None,
+    speed: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Designs a flight and predicts what it will tell.
+
+    Args:
+        card: With the limits of the vehicle; `sim:VEHICLE` for a simulated one. None with `after`.
+        after: A model, for the flight that adds most to it. None with `card`.
+        design: How the signals come about, such as `multisine` or `optimal`; None for the default.
+        room: Length, width and height [m], or `6x4x3`, the origin amid its floor.
+        box: The fence itself, x0, y0, z0, x1, y1, z1 [m], in place of `room`.
+        axes: To excite; None for all, or after a model for those that are worst known.
+        open_loop: No feedback on any axis.
+        duration: At most [s].
+        amplitude: Factor on the full amplitude; None for what fits.
+        speed: Largest speed along x and y [m/s]; None for 1.5.
+        seed: Of sequences and draws.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The plan, to be saved, edited and flown.
+
+    Raises:
+        TypeError: What `after` is no model.
+        PlanError: Neither or both of card and model, an unknown design, no space to fly in.
+        CardError, ModelError: Card or model file cannot be used.
+    """
+    from rotorfit.planning.request import Request, planned
+
+    request = Request(
+        card if card is None or isinstance(card, Card) else path_text(card),
+        as_model(after) if isinstance(after, Model | Fit) else None if after is None else path_text(after),
+        design, joined(room, "x"), joined(box, ","), None if axes is None else as_axes(axes), False, open_loop,
+        duration, amplitude, speed, seed,
+    )  # fmt: skip
+    return planned(request, progress)[0][0]
+
+
+def fly(
+    plan: Plan | FilePath,
+    link: str,
+    path: FilePath,
+    *,
+    card: CardLike | None = None,
+    poses: str = "",
+    land: bool = True,
+    take_off: bool = False,
+    seed: int = 0,
+    real_vehicle: bool = False,
+    status: Callable[[Status], None] | None = None,
+) -> Flown:
+    """Flies a plan under guard and records it; Ctrl-C ends it in hover.
+
+    Args:
+        plan: A plan, or its file.
+        link: `sim`, `sim:VEHICLE,wind=1,gusts=0.3`, `replay:FILE`, `ros1`, `ros2`, `mavlink` or `tello`.
+        path: Of the recording, a file that does not exist yet.
+        card: How the vehicle is set and connected now; None for the plan's card.
+        poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
+        land: Whether it lands at the end.
+        take_off: Whether it begins on the floor.
+        seed: Of a simulated vehicle.
+        real_vehicle: Allows a link to a real vehicle: without it only simulations and replays are flown.
+        status: Called with how the flight is going.
+
+    Returns:
+        How it ended: look at `reason`, which is `completed` or what ended it.
+
+    Raises:
+        PlanError, CardError: One of them cannot be used.
+        LinkError: The link cannot be opened, the vehicle must not be flown as it stands, or it is a real one.
+        LogError: The recording would be written over something.
+    """
+    from rotorfit.flying.mission import flown_mission, mission
+    from rotorfit.flying.preflight import refuse
+
+    given = plan if isinstance(plan, Plan) else path_text(plan)
+    with mission(given, link, Path(path), as_card(card), take_off, seed, poses) as wanted:
+        refuse(wanted.ready)
+        if wanted.link.live and not real_vehicle:
+            raise LinkError(f"{link} moves a real vehicle: nothing was flown; allow it with real_vehicle=True")
+        flown = flown_mission(wanted, land, lambda: nullcontext(status))
+    return replace(flown, notes=(*wanted.ready.notes, *flown.notes))
+
+
+def tune(
+    model: ModelLike,
+    design: "Kind" = "predictor",
+    *,
+    path: FilePath | None = None,
+    rate: float = 50.0,
+    latency: float = 0.015,
+    axes: str | Sequence[str] = AXES,
+    peak: float = 1.7,
+    draws: int = 200,
+    seed: int = 0,
+) -> "Tuning":
+    """Gains of a position controller, as fast as what is known of the vehicle allows.
+
+    Args:
+        model: A model, a fit, or a model file.
+        design: `predictor`, `lqr` or `linearising`.
+        path: Of the gains file to write, `.toml` or `.yaml`; None writes nothing.
+        rate: Commands a second [1/s].
+        latency: From the exposure of a pose to the command that uses it [s].
+        axes: To tune.
+        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn.
+        draws: Vehicles drawn from the covariance, at least 20.
+        seed: Of the draws.
+
+    Returns:
+        Gains and margins of the axes that the model knows well enough, and why the others have none.
+
+    Raises:
+        TypeError: No model.
+        ModelError: No axis can be tuned, or what is asked cannot be.
+    """
+    from rotorfit.control import tuning
+    from rotorfit.exports.gains import save_gains
+
+    known = as_model(model)
+    made = tuning.tune(known, design, rate=rate, latency=latency, axes=as_axes(axes), peak=peak, draws=draws, seed=seed)
+    if path is not None:
+        save_gains(made, known, path_text(path))
+    return made
+
+
+def export(
+    model: ModelLike,
+    to: str,
+    path: FilePath | None = None,
+    *,
+    dt: float = 0.02,
+    predictor: bool = False,
+    physical: bool = False,
+    round_delay: bool = False,
+    training: Sequence[Flight] | None = None,
+    validation: Validation | None = None,
+    name: str | None = None,
+) -> "Export":
+    """Writes a model in the form that a controller, an estimator or a simulator takes.
+
+    Args:
+        model: A model, a fit, or a model file.
+        to: Name of a format, as `rotorfit export` lists them.
+        path: Where to write, overwritten; None writes nothing.
+        dt: Sample period [s] of the C header, and of delays that are rounded.
+        predictor: Also export axes that the data cannot tell, by the point that predicts best.
+        physical: Take commands in SI where the card makes them fractions of a limit.
+        round_delay: Round delays to whole samples of dt; by how much is written down.
+        training: The flights of the fit, for the speeds at which the model was trained; None for those of the fit, or
+            those whose logs are still where they were.
+        validation: Scores on other flights, for the header; None for the model's own proof.
+        name: Of the vehicle in the file; None for that of the path, else of the card.
+
+    Returns:
+        The export, with its text and notes.
+
+    Raises:
+        TypeError: No model.
+        ExportError: Unknown format, a structure that the format cannot hold, no axis left.
+        ModelError: The model file cannot be used.
+    """
+    from rotorfit import exports
+    from rotorfit.app import workflows
+
+    if training is None:
+        training = model.flights if isinstance(model, Fit) else workflows.training_flights(as_model(model))[0]
+    named_or_known = path_text(model) if isinstance(model, str | PathLike) else as_model(model)
+    return exports.export(
+        named_or_known, to, None if path is None else Path(path),
+        dt=dt, predictor=predictor, physical=physical, round_delay=round_delay, training=training,
+        validation=validation, name=name,
+    )  # fmt: skip

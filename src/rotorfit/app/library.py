@@ -1,0 +1,305 @@
+"""The public functions from a log to a proved model: what the command line does, with values in place of files.
+
+Paths, flights, models and fits come in; nouns of `core` and the results of the packages go out. Nothing is decided
+here: each function calls what the verb of the same name calls, and imports it when it is first used.
+"""
+
+import warnings
+from collections.abc import Iterable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rotorfit.app.inputs import (
+    CardLike,
+    FilePath,
+    Flights,
+    ModelLike,
+    as_axes,
+    as_card,
+    as_logs,
+    as_model,
+    as_models,
+    named,
+    path_text,
+)
+from rotorfit.core.errors import RotorfitError
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Log
+from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.core.progress import Progress
+from rotorfit.core.results import Fit, Validation
+
+if TYPE_CHECKING:
+    from rotorfit.app.workflows import Comparison
+    from rotorfit.assessment.method_comparison import Ladder
+    from rotorfit.diagnosis.survey import Survey
+
+
+def flight(
+    log: Log | FilePath, card: CardLike | None = None, span: tuple[float | None, float | None] = (None, None)
+) -> Flight:
+    """Makes a flight of a log: commands and pose on one clock in SI, repaired, with the findings about its data.
+
+    Args:
+        log: A log, or its path: `LOG`, `LOG@T0:T1`, or `A+B` for two files of one flight.
+        card: What each column means; None for the log's own, or the one built-in card that fits.
+        span: Start and end [s], from the start of the time that commands and poses share; None for its ends.
+
+    Returns:
+        The flight; every repair is a note in it.
+
+    Raises:
+        LogError: The log cannot be read.
+        CardError: The card is wrong, does not fit the log, or none fits.
+        FlightError: The log holds no usable flight.
+    """
+    from rotorfit.app import workflows
+    from rotorfit.files.log_span import LogSpan, parse_log
+
+    if isinstance(log, Log):
+        return workflows.load_flight(LogSpan(str(log.path), span), as_card(card), log)
+    return workflows.load_flight(parse_log(path_text(log), span), as_card(card))
+
+
+flight_from_log = flight
+"""Its name in version 0.1."""
+
+
+def diagnose(
+    log: Log | FilePath, card: CardLike | None = None, span: tuple[float | None, float | None] = (None, None)
+) -> "Survey":
+    """Looks through a log before any fit: tables, rates, gaps, which card fits, what each command excites, findings.
+
+    Args:
+        log: A log, or its path as of `flight`.
+        card: As of `flight`.
+        span: As of `flight`.
+
+    Returns:
+        What was seen; where no card fits or there is no usable flight, its `problem` says why.
+
+    Raises:
+        LogError: The log cannot be read.
+        CardError: The card that was given is none, or does not fit.
+    """
+    from rotorfit.diagnosis.survey import survey
+    from rotorfit.files.log_span import parse_log
+    from rotorfit.files.logs import read
+
+    chosen = as_card(card)
+    if isinstance(log, Log):
+        return survey(log, chosen, span)
+    asked = parse_log(path_text(log), span)
+    return survey(read(asked.path), chosen, asked.span)
+
+
+def fit(
+    flights: Flights,
+    method: str = "ml",
+    axes: str | Sequence[str] = AXES,
+    *,
+    card: CardLike | None = None,
+    structure: str = STRUCTURE,
+    uncertainty: bool = False,
+    prior: bool = False,
+    leave_one_out: bool = False,
+    progress: Progress | None = None,
+) -> Fit:
+    """Estimates the coefficients from one or several flights, as `rotorfit fit` does.
+
+    Args:
+        flights: Paths of logs, flights, or a sequence of them; they are fitted together.
+        method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
+        axes: To fit; a sequence, or names separated by commas.
+        card: For the logs that are read; None for each log's own, or the one built-in card that fits.
+        structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis.
+        uncertainty: Add the accuracy table.
+        prior: Use the priors of the card.
+        leave_one_out: Also score each flight by a model of the others.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The fit. Its `model` has the coefficients, intervals, profiles and findings; what the data cannot tell is a
+        status, never a number.
+
+    Raises:
+        TypeError: Neither paths nor flights.
+        LogError, CardError, FlightError: As of `flight`; no flight; cards that differ.
+        ModelError: No such structure, or one that the method does not know.
+        RotorfitError: No such method or axis, or an option that the method does not have.
+    """
+    from rotorfit.app import workflows
+    from rotorfit.assessment.leave_one_out import require_two
+    from rotorfit.estimation.methods import METHODS, maximises_likelihood
+
+    if method not in METHODS:
+        raise RotorfitError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
+    if uncertainty and not maximises_likelihood(method):
+        raise RotorfitError(f"the accuracy table is of the likelihood: {method} has its own standard errors")
+    logs, wanted, chosen = as_logs(flights), as_axes(axes), as_card(card)
+    if leave_one_out:
+        require_two(len(logs))
+    known: Any = method
+    result = workflows.fit_logs(logs, chosen, known, wanted, progress, structure, uncertainty, prior)
+    return workflows.leave_one_out_logs(result, wanted, progress, structure)[0] if leave_one_out else result
+
+
+def ladder(
+    flights: Flights,
+    axes: str | Sequence[str] = AXES,
+    *,
+    card: CardLike | None = None,
+    progress: Progress | None = None,
+) -> "Ladder":
+    """Fits by every method, side by side, and tests each against the likelihood.
+
+    Args:
+        flights: As of `fit`.
+        axes: As of `fit`.
+        card: As of `fit`.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        Coefficients and prediction errors of every method, axis by axis.
+
+    Raises:
+        TypeError: Neither paths nor flights.
+        LogError, CardError, FlightError: As of `fit`.
+    """
+    from rotorfit.app import workflows
+
+    return workflows.ladder_logs(as_logs(flights), as_card(card), as_axes(axes), progress)
+
+
+def validate(
+    model: ModelLike,
+    flights: Flights,
+    horizons: Sequence[float] | None = None,
+    *,
+    card: CardLike | None = None,
+    progress: Progress | None = None,
+) -> Validation:
+    """Scores a model on flights that it was not fitted to.
+
+    Args:
+        model: A model, a fit, or a model file.
+        flights: Paths of logs, flights, or a sequence of them.
+        horizons: How far to predict [s]; None for 0.5, 1, 2 and 5.
+        card: For the logs that are read; None for the log's own, else the model's.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        Errors of the predictions and of two baselines, paired tests, tests of the innovations, findings.
+
+    Raises:
+        TypeError: Neither paths nor flights, or no model.
+        LogError, CardError: A log cannot be read, or its card differs from the model's.
+        FlightError: No flight is given, or a horizon is not positive.
+        ModelError: The model file cannot be used.
+    """
+    from rotorfit.app import workflows
+    from rotorfit.dynamics.protocol import HORIZONS
+
+    far = HORIZONS if horizons is None else tuple(horizons)
+    return workflows.validate_logs(as_model(model), as_logs(flights), as_card(card), far, progress)[0]
+
+
+def compare(
+    models: Iterable[ModelLike],
+    flights: Flights,
+    horizons: Sequence[float] | None = None,
+    *,
+    card: CardLike | None = None,
+    progress: Progress | None = None,
+) -> "Comparison":
+    """Scores several models on the same flights, and tests them in pairs.
+
+    Args:
+        models: Models, fits or model files.
+        flights: As of `validate`.
+        horizons: As of `validate`.
+        card: As of `validate`.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The validation of each model, and every one against the first and against its baselines.
+
+    Raises:
+        TypeError: Neither paths nor flights, or no models.
+        LogError, CardError, FlightError, ModelError: As of `validate`.
+    """
+    from rotorfit.app import workflows
+    from rotorfit.dynamics.protocol import HORIZONS
+
+    far = HORIZONS if horizons is None else tuple(horizons)
+    names, known = as_models(models)
+    return workflows.compare_models(names, known, as_logs(flights), as_card(card), far, progress)
+
+
+def report(
+    models: ModelLike | Iterable[ModelLike],
+    flights: Flights = (),
+    path: FilePath = "report.html",
+    *,
+    card: CardLike | None = None,
+    figures: FilePath | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Writes one self-contained page about a model and its proof, or about several side by side.
+
+    Args:
+        models: A model, a fit, a model file, or a sequence of them.
+        flights: As of `validate`; without any, nothing is proven.
+        path: Of the page; an earlier report is overwritten, nothing else.
+        card: As of `validate`.
+        figures: Folder for figures of one model as PNG and PDF; None for none.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        TypeError: Neither paths nor flights, or no models.
+        LogError: The path is taken by something else, or a log cannot be read.
+        CardError, FlightError, ModelError: As of `validate`.
+        RotorfitError: Figures of several models.
+    """
+    from rotorfit.app import workflows
+    from rotorfit.reporting import write_cases, write_figures
+
+    page = Path(path)
+    names, known = as_models([models] if isinstance(models, Model | Fit | str | PathLike) else models)
+    if figures is not None and len(known) > 1:
+        raise RotorfitError("figures are drawn of one model: give one, or leave them out")
+    workflows.check_destination(page, workflows.REPORT_MARK)
+    cases, left_out = workflows.cases_of_models(names, known, as_logs(flights), as_card(card), progress)
+    for note in left_out:
+        warnings.warn(note, stacklevel=2)
+    write_cases(cases, page)
+    if figures is not None:
+        write_figures(cases[0].model, cases[0].training, cases[0].validation, cases[0].flights, Path(figures))
+    return page
+
+
+def save(result: Model | Fit | Plan, path: FilePath) -> None:
+    """Writes a model file (JSON) or a plan file (TOML).
+
+    Args:
+        result: A model, the fit that holds it, or a plan.
+        path: Of the file; overwritten, but for a plan that somebody has edited.
+
+    Raises:
+        TypeError: Neither model nor plan.
+        PlanError: An edited plan is in the place of a plan.
+    """
+    from rotorfit.files import models, plans
+
+    if isinstance(result, Plan):
+        plans.check_plan_destination(Path(path))
+        return plans.save_plan(result, path_text(path))
+    if not isinstance(result, Model | Fit):
+        raise TypeError(f"a model, a fit or a plan can be saved, not {named(result)}")
+    return models.save(as_model(result), path_text(path))
