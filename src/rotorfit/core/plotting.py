@@ -14,11 +14,19 @@ if TYPE_CHECKING:
 AXIS_COLOURS = {"x": "#0b57b7", "y": "#b4470b", "z": "#1a7f37", "yaw": "#6f42c1"}
 
 PREDICTOR_LOOKS: dict[str, dict[str, Any]] = {
-    "model": {"color": "#0b57b7", "linewidth": 1.6},
-    "paper": {"color": "#b4470b", "linestyle": (0, (5, 2))},
-    "hold": {"color": "#6f42c1", "linestyle": (0, (1, 1.5))},
+    "model": {"color": "#0b57b7", "linewidth": 1.6, "marker": "o", "markersize": 3},
+    "paper": {"color": "#b4470b", "linestyle": (0, (5, 2)), "marker": "o", "markersize": 3},
+    "hold": {"color": "#6f42c1", "linestyle": (0, (1, 1.5)), "marker": "o", "markersize": 3},
 }
 """Told apart without colour, too."""
+
+OTHER_LOOK: dict[str, Any] = {
+    "marker": "D",
+    "color": "black",
+    "fillstyle": "none",
+    "markersize": 5,
+    "linestyle": "none",
+}
 
 STYLE: dict[Any, Any] = {
     "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
@@ -29,7 +37,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Line:
-    """A line: its name in the legend (none where empty), x and y, shape (N,), and what matplotlib is told of it."""
+    """A line: its name in the legend, x and y, shape (N,), and what matplotlib is told of it."""
 
     name: str
     x: Array
@@ -46,6 +54,7 @@ class Panel:
     y_label: str
     lines: Sequence[Line]
     shaded: Sequence[tuple[float, float]] = ()
+    y_log: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,26 +70,32 @@ class IntervalMark:
 
 
 def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]) -> tuple[Axes, ...]:
-    """Draws panels row by row.
+    """Draws panels row by row, with one legend of all their names.
 
     Args:
         panels: What to draw.
         columns: Panels side by side.
         size: Width and height of a panel [inch].
     """
+    import matplotlib.pyplot as plt
+
     rows = -(-len(panels) // columns)
-    drawn = _axes(rows, columns, (size[0] * columns, size[1] * rows))
-    for axes, panel in zip(drawn, panels, strict=True):
-        for low, high in panel.shaded:
-            axes.axvspan(low, high, color="#888888", alpha=0.15, linewidth=0)
-        for line in panel.lines:
-            axes.plot(line.x, line.y, label=line.name or None, **line.look)
-        axes.set_title(panel.title)
-        axes.set_xlabel(panel.x_label)
-        axes.set_ylabel(panel.y_label)
-        if any(line.name for line in panel.lines):
-            axes.legend(loc="upper right", ncols=4, bbox_to_anchor=(1, 1.02), borderaxespad=0)
-    return drawn
+    with plt.rc_context(STYLE):
+        figure, grid = plt.subplots(
+            rows, columns, figsize=(size[0] * columns, size[1] * rows + 0.3), layout="constrained", squeeze=False
+        )
+        handles = {}
+        for axes, panel in zip(grid.flat, panels, strict=True):
+            for low, high in panel.shaded:
+                axes.axvspan(low, high, color="#888888", alpha=0.15, linewidth=0)
+            for line in panel.lines:
+                handles[line.name] = axes.plot(line.x, line.y, **line.look)[0]
+            axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
+            axes.margins(x=0.02)
+            if panel.y_log:
+                axes.set_yscale("log")
+        figure.legend(handles.values(), handles, loc="outside upper right", ncols=len(handles))
+    return tuple(grid.flat)
 
 
 def interval_panels(panels: Sequence[tuple[str, Sequence[IntervalMark]]], other: str) -> tuple[Axes, ...]:
@@ -90,34 +105,34 @@ def interval_panels(panels: Sequence[tuple[str, Sequence[IntervalMark]]], other:
         panels: Title, and the values from top to bottom.
         other: What the hollow marks are.
     """
-    drawn = _axes(1, len(panels), (3.3 * len(panels), 2.4))
-    for axes, (title, values) in zip(drawn, panels, strict=True):
-        known = [end for each in values for end in (each.value, each.low, each.high, each.other) if end is not None]
-        margin = 0.08 * (max(known) - min(known)) or 1.0
-        left, right = min(known) - margin, max(known) + margin
-        for row, each in enumerate(values):
-            low, high = left if each.low is None else each.low, right if each.high is None else each.high
-            axes.plot([low, high], [row, row], color=each.colour, linewidth=2.2, solid_capstyle="butt")
-            axes.plot([each.value], [row], "o", color=each.colour, markersize=5)
-            if each.other is not None:
-                axes.plot([each.other], [row], "D", color="black", fillstyle="none", markersize=5)
-            for end, place, marker in ((each.low, left, "<"), (each.high, right, ">")):
-                if end is None:
-                    axes.plot([place], [row], marker, color=each.colour, markersize=6, clip_on=False)
-        axes.set_xlim(left, right)
-        axes.set_ylim(len(values) - 0.5, -0.5)
-        axes.set_yticks(range(len(values)), [each.name for each in values])
-        axes.set_title(title)
-    if any(each.other is not None for _, values in panels for each in values):
-        drawn[0].plot([], [], "D", color="black", fillstyle="none", markersize=5, linestyle="none", label=other)
-        drawn[0].figure.legend(loc="outside lower right")
-    return drawn
-
-
-def _axes(rows: int, columns: int, size: tuple[float, float]) -> tuple[Axes, ...]:
-    """Axes of a new figure in the common style, row by row."""
     import matplotlib.pyplot as plt
+    from matplotlib.lines import Line2D
 
     with plt.rc_context(STYLE):
-        _, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
-    return tuple(axes.ravel())
+        figure, grid = plt.subplots(1, len(panels), figsize=(3.2 * len(panels), 2.4), layout="constrained")
+        for axes, (title, values) in zip(grid, panels, strict=True):
+            known = [end for each in values for end in (each.value, each.low, each.high, each.other) if end is not None]
+            margin = 0.08 * (max(known, default=1.0) - min(known, default=0.0)) or 1.0
+            ends = min(known, default=0.0) - margin, max(known, default=1.0) + margin
+            for row, each in enumerate(values):
+                _draw_interval(axes, row, each, ends)
+            axes.set_xlim(*ends)
+            axes.set_ylim(len(values) - 0.5, -0.5)
+            axes.set_yticks(range(len(values)), [each.name for each in values])
+            axes.set_title(title)
+        if any(each.other is not None for _, values in panels for each in values):
+            handle = Line2D([], [], **OTHER_LOOK)
+            figure.legend([handle], [other], loc="outside lower right")
+    return tuple(grid)
+
+
+def _draw_interval(axes: Axes, row: int, each: IntervalMark, ends: tuple[float, float]) -> None:
+    """One value; an open end is an arrow at the end of the panel."""
+    low, high = ends[0] if each.low is None else each.low, ends[1] if each.high is None else each.high
+    axes.plot([low, high], [row, row], color=each.colour, linewidth=2.2, solid_capstyle="butt")
+    axes.plot([each.value], [row], "o", color=each.colour, markersize=5)
+    if each.other is not None:
+        axes.plot([each.other], [row], **OTHER_LOOK)
+    for end, place, marker in ((each.low, ends[0], "<"), (each.high, ends[1], ">")):
+        if end is None:
+            axes.plot([place], [row], marker, color=each.colour, markersize=6, clip_on=False)

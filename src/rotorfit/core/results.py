@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
+from rotorfit.core.errors import FlightError
 from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
@@ -422,25 +423,31 @@ class Validation:
 
         Returns:
             The matplotlib axes: errors of the velocity of each axis, then of its position.
+
+        Raises:
+            FlightError: No flight moves an axis.
         """
         axes = [axis for axis in AXES if any(axis in flight.moved for flight in self.flights)]
-        units = {axis: "rad" if axis == "yaw" else "m" for axis in AXES}
-        panels = [
-            Panel(axis, "horizon [s]", f"{what} error [{units[axis]}{per}]", self._lines(axis, f"{what}_rmse"))
+        labels = {
+            f"{what}_rmse": {axis: f"{what} error [{'rad' if axis == 'yaw' else 'm'}{per}]" for axis in axes}
             for what, per in (("velocity", "/s"), ("position", ""))
-            for axis in axes
+        }
+        panels = [
+            Panel(axis, "horizon [s]", label, self._lines(axis, error), y_log=True)
+            for error, of_axis in labels.items()
+            for axis, label in of_axis.items()
         ]
-        return line_panels(panels, max(len(axes), 1), (2.9, 2.4))
+        if not panels:
+            raise FlightError("nothing to draw: no flight of the validation moves an axis")
+        return line_panels(panels, len(axes), (2.7, 2.2))
 
     def _lines(self, axis: str, error: str) -> list[Line]:
-        """Lines of one panel; each predictor has its name in the legend once."""
+        """Lines of one panel, one for each predictor and flight."""
         lines = []
         for predictor, flights in {"model": self.flights, **self.baselines}.items():
-            scores = [flight.axes[axis].horizons for flight in flights if axis in flight.moved]
-            for place, horizons in enumerate(scores):
+            for horizons in (flight.axes[axis].horizons for flight in flights if axis in flight.moved):
                 errors = np.array([getattr(each, error) for each in horizons.values()], float)
-                name = "" if place else predictor
-                lines.append(Line(name, np.array([float(h) for h in horizons]), errors, PREDICTOR_LOOKS[predictor]))
+                lines.append(Line(predictor, np.array(list(horizons), float), errors, PREDICTOR_LOOKS[predictor]))
         return lines
 
     def _table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
