@@ -7,12 +7,15 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from rotorfit.app.inputs import CardLike, FilePath, ModelLike, as_axes, as_card, as_model, joined, path_text
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.flight_plan import Flown, Plan, Status
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Validation
@@ -26,11 +29,11 @@ if TYPE_CHECKING:
 
 def simulate(
     model: ModelLike,
-    command_time: Array,
-    command: Array,
-    time: Array,
-    pose: Array | None = None,
-    velocity: Array | None = None,
+    command_time: npt.ArrayLike,
+    command: npt.ArrayLike,
+    time: npt.ArrayLike,
+    pose: npt.ArrayLike | None = None,
+    velocity: npt.ArrayLike | None = None,
 ) -> "Trajectory":
     """Computes the motion under held commands from a given state; axes without numbers keep their velocity.
 
@@ -51,7 +54,9 @@ def simulate(
     """
     from rotorfit.dynamics import trajectory
 
-    return trajectory.simulate(as_model(model), command_time, command, time, pose, velocity)
+    when, what, until = (np.asarray(each, float) for each in (command_time, command, time))
+    start, speed = (None if each is None else np.asarray(each, float) for each in (pose, velocity))
+    return trajectory.simulate(as_model(model), when, what, until, start, speed)
 
 
 def state_space(model: ModelLike) -> "StateSpace":

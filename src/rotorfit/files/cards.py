@@ -46,7 +46,7 @@ _POSE_UNITS = {"x": LENGTH_UNITS, "y": LENGTH_UNITS, "z": LENGTH_UNITS, "yaw": A
 _VELOCITY_UNITS = {"x": SPEED_UNITS, "y": SPEED_UNITS, "z": SPEED_UNITS, "yaw": RATE_UNITS}
 
 
-def load_card(name_or_path: str) -> Card:
+def load_card(name_or_path: str | Path) -> Card:
     """Loads a built-in card by its name, or a card from a TOML file.
 
     Args:
@@ -58,7 +58,7 @@ def load_card(name_or_path: str) -> Card:
     Raises:
         CardError: Neither a name nor a file; not TOML; or what `card_from_mapping` refuses.
     """
-    built_in = builtin_cards()
+    built_in, name_or_path = builtin_cards(), str(name_or_path)
     if name_or_path in built_in:
         return built_in[name_or_path]
     path = Path(name_or_path)

@@ -51,6 +51,12 @@ def save(model: Model, path: str | Path) -> None:
 def load(path: str | Path) -> Model:
     """Reads a model file.
 
+    Args:
+        path: Of a file written by `save` or `rotorfit fit -o`.
+
+    Returns:
+        The model.
+
     Raises:
         ModelError: If it is missing, no model file, or of a newer version.
     """

@@ -92,6 +92,12 @@ def _sealed(text: str) -> str:
 def load_plan(path: str | Path) -> Plan:
     """Reads a plan file.
 
+    Args:
+        path: Of a file written by `save` or `rotorfit plan -o`, edited or not.
+
+    Returns:
+        The plan.
+
     Raises:
         PlanError: Missing, not TOML, of a newer version, with an unknown key, or with a value that cannot be flown.
     """
