@@ -31,15 +31,16 @@ from playwright.sync_api import Browser, CDPSession, sync_playwright
 from plotly import graph_objects
 
 from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import evidence_of
 from rotorfit.assessment.validation import validate
 from rotorfit.core.flight_data import Flight
-from rotorfit.dynamics.protocol import CURVE
+from rotorfit.core.results import CURVE
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.files.cards import load_card
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.signals import two_sines
-from rotorfit.reporting import write_cases
-from rotorfit.reporting.evidence import horizon_charts, profile_charts, residual_charts, scores_of
+from rotorfit.reporting import write_report
+from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.panels import flight_panels
 from rotorfit.reporting.views import Chart
 from rotorfit.simulation.paper_vehicle import Truth, as_log, simulate_flight
@@ -67,10 +68,12 @@ def content() -> tuple[Case, list[Chart]]:
     fitted = with_delay_profiles(fit([flown(60.0, 1)]))
     flights = (flown(600.0, 2),)
     case = Case("model.json", fitted.model, (), validate(fitted.model, flights, CURVE), flights)
-    (motion,), _ = flight_panels([case], ["model"])
+    (evidence,) = evidence_of([case])
+    (motion,), _ = flight_panels([evidence], ["model"])
     charts = [panel.chart for panel in motion.panels if isinstance(panel.chart, Chart)]
-    charts += horizon_charts(scores_of(case.validation, flights), case.validation.paired)
-    return case, [*charts, *profile_charts(case.model), *residual_charts(case.model, flights)]
+    charts += horizon_charts(evidence.scores, case.validation.paired)
+    residuals = residual_charts(evidence.autocorrelation, evidence.command_correlation)
+    return case, [*charts, *profile_charts(case.model), *residuals]
 
 
 def plotly_page(charts: Sequence[Chart]) -> str:
@@ -137,7 +140,7 @@ def main() -> None:
     case, charts = content()
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         pages = {each: Path(name) / f"{each}.html" for each in ("rotorfit", "plotly", "bokeh")}
-        write_cases([case], pages["rotorfit"])
+        write_report(evidence_of([case]), pages["rotorfit"])
         makers: dict[str, Callable[[Sequence[Chart]], str]] = {"plotly": plotly_page, "bokeh": bokeh_page}
         for each, make in makers.items():
             pages[each].write_text(make(charts), encoding="utf-8")

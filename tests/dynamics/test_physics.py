@@ -11,6 +11,7 @@ from flights import flown, steps
 from models import VEHICLE, demo_card, model_of, without
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import evidence_of
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import Figure, Quantity
 from rotorfit.core.model import Model
@@ -182,12 +183,15 @@ def test_rows_hold_what_is_compared_and_times_with_yaw_in_degrees() -> None:
 
 
 def test_the_report_prints_values_with_the_digits_that_their_intervals_earn() -> None:
-    text = physics_text(model_of({"x": VEHICLE["x"]}))
+    text = physics_text(*evidence_of([Case("m", model_of({"x": VEHICLE["x"]}))]))
 
     assert text.rows[0] == ("x", "acceleration", "3.698", "3.550 to 3.846", "m/s^2", "3.57", "1.036 (0.994 to 1.077)")
     assert text.lines == ()
-    assert physics_text(model_of(card=demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'"))).rows == ()
-    assert len(physics_text(model_of(card=demo_card(""))).lines) == 4
+    assert (
+        physics_text(*evidence_of([Case("m", model_of(card=demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'")))])).rows
+        == ()
+    )
+    assert len(physics_text(*evidence_of([Case("m", model_of(card=demo_card("")))])).lines) == 4
 
 
 def shown(model: Model, width: int = 80) -> str:
@@ -218,7 +222,7 @@ def test_the_terminal_shows_the_table_in_80_columns_only_where_commands_have_a_m
 
 def test_the_report_has_the_table_only_where_commands_have_a_meaning() -> None:
     with_meaning, without_meaning = (
-        page([Case("model.json", model_of({"x": VEHICLE["x"]}, card))])
+        page(evidence_of([Case("model.json", model_of({"x": VEHICLE["x"]}, card))]))
         for card in (demo_card(""), demo_card(x="'a'", y="'b'", z="'c'", yaw="'d'"))
     )
 

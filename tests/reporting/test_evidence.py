@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from test_views import flown, known_axis, known_model
 
+from rotorfit.assessment.evidence import correlograms
+from rotorfit.assessment.rows import coefficient_rows, scores_of
 from rotorfit.assessment.validation import residuals, validate
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import unknown_axis
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation, student_quantile
-from rotorfit.reporting.evidence import coefficient_rows, horizon_charts, profile_charts, residual_charts, scores_of
+from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 
 NOTHING = AxisScore({"1": Horizon(None, None, 0)}, None)
 
@@ -134,7 +136,7 @@ def test_the_autocorrelation_is_that_of_the_innovations_and_the_true_model_is_wh
     innovation = residuals(known_model(), flight, own_levels=True)["z"].innovation
     centred = innovation - innovation.mean()
 
-    chart = next(chart for chart in residual_charts(known_model(), [flight]) if chart.axis == "z")
+    chart = next(chart for chart in residual_charts(*correlograms(known_model(), [flight])) if chart.axis == "z")
     bars, high, low = (line.y for line in chart.lines)
     assert [line.role for line in chart.lines] == ["residual", "band", "band"]
     assert bars[2] == pytest.approx(centred[3:] @ centred[:-3] / (centred @ centred), abs=2e-3)
@@ -145,7 +147,7 @@ def test_the_autocorrelation_is_that_of_the_innovations_and_the_true_model_is_wh
 
 
 def test_past_commands_have_a_chart_of_their_own_without_those_that_came_after(flight: Flight) -> None:
-    charts = [chart for chart in residual_charts(known_model(), [flight]) if chart.axis == "yaw"]
+    charts = [chart for chart in residual_charts(*correlograms(known_model(), [flight])) if chart.axis == "yaw"]
 
     assert [chart.y_label for chart in charts] == ["autocorrelation", "correlation"]
     assert charts[1].x.min() > 0
@@ -154,9 +156,9 @@ def test_past_commands_have_a_chart_of_their_own_without_those_that_came_after(f
 
 def test_flights_are_pooled_in_the_charts_by_what_they_know() -> None:
     flights = [flown(8.0, ("z",), seed=3), flown(16.0, ("z",), seed=4)]
-    alone = [residual_charts(known_model(("z",)), [flight])[0].lines for flight in flights]
+    alone = [residual_charts(*correlograms(known_model(("z",)), [flight]))[0].lines for flight in flights]
 
-    together = residual_charts(known_model(("z",)), flights)[0].lines
+    together = residual_charts(*correlograms(known_model(("z",)), flights))[0].lines
     weight = [1 / lines[1].y[:40] ** 2 for lines in alone]
     expected = sum(w * lines[0].y[:40] for w, lines in zip(weight, alone, strict=True)) / sum(weight)
     np.testing.assert_allclose(together[0].y[:40], expected, rtol=0, atol=1e-12)
@@ -164,5 +166,5 @@ def test_flights_are_pooled_in_the_charts_by_what_they_know() -> None:
 
 
 def test_residuals_need_a_flight_that_commands_an_axis_with_a_model() -> None:
-    assert residual_charts(known_model(), []) == ()
-    assert residual_charts(known_model(("x",)), [flown(6.0, ("z",))]) == ()
+    assert residual_charts(*correlograms(known_model(), [])) == ()
+    assert residual_charts(*correlograms(known_model(("x",)), [flown(6.0, ("z",))])) == ()

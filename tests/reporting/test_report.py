@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import shlex
+import sys
 import tomllib
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -15,22 +16,23 @@ import pytest
 from test_views import fitted, flown, known_axis, known_model
 
 from rotorfit.app.cli import main
-from rotorfit.assessment.case import Case, paired_cases
+from rotorfit.app.web.wire import result_mapping
+from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import evidence_of, motion_of_flight
+from rotorfit.assessment.rows import HorizonErrors
 from rotorfit.assessment.validation import validate
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Axis, Model, unknown_axis
-from rotorfit.core.results import Difference, Paired, PairedTest, ResidualTests, Validation
-from rotorfit.dynamics.protocol import CURVE
+from rotorfit.core.results import CURVE, Difference, Paired, PairedTest, ResidualTests, Validation
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.files.cards import builtin_cards
 from rotorfit.files.models import save
 from rotorfit.planning.belief import belief_from_model
 from rotorfit.planning.next_flight import wanted_errors, worst_group
-from rotorfit.reporting import write_cases, write_figures, write_report
+from rotorfit.reporting import write_figures, write_report
 from rotorfit.reporting.drawing import draw_chart, log_ticks, peaks, ticks
-from rotorfit.reporting.evidence import HorizonErrors, scores_of
 from rotorfit.reporting.next_steps import next_steps, wanted_chart
 from rotorfit.reporting.reproduce import card_text, recipe_of
 from rotorfit.reporting.side_by_side import coefficients_side_by_side, flights_side_by_side, leads
@@ -80,6 +82,14 @@ class Page(HTMLParser):
         return sum(t == tag and attributes.items() <= a.items() for t, a in self.elements)
 
 
+COMPUTED = {
+    "predict_flight", "free_run_prediction", "residuals", "residual_tests_of_flight", "correlograms", "paired_test",
+    "whiten_axis", "whiten_plane", "whiten_fused", "axis_response", "plane_response", "motion_response", "predict",
+    "record", "local_polynomial", "motion_from_flight", "coefficient_rows", "scores_of", "physics_rows",
+}  # fmt: skip
+"""Filters, predictions, tests and derivatives: what takes a flight to compute."""
+
+
 def written(
     tmp_path: Path,
     model: Model,
@@ -88,7 +98,7 @@ def written(
     flights: tuple[Flight, ...] = (),
 ) -> str:
     path = tmp_path / "report.html"
-    write_report(model, training, validation, flights, path)
+    write_report(evidence_of([Case("model.json", model, training, validation, flights)]), path)
     return path.read_text(encoding="utf-8")
 
 
@@ -181,7 +191,7 @@ def test_the_charts_that_zoom_hold_the_series_of_the_views(html: str, flight: Fl
     assert script is not None
     first = json.loads(script[1])[0]
 
-    view = flight_view(known_model(), flight, "validation", with_paper=True)
+    view = flight_view(motion_of_flight(known_model(), flight, True), "validation")
     assert np.array_equal(np.frombuffer(base64.b64decode(first["t"]), "<f4"), view.charts[0].x.astype("<f4"))
     chart = next(c for c in view.charts if (c.kind, c.axis) == ("velocity", "x"))
     assert [line["role"] for line in first["charts"][0]["lines"]] == ["measured", "paper", "model"]
@@ -544,11 +554,11 @@ def test_an_axis_that_is_held_beside_the_training_flights_is_not_proven_and_neve
     (flight,) = without_held_axes([held_flight("z", share)], (training,))
     model = known_model(flights=(training,))
     cases = [Case(name, model, (training,), validate(model, [flight], CURVE), (flight,)) for name in ("a", "b")]
-    scores = [scores_of(case.validation, case.flights) for case in cases]
-    light = verdict_of(model, scores[0], cases[0].validation.paired, cases[0].validation.residuals).lights[2]
+    evidences = evidence_of(cases)
+    light = verdict_of(model, evidences[0].scores, cases[0].validation.paired, cases[0].validation.residuals).lights[2]
 
     assert ("z" in flight.axes) == kept
-    assert ("z" in [lead.axis for lead in leads(cases, scores, paired_cases(cases), 1.0)]) == kept
+    assert ("z" in [lead.axis for lead in leads(evidences, 1.0)]) == kept
     if not kept:
         assert (light.colour, light.word, light.error) == ("open", "not proven", None)
         assert light.lamps[0].text == "No flight that was not fitted moves this axis."
@@ -659,8 +669,29 @@ def compared(training: Flight, flight: Flight) -> tuple[Case, ...]:
 @pytest.fixture(scope="module")
 def side_by_side(compared: tuple[Case, ...], tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("compared") / "report.html"
-    write_cases(compared, path)
+    write_report(evidence_of(compared), path)
     return path.read_text(encoding="utf-8")
+
+
+def test_nothing_is_computed_while_a_page_or_a_figure_is_drawn(
+    training: Flight, flight: Flight, compared: tuple[Case, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = known_model(flights=(training,))
+    (one,) = evidence_of([Case("model.json", model, (training,), validate(model, [flight], CURVE), (flight,))])
+    (unproven,) = evidence_of([Case("model.json", model, (training,))])
+    several = evidence_of(compared)
+
+    def computed(*_: object, **__: object) -> None:
+        raise AssertionError("computed while it was drawn")
+
+    for module in [module for name, module in sys.modules.items() if name.startswith("rotorfit.")]:
+        for name in COMPUTED & set(vars(module)):
+            monkeypatch.setattr(module, name, computed)
+
+    for evidences in ([one], [unproven], several):
+        write_report(evidences, tmp_path / "report.html")
+    assert result_mapping(one)["flights"]
+    assert write_figures(one, tmp_path)
 
 
 def test_a_comparison_names_the_model_that_predicts_best(side_by_side: str) -> None:
@@ -685,9 +716,8 @@ def test_a_comparison_draws_both_models_over_what_was_measured(side_by_side: str
 
 def test_the_lead_of_a_model_over_itself_is_chance(compared: tuple[Case, ...]) -> None:
     twice = (compared[0], replace(compared[0], path="copy.json"))
-    scores = [scores_of(case.validation, case.flights) for case in twice]
 
-    told = leads(twice, scores, paired_cases(twice), 1.0)
+    told = leads(evidence_of(twice), 1.0)
     assert [lead.axis for lead in told] == list(AXES)
     assert all("chance" in lead.told and "no chance" not in lead.told for lead in told)
 
@@ -702,7 +732,7 @@ def test_flights_side_by_side_show_the_error_of_each(compared: tuple[Case, ...])
 
 
 def test_the_coefficients_of_models_stand_side_by_side_with_their_intervals(compared: tuple[Case, ...]) -> None:
-    charts = coefficients_side_by_side(compared, ("right", "half"))
+    charts = coefficients_side_by_side(evidence_of(compared), ("right", "half"))
 
     assert len(charts) == 12
     delay = next(chart for chart in charts if chart.title == "x: delay")
@@ -872,7 +902,8 @@ def test_a_drawn_line_breaks_at_nan_and_lands_where_it_should() -> None:
 def test_figures_are_written_as_png_and_pdf(training: Flight, flight: Flight, tmp_path: Path) -> None:
     model = known_model(flights=(training,))
 
-    files = write_figures(model, [training], validate(model, [flight]), [flight], tmp_path / "new" / "figures")
+    (evidence,) = evidence_of([Case("model.json", model, (training,), validate(model, [flight]), (flight,))])
+    files = write_figures(evidence, tmp_path / "new" / "figures")
     assert [file.name for file in files] == [
         f"{name}.{kind}"
         for name in ("acceleration", "velocity", "horizon", "delay", "residuals")
@@ -884,8 +915,8 @@ def test_figures_are_written_as_png_and_pdf(training: Flight, flight: Flight, tm
 
 
 def test_figures_without_content_are_left_out(training: Flight, tmp_path: Path) -> None:
-    alone = write_figures(known_model(("x",)), [training], NO_VALIDATION, [], tmp_path)
-    nothing = write_figures(known_model(()), [training], NO_VALIDATION, [], tmp_path)
+    cases = [Case("model.json", known_model(axes), (training,)) for axes in (("x",), ())]
+    alone, nothing = (write_figures(*evidence_of([case]), tmp_path) for case in cases)
 
     assert {file.stem for file in alone} == {"acceleration", "velocity", "delay", "residuals"}
     assert nothing == []

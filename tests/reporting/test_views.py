@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from rotorfit.assessment.evidence import motion_of_flight
 from rotorfit.assessment.validation import dynamics_from_model
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -16,7 +17,7 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import load_card
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.signals import two_sines
-from rotorfit.reporting.views import MOST_POINTS, Chart, extremes, flight_view, moved_axes
+from rotorfit.reporting.views import MOST_POINTS, Chart, extremes, flight_view
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, as_log, simulate_flight
 
 DELAY = 0.15
@@ -73,7 +74,7 @@ def known_model(axes: tuple[str, ...] = AXES, status: str = "not_excited", fligh
         covariance=np.zeros((0, 0)),
         paper=tuple(value for k in range(4) for value in (GAMMA_B[2 * k], 0.5 * GAMMA_B[2 * k + 1])),
         findings=(),
-        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, moved_axes(f)) for f in flights),
+        flights=tuple(Source(f.path, f.sha256, f.span, f.notes, f.moved) for f in flights),
     )
 
 
@@ -93,8 +94,8 @@ def line_of(chart: Chart, role: str) -> np.ndarray:
 def test_a_flight_shows_velocity_and_acceleration_of_every_axis_that_it_commands() -> None:
     flight = flown(axes=("x", "z"))
 
-    view = flight_view(known_model(), flight, "validation")
-    assert moved_axes(flight) == ("x", "z")
+    view = flight_view(motion_of_flight(known_model(), flight), "validation")
+    assert flight.moved == ("x", "z")
     assert [(c.kind, c.axis) for c in view.charts] == [
         (kind, axis) for kind in ("velocity", "acceleration") for axis in ("x", "z")
     ]
@@ -106,7 +107,7 @@ def test_the_predicted_velocity_at_a_pose_is_that_of_the_start_half_a_second_to_
     model = known_model()
     (part,) = predict_flight(flight, dynamics_from_model(model), 1.0)
 
-    chart = chart_of(flight_view(model, flight, "validation").charts, "velocity", "z")
+    chart = chart_of(flight_view(motion_of_flight(model, flight), "validation").charts, "velocity", "z")
     predicted = line_of(chart, "model")
     for t, value in list(zip(chart.x, predicted, strict=True))[120::37]:
         start = int(np.flatnonzero((t > part.start + 0.5) & (t <= part.start + 1.0))[0])
@@ -121,7 +122,7 @@ def test_velocities_are_in_the_heading_frame_and_the_true_model_predicts_them(fl
     c, s = np.cos(truth.true_pose[:, 3]), np.sin(truth.true_pose[:, 3])
     forward = c * truth.velocity[:, 0] + s * truth.velocity[:, 1]
 
-    chart = chart_of(flight_view(known_model(), flight, "validation").charts, "velocity", "x")
+    chart = chart_of(flight_view(motion_of_flight(known_model(), flight), "validation").charts, "velocity", "x")
     error = line_of(chart, "measured") - np.interp(chart.x, at, forward)
     assert np.sqrt(np.nanmean(error[5:-5] ** 2)) < 0.005
     assert np.sqrt(np.nanmean((line_of(chart, "model") - np.interp(chart.x, at, forward)) ** 2)) < 0.03
@@ -131,7 +132,7 @@ def test_the_modelled_acceleration_is_the_papers_equation_with_the_delayed_comma
     motion = motion_from_flight(flight)
     gx, bx, gy, by = GAMMA_B[:4]
 
-    charts = flight_view(known_model(), flight, "validation").charts
+    charts = flight_view(motion_of_flight(known_model(), flight), "validation").charts
     chart = chart_of(charts, "acceleration", "x")
     y = line_of(chart, "model")
     measured = line_of(chart, "measured")
@@ -145,7 +146,7 @@ def test_the_modelled_acceleration_is_the_papers_equation_with_the_delayed_comma
 
 
 def test_an_axis_without_a_model_is_named_and_does_not_spoil_its_neighbour(flight: Flight) -> None:
-    view = flight_view(known_model(("x", "yaw")), flight, "training", with_paper=True)
+    view = flight_view(motion_of_flight(known_model(("x", "yaw")), flight, True), "training")
 
     assert view.missing == ("y", "z")
     assert {chart.axis for chart in view.charts} == {"x", "yaw"}
@@ -155,7 +156,7 @@ def test_an_axis_without_a_model_is_named_and_does_not_spoil_its_neighbour(fligh
 
 
 def test_without_any_model_nothing_is_drawn(flight: Flight) -> None:
-    view = flight_view(known_model(()), flight, "training")
+    view = flight_view(motion_of_flight(known_model(()), flight), "training")
 
     assert view.charts == ()
     assert view.missing == AXES
@@ -163,7 +164,7 @@ def test_without_any_model_nothing_is_drawn(flight: Flight) -> None:
 
 def test_the_papers_coefficients_are_drawn_only_when_asked_for(flight: Flight) -> None:
     def roles(asked: bool) -> list[str]:
-        view = flight_view(known_model(), flight, "validation", with_paper=asked)
+        view = flight_view(motion_of_flight(known_model(), flight, asked), "validation")
         return [line.role for line in chart_of(view.charts, "velocity", "x").lines]
 
     assert roles(False) == ["measured", "model"]
@@ -171,7 +172,7 @@ def test_the_papers_coefficients_are_drawn_only_when_asked_for(flight: Flight) -
 
 
 def test_the_summary_tells_the_error_of_the_whole_series(flight: Flight) -> None:
-    view = flight_view(known_model(), flight, "validation")
+    view = flight_view(motion_of_flight(known_model(), flight), "validation")
     chart = chart_of(view.charts, "velocity", "yaw")
 
     told = float(chart.summary.split("off by ")[1].split(" ")[0])
@@ -181,8 +182,8 @@ def test_the_summary_tells_the_error_of_the_whole_series(flight: Flight) -> None
 
 
 def test_a_long_flight_is_reduced_to_extremes_and_says_so(flight: Flight) -> None:
-    whole = flight_view(known_model(), flight, "validation", MOST_POINTS)
-    short = flight_view(known_model(), flight, "validation", 100)
+    whole = flight_view(motion_of_flight(known_model(), flight), "validation", MOST_POINTS)
+    short = flight_view(motion_of_flight(known_model(), flight), "validation", 100)
 
     chart = chart_of(short.charts, "velocity", "x")
     assert chart.x.size <= 100
@@ -207,7 +208,7 @@ def test_lines_break_where_the_poses_have_a_hole(flight: Flight) -> None:
     keep = (flight.pose_time < 6) | (flight.pose_time > 9)
     holed = replace(flight, pose_time=flight.pose_time[keep], position=flight.position[keep], yaw=flight.yaw[keep])
 
-    chart = chart_of(flight_view(known_model(), holed, "training").charts, "velocity", "x")
+    chart = chart_of(flight_view(motion_of_flight(known_model(), holed), "training").charts, "velocity", "x")
     (hole,) = np.flatnonzero(np.diff(chart.x) > 1)
     assert np.isnan(line_of(chart, "measured")[hole])
     assert np.isnan(line_of(chart, "model")[hole])

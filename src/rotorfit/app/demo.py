@@ -14,8 +14,7 @@ from rotorfit.core.flight_plan import Plan
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import Validation
-from rotorfit.dynamics.protocol import CURVE
+from rotorfit.core.results import CURVE, Validation
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import WHOLE, LogSpan
 from rotorfit.files.logs.mcap_records import MAGIC
@@ -123,6 +122,8 @@ def demo(directory: Path, progress: Progress | None = None) -> Demo:
     Raises:
         LogError: A file in the directory would have to be overwritten that the demo has not written.
     """
+    from rotorfit.assessment.case import Case
+    from rotorfit.assessment.evidence import evidence_of
     from rotorfit.reporting import write_report
 
     say = progress or (lambda _fraction, _text: None)
@@ -146,7 +147,7 @@ def demo(directory: Path, progress: Progress | None = None) -> Demo:
     save(fitted.model, model)
     save(regressed.model, paper)
     say(0.9, "the report")
-    write_report(fitted.model, fitted.flights, validation, flights, report, str(model))
+    write_report(evidence_of([Case(str(model), fitted.model, fitted.flights, validation, flights)]), report)
     written = (*plans.values(), *recordings.values(), model, paper, report)
     return Demo(load_vehicle(VEHICLE).linear(), fitted.model, regressed.model, validation, written)
 

@@ -201,7 +201,7 @@ def validate(
         ModelError: The model file cannot be used.
     """
     from rotorfit.app import workflows
-    from rotorfit.dynamics.protocol import HORIZONS
+    from rotorfit.core.results import HORIZONS
 
     far = HORIZONS if horizons is None else tuple(horizons)
     return workflows.validate_logs(as_model(model), as_logs(flights), as_card(card), far, progress)[0]
@@ -232,7 +232,7 @@ def compare(
         LogError, CardError, FlightError, ModelError: As of `validate`.
     """
     from rotorfit.app import workflows
-    from rotorfit.dynamics.protocol import HORIZONS
+    from rotorfit.core.results import HORIZONS
 
     far = HORIZONS if horizons is None else tuple(horizons)
     names, known = as_models(models)
@@ -268,7 +268,8 @@ def report(
         RotorfitError: Figures of several models.
     """
     from rotorfit.app import workflows
-    from rotorfit.reporting import write_cases, write_figures
+    from rotorfit.assessment.evidence import evidence_of
+    from rotorfit.reporting import write_figures, write_report
 
     page = Path(path)
     names, known = as_models([models] if isinstance(models, Model | Fit | str | PathLike) else models)
@@ -278,9 +279,10 @@ def report(
     cases, left_out = workflows.cases_of_models(names, known, as_logs(flights), as_card(card), progress)
     for note in left_out:
         warnings.warn(note, stacklevel=2)
-    write_cases(cases, page)
+    evidences = evidence_of(cases)
+    write_report(evidences, page)
     if figures is not None:
-        write_figures(cases[0].model, cases[0].training, cases[0].validation, cases[0].flights, Path(figures))
+        write_figures(evidences[0], Path(figures))
     return page
 
 

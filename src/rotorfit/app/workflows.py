@@ -27,11 +27,10 @@ from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.progress import Progress, part_of
-from rotorfit.core.results import SCORE_COLUMNS, Fit, PairedTest, Validation
+from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
 from rotorfit.core.tabular import FrameLibrary, columns_of, frame
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
-from rotorfit.dynamics.protocol import CURVE, HORIZONS
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.methods import BEST

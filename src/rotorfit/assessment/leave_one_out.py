@@ -13,8 +13,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import FlightScores, PairedTest, StartErrors
-from rotorfit.dynamics.protocol import HORIZONS
+from rotorfit.core.results import HORIZONS, FlightScores, PairedTest, StartErrors
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST
 

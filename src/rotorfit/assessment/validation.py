@@ -14,9 +14,17 @@ from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import AxisScore, FlightScores, Horizon, Innovations, ResidualTests, StartErrors, Validation
-from rotorfit.dynamics.protocol import (
+from rotorfit.core.results import (
     HORIZONS,
+    AxisScore,
+    FlightScores,
+    Horizon,
+    Innovations,
+    ResidualTests,
+    StartErrors,
+    Validation,
+)
+from rotorfit.dynamics.protocol import (
     AxisDynamics,
     free_run_prediction,
     hold_velocity,
@@ -127,7 +135,6 @@ def _score_flight(
     ]
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
     heading = "predicted" if known[AXES.index("yaw")] else "measured"
-    moved = tuple(a for k, a in enumerate(AXES) if a in flight.axes and bool(np.any(flight.command[:, k])))
 
     def scored(predicted: Sequence[Array], wanted: Array) -> tuple[FlightScores, dict[str, StartErrors]]:
         axes = score_predictions(parts, predicted, horizons)
@@ -135,7 +142,7 @@ def _score_flight(
         scores = {a: axes[a] if wanted[k] else empty for k, a in enumerate(AXES)}
         errors = {f"{h:g}": _known_errors(start_errors(parts, predicted, h), wanted) for h in horizons}
         fitted = _was_fitted(model, flight)
-        return FlightScores(flight.path, flight.span, scores, heading, fitted, moved), errors
+        return FlightScores(flight.path, flight.span, scores, heading, fitted, flight.moved), errors
 
     return {
         "model": scored([part.predicted for part in parts], known),
@@ -155,7 +162,7 @@ def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, Residual
     at_fitted = residuals(model, flight)
     found: dict[str, ResidualTests] = {}
     for axis, own in residuals(model, flight, own_levels=True).items():
-        if axis in flight.axes and np.any(flight.command[:, AXES.index(axis)]):
+        if axis in flight.moved:
             fitted = _was_fitted(model, flight)
             covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
             training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)

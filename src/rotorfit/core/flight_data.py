@@ -250,10 +250,18 @@ class Flight:
         return self.velocity.alone if self.velocity else ()
 
     @property
+    def moved(self) -> tuple[str, ...]:
+        """The axes that the flight commands with anything but zero."""
+        return tuple(a for k, a in enumerate(AXES) if a in self.axes and bool(np.any(self.command[:, k])))
+
+    @property
     def duration(self) -> float:
         """Length of the segments together [s]."""
         return float(np.sum([segment.end - segment.start for segment in self.segments]))
 
+
+LONGEST_GAP = 1.0
+"""Hole in the poses across which nothing is scored or drawn [s]."""
 
 MIN_DURATION = 2.0
 """Shortest flight [s]: what the prediction protocol gives to the filter before it scores."""

@@ -82,6 +82,13 @@ class PaperFit:
     __repr__ = short_repr
 
 
+HORIZONS = (0.5, 1.0, 2.0, 5.0)
+"""Default horizons of the scores [s]."""
+
+CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
+"""Horizons of the report's curves [s]."""
+
+
 @dataclass(frozen=True)
 class Horizon:
     """Errors at one horizon.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_data import LONGEST_GAP, Flight
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.results import Motion
 
@@ -245,9 +245,6 @@ def motion_from_flight(
     held = np.searchsorted(flight.command_time, time, side="right") - 1
     return Motion(time, yaw, flight.command[held], velocity, np.concatenate(accelerations))
 
-
-LONGEST_GAP = 1.0
-"""No score across a hole in the pose of this length [s]."""
 
 REFERENCE_HALF_WIDTH = 0.125
 """Of the local cubic that gives the velocity of reference [s]; widened until it holds `LEAST` samples."""

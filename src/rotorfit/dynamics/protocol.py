@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.flight_data import LONGEST_GAP, Flight, Segment
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.disturbance import distinct_steps
-from rotorfit.dynamics.kinematics import LONGEST_GAP, seen_in
+from rotorfit.dynamics.kinematics import seen_in
 from rotorfit.dynamics.predictor import free_run, predict
 
 SETTLING = 2.0
@@ -22,12 +22,6 @@ SETTLING = 2.0
 
 START_EVERY = 0.5
 """Time between starts [s]."""
-
-HORIZONS = (0.5, 1.0, 2.0, 5.0)
-"""Default horizons [s]."""
-
-CURVE = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
-"""Horizons of the report's curves [s]."""
 
 FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rotorfit.core.flight_data import Flight
+from rotorfit.assessment.evidence import Evidence, FlightMotion
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Model
-from rotorfit.core.results import Validation
+from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import log_ticks
-from rotorfit.reporting.evidence import horizon_charts, profile_charts, residual_charts, scores_of
 from rotorfit.reporting.views import Chart, flight_view
 
 if TYPE_CHECKING:
@@ -57,21 +55,19 @@ LOOK: Mapping[str, Mapping[str, Any]] = {
 """Role of a line to how it is drawn; told apart without colour, too."""
 
 
-def figures(
-    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight], directory: Path
-) -> list[Path]:
-    """Writes every figure that has content; see `report.write_figures`."""
+def figures(evidence: Evidence, directory: Path) -> list[Path]:
+    """Writes every figure that has content; see `write_figures`."""
     import matplotlib as mpl
 
     directory.mkdir(parents=True, exist_ok=True)
-    motion = _widest(model, flights or training, "validation" if flights else "training")
-    horizons = horizon_charts(scores_of(validation, flights), validation.paired)
+    motion = _widest(evidence.validation or evidence.training)
+    horizons = horizon_charts(evidence.scores, evidence.case.validation.paired)
     content: dict[str, tuple[Callable[[Sequence[Chart]], Figure], Sequence[Chart]]] = {
         "acceleration": (_stacked, [chart for chart in motion if chart.kind == "acceleration"]),
         "velocity": (_stacked, [chart for chart in motion if chart.kind == "velocity"]),
         "horizon": (_in_a_row, horizons),
-        "delay": (_in_a_row, profile_charts(model)),
-        "residuals": (_in_a_row, _by_label(residual_charts(model, flights or training))),
+        "delay": (_in_a_row, profile_charts(evidence.case.model)),
+        "residuals": (_in_a_row, _by_label(residual_charts(evidence.autocorrelation, evidence.command_correlation))),
     }
     written = []
     with mpl.rc_context(STYLE):
@@ -86,11 +82,11 @@ def _by_label(charts: Sequence[Chart]) -> list[Chart]:
     return [replace(chart, kind=f"{chart.kind} {chart.y_label}") for chart in charts]
 
 
-def _widest(model: Model, flights: Sequence[Flight], role: str) -> list[Chart]:
+def _widest(flights: Sequence[FlightMotion]) -> list[Chart]:
     """Charts of motion, each axis from the flight in which its measured velocity varies most."""
     chosen: dict[str, tuple[float, list[Chart]]] = {}
-    for flight in flights:
-        charts = flight_view(model, flight, role).charts
+    for motion in flights:
+        charts = flight_view(motion, "validation").charts
         for axis in {chart.axis for chart in charts}:
             mine = [chart for chart in charts if chart.axis == axis]
             measured = next(line.y for chart in mine if chart.kind == "velocity" for line in chart.lines)

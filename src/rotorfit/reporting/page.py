@@ -1,21 +1,20 @@
-"""Cases -> one self-contained HTML page: nothing in it is fetched, and everything that is not ours is escaped."""
+"""Evidence -> one self-contained HTML page: nothing in it is fetched, and everything that is not ours is escaped."""
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from rotorfit.assessment.case import Case, paired_cases
-from rotorfit.assessment.validation import residual_tests_of_flight
+from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.whiteness import narrows_intervals
 from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import with_findings
 from rotorfit.estimation.methods import label_of
+from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
-from rotorfit.reporting.evidence import HorizonErrors, horizon_charts, profile_charts, residual_charts, scores_of
 from rotorfit.reporting.next_steps import next_steps, wanted_chart
 from rotorfit.reporting.panels import FlightPanels, Panel, flight_panels, series, speeds_of
 from rotorfit.reporting.reproduce import recipe_of
@@ -60,11 +59,11 @@ class Repairs:
     notes: tuple[Note, ...]
 
 
-def page(cases: Sequence[Case]) -> str:
+def page(evidences: Sequence[Evidence]) -> str:
     """The whole page, of one model or of several on the same flights.
 
     Args:
-        cases: The models with their proofs.
+        evidences: Of the models.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
@@ -75,9 +74,9 @@ def page(cases: Sequence[Case]) -> str:
         trim_blocks=True,
         loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
     )
-    cases = [_with_its_findings(case) for case in cases]
+    cases = [evidence.case for evidence in evidences]
     names = names_of(cases)
-    tested, fitted = flight_panels(cases, names)
+    tested, fitted = flight_panels(evidences, names)
     # Our own files and JSON without "<" may stand in <style> and <script> as they are; everything else is escaped.
     raw = {
         "style": Markup(_file("uplot/uPlot.min.css") + _file("templates/page.css")),
@@ -85,13 +84,12 @@ def page(cases: Sequence[Case]) -> str:
         "script": Markup(_file("templates/figures.js") + _file("templates/zoom.js")),
         "series": Markup(_json(series(flight) for flight in (*tested, *fitted))),
     }
-    scores = [scores_of(case.validation, case.flights) for case in cases]
-    verdicts = [_verdict(case, each, tested) for case, each in zip(cases, scores, strict=True)]
+    verdicts = [_verdict(evidence, tested) for evidence in evidences]
     text = environment.get_template("page.html.j2").render(
         **raw,
-        **_evidence(cases, names, scores, verdicts[0].horizon),
-        **_proofs(cases, scores),
-        **_numbers(cases, names),
+        **_charts(evidences, names, verdicts[0].horizon),
+        **_proofs(evidences),
+        **_numbers(evidences, names),
         version=__version__,
         names=names,
         cases=cases,
@@ -104,7 +102,7 @@ def page(cases: Sequence[Case]) -> str:
         axis_words=AXIS,
         verdicts=verdicts,
         ahead=[ahead_rows(verdict) for verdict in verdicts],
-        leads=leads(cases, scores, paired_cases(cases), verdicts[0].horizon) if len(cases) > 1 else (),
+        leads=leads(evidences, verdicts[0].horizon) if len(cases) > 1 else (),
         over=over,
         useful=USEFUL,
         useless=USELESS,
@@ -123,16 +121,10 @@ def _roles(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]
     return [("model", "this model"), *([("paper", "paper's coefficients")] if cases[0].model.method != "paper" else [])]
 
 
-def _with_its_findings(case: Case) -> Case:
-    """The model with what its validation found."""
-    findings = (*case.model.findings, *case.validation.findings)
-    return replace(case, model=with_findings(case.model, findings))
-
-
-def _verdict(case: Case, scores: Sequence[HorizonErrors], tested: Sequence[FlightPanels]) -> Verdict:
-    validation = case.validation
+def _verdict(evidence: Evidence, tested: Sequence[FlightPanels]) -> Verdict:
+    model, validation = evidence.case.model, evidence.case.validation
     fresh = [view for view in tested if not view.fitted]
-    return verdict_of(case.model, scores, validation.paired, validation.residuals, speeds_of(fresh))
+    return verdict_of(model, evidence.scores, validation.paired, validation.residuals, speeds_of(fresh))
 
 
 def _file(name: str) -> str:
@@ -175,15 +167,12 @@ def _panels(charts: Iterable[Chart | RowChart], width: int = 300) -> list[Panel]
     ]
 
 
-def _evidence(
-    cases: Sequence[Case], names: Sequence[str], scores: Sequence[Sequence[HorizonErrors]], horizon: float
-) -> dict[str, Any]:
+def _charts(evidences: Sequence[Evidence], names: Sequence[str], horizon: float) -> dict[str, Any]:
     """The small charts."""
-    horizons, profiles, residual = [], [], []
-    for case, each in zip(cases, scores, strict=True):
-        horizons.append(horizon_charts(each, case.validation.paired))
-        profiles.append(profile_charts(case.model))
-        residual.append(residual_charts(case.model, case.flights or case.training))
+    cases = [evidence.case for evidence in evidences]
+    horizons = [horizon_charts(each.scores, each.case.validation.paired) for each in evidences]
+    profiles = [profile_charts(case.model) for case in cases]
+    residual = [residual_charts(each.autocorrelation, each.command_correlation) for each in evidences]
     one = len(cases) == 1
     ahead = horizons[0] if one else overlaid(horizons, names)
     wanted = [wanted_chart(case) for case in cases]
@@ -200,41 +189,37 @@ def _evidence(
     }
 
 
-def _proofs(cases: Sequence[Case], scores: Sequence[Sequence[HorizonErrors]]) -> dict[str, Any]:
+def _proofs(evidences: Sequence[Evidence]) -> dict[str, Any]:
     """The tables behind the pictures, model by model."""
-    tests = []
-    for case in cases:
-        shown = case.flights or case.training
-        mine = case.validation.residuals
-        if not case.flights:
-            mine = tuple(residual_tests_of_flight(case.model, flight) for flight in case.training)
-        tests.append(([flight.path for flight in shown], mine))
+    cases = [evidence.case for evidence in evidences]
     return {
         "score_rows": [
-            [*score_rows(case.validation), *(pooled_rows(each) if len(case.validation.flights) > 1 else [])]
-            for case, each in zip(cases, scores, strict=True)
+            [*score_rows(case.validation), *(pooled_rows(each.scores) if len(case.validation.flights) > 1 else [])]
+            for case, each in zip(cases, evidences, strict=True)
         ],
         "paired_rows": [paired_rows(case.validation) for case in cases],
         "mode_rows": [mode_rows(case.model) for case in cases],
         "rivals": any(len(axis.modes) > 1 for case in cases for axis in case.model.axes.values()),
-        "residual_rows": [residual_rows(paths, found) for paths, found in tests],
+        "residual_rows": [residual_rows(each.tested_on, each.tests) for each in evidences],
         "coloured": [
-            [a for a in AXES if any(a in axes and narrows_intervals(axes[a]) for axes in found)] for _, found in tests
+            [a for a in AXES if any(a in axes and narrows_intervals(axes[a]) for axes in each.tests)]
+            for each in evidences
         ],
         "tested_on": "validation" if cases[0].flights else "training",
         "heading_measured": any(f.heading == "measured" for case in cases for f in case.validation.flights),
     }
 
 
-def _numbers(cases: Sequence[Case], names: Sequence[str]) -> dict[str, Any]:
+def _numbers(evidences: Sequence[Evidence], names: Sequence[str]) -> dict[str, Any]:
     """Coefficients, findings, repairs, how to reproduce."""
+    cases = [evidence.case for evidence in evidences]
     findings: list[tuple[str, Finding]] = []
     for name, case in zip(names, cases, strict=True):
         findings += [(name, finding) for finding in by_gravity(case.model.findings)]
     return {
-        "coefficients": [coefficient_table(case.model) for case in cases],
-        "coefficient_charts": _panels(coefficients_side_by_side(cases, names)) if len(cases) > 1 else [],
-        "physics": [physics_text(case.model) for case in cases],
+        "coefficients": [coefficient_table(evidence.coefficients) for evidence in evidences],
+        "coefficient_charts": _panels(coefficients_side_by_side(evidences, names)) if len(cases) > 1 else [],
+        "physics": [physics_text(evidence) for evidence in evidences],
         "laws": [laws_of(case.model) for case in cases],
         "findings": sorted(findings, key=lambda pair: ("error", "warning", "info").index(pair[1].severity)),
         "repairs": _repairs(cases),

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.assessment.case import Case
-from rotorfit.core.flight_data import Flight
+from rotorfit.assessment.evidence import Evidence, FlightMotion
 from rotorfit.core.frames import AXES, Array
 from rotorfit.reporting.drawing import COLUMNS, Drawing, draw_chart
-from rotorfit.reporting.views import MOST_POINTS, Chart, FlightView, RowChart, flight_view, moved_axes, overlaid
+from rotorfit.reporting.views import MOST_POINTS, Chart, FlightView, RowChart, flight_view, overlaid
 
 MOST_VALUES = 200_000
 """Numbers that all charts that zoom may hold together: 1.1 MB of the page."""
@@ -58,54 +57,49 @@ class FlightPanels:
         return (*self.velocity, *self.acceleration)
 
 
-def flight_panels(cases: Sequence[Case], names: Sequence[str]) -> tuple[list[FlightPanels], list[FlightPanels]]:
+def flight_panels(evidences: Sequence[Evidence], names: Sequence[str]) -> tuple[list[FlightPanels], list[FlightPanels]]:
     """Charts of the validation flights and of the training flights; of several models the former only, over each other.
 
     Args:
-        cases: The models on the same flights.
+        evidences: Of the models on the same flights.
         names: Of them.
     """
-    first = cases[0]
-    fitted = [scores.fitted for scores in first.validation.flights] or [False] * len(first.flights)
-    every = [(flight, "validation", known) for flight, known in zip(first.flights, fitted, strict=False)]
-    if len(cases) == 1:
-        every += [(flight, "training", False) for flight in first.training]
-    lines = [_values_per_second(flight, role, cases) for flight, role, _ in every]
-    demand = sum(flight.duration * each for (flight, _, _), each in zip(every, lines, strict=True))
+    first = evidences[0]
+    fitted = [scores.fitted for scores in first.case.validation.flights] or [False] * len(first.validation)
+    every = [(motion, "validation", known) for motion, known in zip(first.validation, fitted, strict=False)]
+    every += [(motion, "training", False) for motion in first.training]
+    lines = [_values_per_second(motion, len(evidences)) for motion, _, _ in every]
+    demand = sum(motion.duration * each for (motion, _, _), each in zip(every, lines, strict=True))
     columns = int(np.clip(MOST_STRETCHES / max(sum(lines), 1), 40, COLUMNS))
     out = []
-    for number, (flight, role, known) in enumerate(every):
-        points = int(min(MOST_POINTS, max(200, MOST_VALUES * flight.duration / max(demand, 1e-9))))
-        view = _view(cases, names, number, flight, role, points)
+    for number, (motion, role, known) in enumerate(every):
+        points = int(min(MOST_POINTS, max(200, MOST_VALUES * motion.duration / max(demand, 1e-9))))
+        view = _view(evidences, names, number, motion, role, points)
         ordered = sorted(view.charts, key=lambda chart: AXES.index(chart.axis))
         velocity = [chart for chart in ordered if chart.kind == "velocity"]
         other = [chart for chart in ordered if chart.kind != "velocity" and number < OPEN_FLIGHTS]
         panels = [Panel(chart, draw_chart(chart, 440, 190, columns), k) for k, chart in enumerate([*velocity, *other])]
         parts = tuple(panels[: len(velocity)]), tuple(panels[len(velocity) :])
         out.append(FlightPanels(number, view, *parts, role == "validation" and number < OPEN_FLIGHTS, known))
-    return out[: len(first.flights)], out[len(first.flights) :]
+    return out[: len(first.validation)], out[len(first.validation) :]
 
 
-def _with_paper(cases: Sequence[Case], role: str) -> bool:
-    return len(cases) == 1 and cases[0].model.method != "paper" and role == "validation"
-
-
-def _values_per_second(flight: Flight, role: str, cases: Sequence[Case]) -> int:
+def _values_per_second(motion: FlightMotion, models: int) -> int:
     """Lines of a flight, its stamps among them."""
-    each = 4 + _with_paper(cases, role) if len(cases) == 1 else 1 + len(cases)
-    return 1 + len(moved_axes(flight)) * each
+    each = 4 + ("paper" in motion.velocity) if models == 1 else 1 + models
+    return 1 + len(motion.moved) * each
 
 
 def _view(
-    cases: Sequence[Case], names: Sequence[str], number: int, flight: Flight, role: str, points: int
+    evidences: Sequence[Evidence], names: Sequence[str], number: int, motion: FlightMotion, role: str, points: int
 ) -> FlightView:
     """Of one model, or the velocities that several predict."""
-    if len(cases) == 1:
-        return flight_view(cases[0].model, flight, role, points, _with_paper(cases, role))
-    views = [flight_view(case.model, case.flights[number], role, points) for case in cases]
+    if len(evidences) == 1:
+        return flight_view(motion, role, points)
+    views = [flight_view(evidence.validation[number], role, points) for evidence in evidences]
     velocities = [[chart for chart in view.charts if chart.kind == "velocity"] for view in views]
     charts = overlaid(velocities, names)
-    return FlightView(flight.path, role, flight.duration, charts, (), views[0].drawn)
+    return FlightView(motion.path, role, motion.duration, charts, (), views[0].drawn)
 
 
 def speeds_of(flights: Sequence[FlightPanels]) -> dict[str, float]:

@@ -1,13 +1,13 @@
 """Several models, or several flights, side by side: charts of rows, and which model leads."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import Evidence
+from rotorfit.assessment.rows import SPEED
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
-from rotorfit.core.results import PairedTest
-from rotorfit.reporting.evidence import SPEED, HorizonErrors, coefficient_rows
 from rotorfit.reporting.views import ChartRow, RowChart, look_of
 from rotorfit.reporting.words import chance, figure, rounded, term_of
 
@@ -41,41 +41,34 @@ class Lead:
     told: str
 
 
-def leads(
-    cases: Sequence[Case],
-    scores: Sequence[Sequence[HorizonErrors]],
-    tests: Mapping[tuple[int, int], PairedTest],
-    horizon: float,
-) -> tuple[Lead, ...]:
+def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
     """For every axis which model predicts the velocity best, and whether that is more than chance.
 
     Args:
-        cases: The models.
-        scores: Of each.
-        tests: As `case.paired_cases` gives them.
+        evidences: Of the models.
         horizon: That is asked about [s].
     """
     out = []
     for axis in AXES:
         errors = {
             k: error
-            for k in range(len(cases))
-            for score in scores[k]
+            for k, evidence in enumerate(evidences)
+            for score in evidence.scores
             if score.axis == axis and score.horizon == horizon
             if (error := score.velocity.get("model")) is not None
         }
         if errors:
             unit, factor = SPEED[axis]
-            texts = tuple(f"{figure(factor * errors[k])} {unit}" if k in errors else "—" for k in range(len(cases)))
+            texts = tuple(f"{figure(factor * errors[k])} {unit}" if k in errors else "—" for k in range(len(evidences)))
             first, *others = sorted(errors, key=lambda k: errors[k])
-            told = _shown(tests, first, others[0], axis, horizon) if others else "the only one that was scored"
+            told = _shown(evidences, first, others[0], axis, horizon) if others else "the only one that was scored"
             out.append(Lead(axis, texts, first, told))
     return tuple(out)
 
 
-def _shown(tests: Mapping[tuple[int, int], PairedTest], best: int, second: int, axis: str, horizon: float) -> str:
+def _shown(evidences: Sequence[Evidence], best: int, second: int, axis: str, horizon: float) -> str:
     """What the paired test of the two best says."""
-    test = tests.get((min(best, second), max(best, second)))
+    test = evidences[min(best, second)].against.get(max(best, second))
     pooled = test.axes[axis][f"{horizon:g}"]["velocity"].pooled if test else None
     if pooled is None:
         return "leads; not tested, for its card reads other motion"
@@ -129,9 +122,9 @@ def _error(axis: object, horizon: float) -> float | None:
     return found.velocity_rmse if found and found.velocity_rmse else None
 
 
-def coefficients_side_by_side(cases: Sequence[Case], names: Sequence[str]) -> tuple[RowChart, ...]:
+def coefficients_side_by_side(evidences: Sequence[Evidence], names: Sequence[str]) -> tuple[RowChart, ...]:
     """Estimates and intervals of every coefficient, a chart a coefficient of an axis."""
-    found = [{(row.axis, row.name): row for row in coefficient_rows(case.model)} for case in cases]
+    found = [{(row.axis, row.name): row for row in evidence.coefficients} for evidence in evidences]
     charts = []
     for axis in AXES:
         for name in COEFFICIENTS:

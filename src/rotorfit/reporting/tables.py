@@ -11,14 +11,13 @@ from itertools import groupby
 
 import numpy as np
 
+from rotorfit.assessment.evidence import Evidence
+from rotorfit.assessment.rows import LENGTH, SPEED, CoefficientRow, HorizonErrors
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import Figure
 from rotorfit.core.model import STRUCTURE, Model
-from rotorfit.core.results import Difference, FlightScores, Paired, ResidualTests, Validation
-from rotorfit.dynamics.physics import implied_limits, physics_rows
-from rotorfit.dynamics.protocol import HORIZONS
-from rotorfit.reporting.evidence import LENGTH, SPEED, CoefficientRow, HorizonErrors, coefficient_rows
+from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, ResidualTests, Validation
 from rotorfit.reporting.verdict import Use, Verdict, better, errors_text
 from rotorfit.reporting.words import figure, rounded, sentences, term_of
 
@@ -50,10 +49,9 @@ class RowText:
     told: str
 
 
-def coefficient_table(model: Model) -> list[tuple[str, list[RowText]]]:
+def coefficient_table(rows: Sequence[CoefficientRow]) -> list[tuple[str, list[RowText]]]:
     """Rows of the table of coefficients, axis by axis."""
-    rows = groupby(coefficient_rows(model), key=lambda row: row.axis)
-    return [(axis, [_row_text(row) for row in group]) for axis, group in rows]
+    return [(axis, [_row_text(row) for row in group]) for axis, group in groupby(rows, key=lambda row: row.axis)]
 
 
 def laws_of(model: Model) -> list[tuple[str, str]]:
@@ -118,7 +116,7 @@ class PhysicsText:
     lines: tuple[str, ...]
 
 
-def physics_text(model: Model) -> PhysicsText:
+def physics_text(evidence: Evidence) -> PhysicsText:
     """What the report says of a model in physics; nothing where the card gives no command a meaning."""
     rows = tuple(
         (
@@ -130,9 +128,9 @@ def physics_text(model: Model) -> PhysicsText:
             "" if row.expected is None else rounded(row.expected),
             _ratio(row.ratio),
         )
-        for row in physics_rows(model)
+        for row in evidence.physics
     )
-    return PhysicsText(rows, implied_limits(model))
+    return PhysicsText(rows, evidence.limits)
 
 
 def _width(figure: Figure) -> float | None:

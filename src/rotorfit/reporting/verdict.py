@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorfit.assessment.paired import QUANTITIES
+from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
 from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_intervals
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Axis, Model
-from rotorfit.core.results import Difference, PairedTest, ResidualTests
-from rotorfit.dynamics.protocol import HORIZONS
-from rotorfit.reporting.evidence import LENGTH, SPEED, HorizonErrors
+from rotorfit.core.results import HORIZONS, Difference, PairedTest, ResidualTests
 from rotorfit.reporting.words import and_list, chance, figure, sentences
 
 USEFUL = 2.0
@@ -65,7 +64,7 @@ def uses_of(
     `unproven`: no score.
 
     Args:
-        scores: As `evidence.scores_of` gives them.
+        scores: As `scores_of` gives them.
         paired: Of the model against the baselines.
         known: The axes that have a model.
         horizons: That are asked about [s].
@@ -255,7 +254,7 @@ def verdict_of(
 
     Args:
         model: With its findings.
-        scores: As `evidence.scores_of` gives them.
+        scores: As `scores_of` gives them.
         paired: Of the model against the baselines.
         residuals: Axis to tests, a mapping a validation flight.
         speeds: Axis to the speed up to which it was tested, SI.

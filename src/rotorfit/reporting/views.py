@@ -1,4 +1,4 @@
-"""Model, flights and validation -> plain named series and tables. Whoever draws, only draws.
+"""Evidence -> charts: plain named series. Whoever draws, only draws.
 
 A `Chart` holds everything that a drawing needs: lines over one x axis, marks, levels, a sentence on how to read it and
 a text alternative. The page, the figures for a paper and whatever comes later draw the same charts.
@@ -9,13 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.assessment.validation import dynamics_from_model
-from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
-from rotorfit.core.model import STRUCTURE, Model
-from rotorfit.dynamics.kinematics import LONGEST_GAP, local_polynomial, motion_from_flight
-from rotorfit.dynamics.protocol import START_EVERY, Predictions, free_run_prediction, predict_flight
-from rotorfit.estimation.regression.paper import modelled_acceleration
+from rotorfit.assessment.evidence import FlightMotion
+from rotorfit.core.flight_data import LONGEST_GAP
+from rotorfit.core.frames import AXES, Array
 
 DRAWN_RATE = 30.0
 """Points a second of the drawn motion: the local polynomials pass nothing above a third of it."""
@@ -160,41 +156,29 @@ class FlightView:
     drawn: str
 
 
-def moved_axes(flight: Flight) -> tuple[str, ...]:
-    """The axes that a flight commands with anything but zero."""
-    return tuple(a for k, a in enumerate(AXES) if a in flight.axes and bool(np.any(flight.command[:, k])))
-
-
-def flight_view(
-    model: Model, flight: Flight, role: str, points: int = MOST_POINTS, with_paper: bool = False
-) -> FlightView:
-    """Measured against modelled velocity (heading frame) and acceleration (world frame) of one flight.
-
-    The modelled velocity is stitched from predictions: at every pose the one from the start that lies 0.5 to 1 s back.
-    The modelled acceleration is the paper's eq. (6) with the delayed command and the measured velocity; it is not drawn
-    for structures that have another law.
+def flight_view(motion: FlightMotion, role: str, points: int = MOST_POINTS) -> FlightView:
+    """Charts of measured against modelled velocity and acceleration of one flight.
 
     Args:
-        model: The model.
-        flight: Any flight of the vehicle.
+        motion: Of the flight.
         role: `training` or `validation`.
         points: Most points of a line.
-        with_paper: Whether to draw what the paper's coefficients predict, too.
     """
-    axes = [axis for axis in moved_axes(flight) if model.axes[axis].predictor]
-    pick = [AXES.index(axis) for axis in axes]
-    velocities = _velocities(model, flight, with_paper)
-    series = {**velocities, **_accelerations(model, flight)}
-    time, values, drawn = _reduced(flight.pose_time, np.hstack([v[:, pick] for v in series.values()]), points)
+    series = {
+        **{("velocity", name): values for name, values in motion.velocity.items()},
+        **{("acceleration", name): values for name, values in motion.acceleration.items()},
+    }
+    pick = [AXES.index(axis) for axis in motion.axes]
+    time, values, drawn = _reduced(motion.time, np.hstack([v[:, pick] for v in series.values()]), points)
     drawn_series = dict(zip(series, np.split(values, len(series), axis=1), strict=True))
     charts = []
     for kind in ("velocity", "acceleration"):
-        for j, axis in enumerate(axes):
+        for j, axis in enumerate(motion.axes):
             drawn_lines = {name: y[:, j] for (what, name), y in drawn_series.items() if what == kind}
             whole_lines = {name: y[:, pick[j]] for (what, name), y in series.items() if what == kind}
             charts.append(_motion_chart(kind, axis, time, drawn_lines, whole_lines))
-    missing = tuple(axis for axis in moved_axes(flight) if axis not in axes)
-    return FlightView(flight.path, role, flight.duration, tuple(charts), missing, drawn)
+    missing = tuple(axis for axis in motion.moved if axis not in motion.axes)
+    return FlightView(motion.path, role, motion.duration, tuple(charts), missing, drawn)
 
 
 def look_of(number: int) -> str:
@@ -246,92 +230,6 @@ def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str
         span=None,
         y_range=(min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None,
     )
-
-
-def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
-    """What was commanded and what the vehicle did, side by side, so that a wrong sign or axis can be seen.
-
-    Returns:
-        Stamps of the poses, shape (N,) [s]; the commands that act then, shape (N, 4), NaN where none is known or the
-        axis is not commanded; the measured velocities, heading frame, shape (N, 4) [m/s, rad/s].
-    """
-    t = flight.pose_time
-    command = np.column_stack([_held(flight, t, k) for k in range(len(AXES))])
-    command[:, [axis not in flight.axes for axis in AXES]] = np.nan
-    return t, command, _measured(flight)
-
-
-def _measured(flight: Flight) -> Array:
-    """Velocities at the poses, heading frame, shape (N, 4)."""
-    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
-    velocity = local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity
-    velocity[:, :2] = heading_from_world(velocity[:, :2], flight.yaw)
-    return velocity
-
-
-def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[tuple[str, str], Array]:
-    """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
-    t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
-    lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
-    told = {"measured": np.ones(4, bool), "model": known}
-    parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
-    paper = np.array([np.nan if g is None else g for g in model.paper])
-    if with_paper and np.isfinite(paper).any():
-        coasted = [free_run_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
-        lines["paper"], told["paper"] = _stitched(t, parts, coasted), np.isfinite(paper[0::2])
-    lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
-    for name, line in lines.items():
-        line[:, :2] = heading_from_world(line[:, :2], flight.yaw)
-        line[:, ~told[name]] = np.nan
-    return {("velocity", name): line for name, line in lines.items()}
-
-
-def _known(model: Model) -> Mask:
-    """Which axes have a predictor, shape (4,)."""
-    return np.array([model.axes[axis].predictor is not None for axis in AXES])
-
-
-def _stitched(time: Array, parts: Sequence[Predictions], predicted: Sequence[Array]) -> Array:
-    """Velocity at each pose as predicted from the start 0.5 to 1 s before it, world frame, (N, 4)."""
-    out = np.full((time.size, 4), np.nan)
-    for part, values in zip(parts, predicted, strict=True):
-        offset = int(np.searchsorted(time, part.time[0]))
-        low = np.searchsorted(part.time, part.start + START_EVERY, side="right")
-        high = np.searchsorted(part.time, part.start + 2 * START_EVERY, side="right")
-        for s, (begin, end) in enumerate(zip(low, np.minimum(high, part.last), strict=True)):
-            if begin < end:
-                out[offset + begin : offset + end] = values[s, begin - part.first[s] : end - part.first[s], 1]
-    return out
-
-
-def _accelerations(model: Model, flight: Flight) -> dict[tuple[str, str], Array]:
-    """Measured and modelled accelerations at the poses, world frame, each (N, 4).
-
-    Source: paper, eq. (6) and Figure 4, with u(t - delay).
-    """
-    motion = motion_from_flight(flight)
-    points = [model.axes[axis].predictor for axis in AXES]
-    delayed = np.column_stack([_held(flight, motion.time - (p.delay if p else 0.0), k) for k, p in enumerate(points)])
-    gamma = np.array([value for p in points for value in ((p.input, p.damping) if p else (np.nan, np.nan))])
-    lines = {"measured": motion.acceleration}
-    if _known(model).any():
-        lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
-        lines["model"][:, ~_known(model)] = np.nan
-        plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
-        plain[:2] = [all(plain[:2])] * 2  # the world's axes hold both
-        lines["model"][:, ~np.array(plain)] = np.nan
-    at, out = np.searchsorted(flight.pose_time, motion.time), {}
-    for name, values in lines.items():
-        out["acceleration", name] = np.full((flight.pose_time.size, 4), np.nan)
-        out["acceleration", name][at] = values
-    return out
-
-
-def _held(flight: Flight, time: Array, k: int) -> Array:
-    """The command that acts at a time; NaN outside the segments."""
-    index = np.searchsorted(flight.command_time, time, side="right") - 1
-    inside = np.any([(time >= part.start) & (time <= part.end) for part in flight.segments], axis=0)
-    return np.where(inside & (index >= 0), flight.command[np.maximum(index, 0), k], np.nan)
 
 
 def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array], whole: Mapping[str, Array]) -> Chart:

@@ -56,7 +56,7 @@ def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | No
 
 def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
     """Seconds, separated by commas; those of the protocol where none is given."""
-    from rotorfit.dynamics.protocol import HORIZONS
+    from rotorfit.core.results import HORIZONS
 
     try:
         horizons = HORIZONS if text is None else tuple(float(part) for part in text.split(","))

@@ -76,16 +76,17 @@ def compare(paths: Sequence[str], as_json: bool) -> None:
 def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bool) -> None:
     """Write one self-contained page about a model and its proof, or about several side by side."""
     from rotorfit.app.workflows import REPORT_MARK, cases_of, check_destination
-    from rotorfit.reporting import write_cases, write_figures
+    from rotorfit.assessment.evidence import evidence_of
+    from rotorfit.reporting import write_figures, write_report
 
     check_destination(output, REPORT_MARK)
     with progress_bar() as progress:
         cases, left_out = cases_of(paths, progress)
     if figures and len(cases) > 1:
         raise click.UsageError("--figures draws one model: give one, or leave it out")
-    write_cases(cases, output)
-    one = cases[0]
-    drawn = write_figures(one.model, one.training, one.validation, one.flights, figures) if figures else []
+    evidences = evidence_of(cases)
+    write_report(evidences, output)
+    drawn = write_figures(evidences[0], figures) if figures else []
     if as_json:
         return print_json({"report": str(output), "figures": [str(path) for path in drawn], "notes": left_out})
     for line in (*left_out, f"Report written to {output}.", *(f"Figure written to {path}." for path in drawn)):

@@ -12,6 +12,7 @@ import numpy as np
 from rotorfit.app.web.card_lines import card_from_text
 from rotorfit.app.web.windowed import Series, series_over
 from rotorfit.app.web.workspace import Upload, Workspace
+from rotorfit.assessment.evidence import command_and_velocity
 from rotorfit.core.errors import LogError, RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -20,7 +21,6 @@ from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import clock_of, raw_column, table_of
 from rotorfit.flights.stamps import MISSING_STAMP, stamps_of
-from rotorfit.reporting.views import command_and_velocity
 
 BUDGET = 1 << 30
 """Bytes of arrays that are kept."""

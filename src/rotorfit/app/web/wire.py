@@ -11,6 +11,7 @@ import numpy as np
 from rotorfit.app.web.card_lines import QUANTITIES, card_from_text, parsed
 from rotorfit.app.web.workspace import LARGEST_LOG, MOST_LOGS, Running, Session
 from rotorfit.app.workflows import Comparison
+from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
@@ -18,15 +19,14 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.limits import meaning_of
 from rotorfit.core.log import Log
-from rotorfit.core.model import Model, with_findings
-from rotorfit.core.results import Validation
+from rotorfit.core.model import Model
+from rotorfit.core.results import HORIZONS
 from rotorfit.diagnosis.survey import excitation
-from rotorfit.dynamics.protocol import HORIZONS
 from rotorfit.estimation.methods import METHODS
 from rotorfit.exports.formats import FORMATS
 from rotorfit.flights.columns import clock_of, sample_count, series_of, source_of
 from rotorfit.flights.stamps import rate, stamps_of
-from rotorfit.reporting.evidence import horizon_charts, profile_charts, scores_of
+from rotorfit.reporting.charts import horizon_charts, profile_charts
 from rotorfit.reporting.tables import coefficient_table, pooled_rows, residual_rows, score_rows
 from rotorfit.reporting.verdict import verdict_of
 from rotorfit.reporting.views import Chart, FlightView, flight_view
@@ -146,14 +146,10 @@ def command_unit(card: Card, axis: str) -> str:
     return units[meaning.asked] if meaning.asked else "as sent"
 
 
-def result_mapping(
-    model: Model, training: Sequence[Flight], validation: Validation, flights: Sequence[Flight]
-) -> dict[str, Any]:
+def result_mapping(evidence: Evidence) -> dict[str, Any]:
     """What the page shows of a fit."""
-    model = with_findings(model, (*model.findings, *validation.findings))
-    scores = scores_of(validation, flights)
+    model, validation, scores = evidence.case.model, evidence.case.validation, evidence.scores
     verdict = verdict_of(model, scores, validation.paired, validation.residuals)
-    with_paper = model.method != "paper"
     return {
         "headline": verdict.headline,
         "whole": verdict.whole,
@@ -161,18 +157,19 @@ def result_mapping(
         "summary": summary_of_model(model),
         "lights": [asdict(light) for light in verdict.lights],
         "coefficients": [
-            {"axis": axis, "rows": [asdict(row) for row in rows]} for axis, rows in coefficient_table(model)
+            {"axis": axis, "rows": [asdict(row) for row in rows]}
+            for axis, rows in coefficient_table(evidence.coefficients)
         ],
         "findings": [asdict(finding) for finding in model.findings],
         "pooled": pooled_rows(scores),
         "scores": score_rows(validation) if len(validation.flights) > 1 else [],
-        "residuals": residual_rows([flight.path for flight in flights], validation.residuals),
+        "residuals": residual_rows([motion.path for motion in evidence.validation], validation.residuals),
         "horizons": [chart_mapping(chart) for chart in horizon_charts(scores, validation.paired)],
         "profiles": [chart_mapping(chart) for chart in profile_charts(model)],
         "flights": [
-            _view_mapping(flight_view(model, flight, role, MOST_POINTS, with_paper and role == "validation"))
-            for role, some in (("validation", flights), ("training", training))
-            for flight in some
+            _view_mapping(flight_view(motion, role, MOST_POINTS))
+            for role, motions in (("validation", evidence.validation), ("training", evidence.training))
+            for motion in motions
         ],
         "notes": [
             {"path": source.path, "span": source.span, "texts": [note.text for note in source.notes]}

@@ -18,12 +18,13 @@ from typing import Any
 from rotorfit.app.web.wire import compared_mapping, result_mapping
 from rotorfit.app.web.workspace import write_whole
 from rotorfit.app.workflows import compare_logs, comparison_mapping, fit_logs, validate_logs
+from rotorfit.assessment.case import Case
+from rotorfit.assessment.evidence import evidence_of
 from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import Validation
-from rotorfit.dynamics.protocol import CURVE
+from rotorfit.core.results import CURVE, Validation
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import LogSpan
 from rotorfit.files.models import load, save
@@ -77,10 +78,11 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
         validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
         write_whole(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
     progress(PROVING, "drawing")
-    result = result_mapping(fitted.model, fitted.flights, validation, flights)
+    (evidence,) = evidence_of([Case("model.json", fitted.model, fitted.flights, validation, flights)])
+    result = result_mapping(evidence)
     _write_result(folder, result)
     progress(PROVING + 0.02, "writing the report")
-    write_report(fitted.model, fitted.flights, validation, flights, folder / "report.html")
+    write_report([evidence], folder / "report.html")
     return f"{result['horizon']:g} s ahead: {result['headline']}"
 
 

@@ -1,0 +1,257 @@
+"""Evidence: everything that a report, a figure or the studio draws of a model and its proof, computed once.
+
+Whoever draws only draws: predictions, residuals and their tests are made here and nowhere else.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rotorfit.assessment.case import Case, paired_cases
+from rotorfit.assessment.rows import CoefficientRow, HorizonErrors, coefficient_rows, scores_of
+from rotorfit.assessment.validation import (
+    coefficient_covariance,
+    dynamics_from_model,
+    residual_tests_of_flight,
+    residuals,
+)
+from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_correlation
+from rotorfit.core.flight_data import LONGEST_GAP, Flight
+from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.core.model import STRUCTURE, Model, with_findings
+from rotorfit.core.results import Correlogram, PairedTest, ResidualTests
+from rotorfit.dynamics.kinematics import local_polynomial, motion_from_flight
+from rotorfit.dynamics.physics import PhysicsRow, implied_limits, physics_rows
+from rotorfit.dynamics.protocol import START_EVERY, Predictions, free_run_prediction, predict_flight
+from rotorfit.estimation.regression.paper import modelled_acceleration
+
+LAGS = 2.0
+"""Longest lag of the residuals' autocorrelation [s]."""
+
+
+@dataclass(frozen=True)
+class FlightMotion:
+    """Measured and modelled motion of one flight at its N poses.
+
+    Attributes:
+        path: Of its log.
+        duration: Time under commands [s].
+        moved: The axes that the flight commands with anything but zero.
+        axes: Those of them that the model knows.
+        time: Stamps, shape (N,) [s].
+        velocity: `measured`, `model` and, where it is asked for, `paper` to velocities in the heading frame, shape
+            (N, 4) [m/s, rad/s]; NaN where there is none. The modelled one is stitched from predictions: at every pose
+            the one from the start that lies 0.5 to 1 s back.
+        acceleration: `measured` and `model` to accelerations in the world frame, shape (N, 4) [m/s^2, rad/s^2]: the
+            paper's eq. (6) with the delayed command and the measured velocity; NaN for structures of another law.
+    """
+
+    path: str
+    duration: float
+    moved: tuple[str, ...]
+    axes: tuple[str, ...]
+    time: Array
+    velocity: Mapping[str, Array]
+    acceleration: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A model with all that speaks for it and against it.
+
+    Attributes:
+        case: The model, with what its validation found, and its flights.
+        coefficients: Rows of the table of coefficients.
+        physics: Rows of the table in physics.
+        limits: What the model implies for the limits of the card, a sentence each.
+        scores: Errors over the flights that were not fitted.
+        tested_on: Paths of the flights whose residuals are tested: of the validation, else of the training.
+        tests: A mapping a flight, from axis to the tests of its residuals.
+        autocorrelation: Axis to the autocorrelation of the residuals over these flights.
+        command_correlation: Axis to the correlation of the residuals with past commands.
+        validation: Motion of the flights of the validation.
+        training: Motion of the flights of the fit; empty where it is not asked for.
+        against: Paired tests against other models, by their place among the models that are compared.
+    """
+
+    case: Case
+    coefficients: tuple[CoefficientRow, ...]
+    physics: tuple[PhysicsRow, ...]
+    limits: tuple[str, ...]
+    scores: tuple[HorizonErrors, ...]
+    tested_on: tuple[str, ...]
+    tests: tuple[Mapping[str, ResidualTests], ...]
+    autocorrelation: Mapping[str, Correlogram]
+    command_correlation: Mapping[str, Correlogram]
+    validation: tuple[FlightMotion, ...]
+    training: tuple[FlightMotion, ...] = ()
+    against: Mapping[int, PairedTest] = field(default_factory=dict)
+
+
+def evidence_of(cases: Sequence[Case]) -> tuple[Evidence, ...]:
+    """The evidence for one model, or for several on the same flights.
+
+    Args:
+        cases: The models with their proofs. Of several, the motion of the training flights is left out.
+    """
+    tests = paired_cases(cases)
+    return tuple(
+        replace(_evidence_of(case, len(cases) == 1), against={j: test for (i, j), test in tests.items() if i == number})
+        for number, case in enumerate(cases)
+    )
+
+
+def _evidence_of(case: Case, with_training: bool) -> Evidence:
+    model = with_findings(case.model, (*case.model.findings, *case.validation.findings))
+    shown = case.flights or case.training
+    tests = case.validation.residuals
+    if not case.flights:
+        tests = tuple(residual_tests_of_flight(model, flight) for flight in case.training)
+    white, free = correlograms(model, shown)
+    return Evidence(
+        case=replace(case, model=model),
+        coefficients=coefficient_rows(model),
+        physics=tuple(physics_rows(model)),
+        limits=tuple(implied_limits(model)),
+        scores=scores_of(case.validation, case.flights),
+        tested_on=tuple(flight.path for flight in shown),
+        tests=tests,
+        autocorrelation=white,
+        command_correlation=free,
+        validation=tuple(motion_of_flight(model, flight, model.method != "paper") for flight in case.flights),
+        training=tuple(motion_of_flight(model, flight) for flight in case.training if with_training),
+    )
+
+
+def correlograms(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, Correlogram], dict[str, Correlogram]]:
+    """Autocorrelation of the innovations, and their correlation with past commands, axis by axis.
+
+    Pooled over the flights that command the axis, with the levels of the disturbance that each flight has; what each
+    flight says alone is in `Validation.residuals`.
+
+    Source: see `whiteness`.
+    """
+    every = [(flight.moved, residuals(model, flight, own_levels=True)) for flight in flights]
+    parts = {
+        axis: [found[axis].innovations for moved, found in every if axis in moved and axis in found] for axis in AXES
+    }
+    parts = {axis: [p for p in found if p.time.size >= LEAST_BLOCKS] for axis, found in parts.items()}
+    white, free = {}, {}
+    for axis, found in parts.items():
+        if found:
+            covariance = coefficient_covariance(model, axis)
+            white[axis] = _pooled_lags([autocorrelation(p.time, p.innovation, LAGS) for p in found])
+            free[axis] = _pooled_lags([cross_correlation(p, covariance) for p in found])
+    return white, free
+
+
+def _pooled_lags(parts: Sequence[Correlogram]) -> Correlogram:
+    """Mean of correlograms up to the shortest, each weighted by what its bands say it knows."""
+    n = min(part.lag.size for part in parts)
+    band = np.stack([part.band[:n] for part in parts])
+    weight = np.divide(1.0, band**2, out=np.zeros_like(band), where=band > 0)
+    total = weight.sum(axis=0)
+    value = np.sum(weight * [part.value[:n] for part in parts], axis=0)
+    lag = np.median([part.lag[:n] for part in parts], axis=0)
+    known = total > 0
+    return Correlogram(lag[known], value[known] / total[known], 1 / np.sqrt(total[known]))
+
+
+def motion_of_flight(model: Model, flight: Flight, with_paper: bool = False) -> FlightMotion:
+    """Measured against modelled motion of one flight.
+
+    Args:
+        model: The model.
+        flight: Any flight of the vehicle.
+        with_paper: Whether to predict with the paper's coefficients, too.
+    """
+    axes = tuple(axis for axis in flight.moved if model.axes[axis].predictor)
+    velocity, acceleration = _velocities(model, flight, with_paper), _accelerations(model, flight)
+    return FlightMotion(flight.path, flight.duration, flight.moved, axes, flight.pose_time, velocity, acceleration)
+
+
+def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
+    """What was commanded and what the vehicle did, side by side, so that a wrong sign or axis can be seen.
+
+    Returns:
+        Stamps of the poses, shape (N,) [s]; the commands that act then, shape (N, 4), NaN where none is known or the
+        axis is not commanded; the measured velocities, heading frame, shape (N, 4) [m/s, rad/s].
+    """
+    t = flight.pose_time
+    command = np.column_stack([_held(flight, t, k) for k in range(len(AXES))])
+    command[:, [axis not in flight.axes for axis in AXES]] = np.nan
+    return t, command, _measured(flight)
+
+
+def _measured(flight: Flight) -> Array:
+    """Velocities at the poses, heading frame, shape (N, 4)."""
+    t, pose = flight.pose_time, np.column_stack([flight.position, flight.yaw])
+    velocity = local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity
+    velocity[:, :2] = heading_from_world(velocity[:, :2], flight.yaw)
+    return velocity
+
+
+def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[str, Array]:
+    """Measured and predicted velocities at the poses, heading frame, each (N, 4)."""
+    t, pose, known = flight.pose_time, np.column_stack([flight.position, flight.yaw]), _known(model)
+    lines = {"measured": local_polynomial(t, pose, t, 0.125, 3, least=7, max_gap=LONGEST_GAP).velocity}
+    told = {"measured": np.ones(4, bool), "model": known}
+    parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
+    paper = np.array([np.nan if g is None else g for g in model.paper])
+    if with_paper and np.isfinite(paper).any():
+        coasted = [free_run_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
+        lines["paper"], told["paper"] = _stitched(t, parts, coasted), np.isfinite(paper[0::2])
+    lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
+    for name, line in lines.items():
+        line[:, :2] = heading_from_world(line[:, :2], flight.yaw)
+        line[:, ~told[name]] = np.nan
+    return lines
+
+
+def _known(model: Model) -> Mask:
+    """Which axes have a predictor, shape (4,)."""
+    return np.array([model.axes[axis].predictor is not None for axis in AXES])
+
+
+def _stitched(time: Array, parts: Sequence[Predictions], predicted: Sequence[Array]) -> Array:
+    """Velocity at each pose as predicted from the start 0.5 to 1 s before it, world frame, (N, 4)."""
+    out = np.full((time.size, 4), np.nan)
+    for part, values in zip(parts, predicted, strict=True):
+        offset = int(np.searchsorted(time, part.time[0]))
+        low = np.searchsorted(part.time, part.start + START_EVERY, side="right")
+        high = np.searchsorted(part.time, part.start + 2 * START_EVERY, side="right")
+        for s, (begin, end) in enumerate(zip(low, np.minimum(high, part.last), strict=True)):
+            if begin < end:
+                out[offset + begin : offset + end] = values[s, begin - part.first[s] : end - part.first[s], 1]
+    return out
+
+
+def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
+    """Measured and modelled accelerations at the poses, world frame, each (N, 4).
+
+    Source: paper, eq. (6) and Figure 4, with u(t - delay).
+    """
+    motion = motion_from_flight(flight)
+    points = [model.axes[axis].predictor for axis in AXES]
+    delayed = np.column_stack([_held(flight, motion.time - (p.delay if p else 0.0), k) for k, p in enumerate(points)])
+    gamma = np.array([value for p in points for value in ((p.input, p.damping) if p else (np.nan, np.nan))])
+    lines = {"measured": motion.acceleration}
+    if _known(model).any():
+        lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
+        lines["model"][:, ~_known(model)] = np.nan
+        plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
+        plain[:2] = [all(plain[:2])] * 2  # the world's axes hold both
+        lines["model"][:, ~np.array(plain)] = np.nan
+    at, out = np.searchsorted(flight.pose_time, motion.time), {}
+    for name, values in lines.items():
+        out[name] = np.full((flight.pose_time.size, 4), np.nan)
+        out[name][at] = values
+    return out
+
+
+def _held(flight: Flight, time: Array, k: int) -> Array:
+    """The command that acts at a time; NaN outside the segments."""
+    index = np.searchsorted(flight.command_time, time, side="right") - 1
+    inside = np.any([(time >= part.start) & (time <= part.end) for part in flight.segments], axis=0)
+    return np.where(inside & (index >= 0), flight.command[np.maximum(index, 0), k], np.nan)

@@ -1,0 +1,177 @@
+"""Evidence -> small charts: errors over the horizon, profiles of the delay, correlations of the residuals."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import Axis, Model
+from rotorfit.core.results import Correlogram, PairedTest, Quantity
+from rotorfit.reporting.views import Chart, Line, Mark
+
+FALL = 1.92
+"""Fall of the profile at the ends of an interval: half the 95 % point of chi-squared with one degree of freedom."""
+
+PROFILE_REACH = 25.0
+"""How far above and below its maximum a profile is drawn: beyond, all delays are equally impossible."""
+
+NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": "this model"}
+"""Predictors that are compared, in the order of drawing."""
+
+
+def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest] = ()) -> tuple[Chart, ...]:
+    """Velocity and position error over the horizon of the axes that have a model, beside the naive baselines.
+
+    Args:
+        scores: As `scores_of` gives them.
+        paired: Tests of the model against the baselines, for the band of what cannot be told from it.
+    """
+    charts = []
+    for axis in AXES:
+        mine = [score for score in scores if score.axis == axis]
+        if any(score.velocity.get("model") is not None for score in mine):
+            charts.append(_horizon_chart(mine, "velocity", *SPEED[axis], _band(mine, paired, "velocity")))
+            charts.append(_horizon_chart(mine, "position", *LENGTH[axis], _band(mine, paired, "position")))
+    return tuple(charts)
+
+
+def _band(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest], what: Quantity) -> Array:
+    """Half width of the 95 % interval of the difference from the nearest baseline that was tested; NaN without."""
+    half = np.full(len(scores), np.nan)
+    for test in sorted(paired, key=lambda test: test.second == "paper"):  # the paper's, where there is one, stays
+        for i, score in enumerate(scores):
+            found = test.axes[score.axis].get(f"{score.horizon:g}", {}).get(what)
+            if found and found.pooled and (ends := found.pooled.rmse_ci95) is not None:
+                half[i] = (ends[1] - ends[0]) / 2
+    return half
+
+
+def _horizon_chart(scores: Sequence[HorizonErrors], what: str, unit: str, factor: float, half: Array) -> Chart:
+    """Errors of one axis over the horizon."""
+    x = np.array([score.horizon for score in scores])
+    errors: list[Mapping[str, float | None]] = [getattr(score, what) for score in scores]
+    series = {role: factor * np.array([e.get(role) for e in errors], dtype=np.float64) for role in NAMES}  # None: NaN
+    positive = {role: np.where(y > 0, y, np.nan) for role, y in series.items()}
+    lines = tuple(Line(NAMES[role], role, y) for role, y in positive.items() if np.isfinite(y).any())
+    told = "; ".join(f"{line.name} {_listed(x, line.y)} {unit}" for line in lines)
+    sides = [positive["model"] + sign * factor * half for sign in (-1, 1)]
+    lines += tuple(Line("95 % band", "band", np.where(y > 0, y, np.nan)) for y in sides if np.isfinite(y).any())
+    axis = scores[0].axis
+    return Chart(
+        kind=f"horizon_{what}",
+        axis=axis,
+        title=f"{axis}: {what} error",
+        x_label="horizon [s]",
+        y_label=f"RMSE [{unit}]",
+        x=x,
+        lines=lines,
+        reading="Lower is better: the gap to the dotted line is what the model knows beyond 'it keeps its velocity', "
+        "and equal gaps are equal factors.",
+        summary=f"{what} RMSE of {axis} over {scores[0].n} predictions: {told}.",
+        y_log=True,
+    )
+
+
+def _listed(x: Array, y: Array) -> str:
+    return ", ".join(f"{value:.3g} at {at:g} s" for at, value in zip(x, y, strict=True) if np.isfinite(value))
+
+
+def profile_charts(model: Model) -> tuple[Chart, ...]:
+    """Profile of the log-likelihood over the delay, with the optima that the search found."""
+    return tuple(_profile_chart(name, model.axes[name]) for name in AXES if model.axes[name].profile)
+
+
+def _profile_chart(name: str, axis: Axis) -> Chart:
+    delay, value = (np.array(column, float) for column in zip(*axis.profile, strict=True))
+    chosen = next((mode for mode in axis.modes if mode.chosen), None)
+    base, starts = chosen.log_likelihood if chosen else 0.0, sum(mode.starts for mode in axis.modes)
+    marks = tuple(
+        Mark(
+            mode.delay,
+            mode.log_likelihood - base,
+            "chosen" if mode.chosen else "rejected",
+            f"delay {mode.delay:.3f} s, damping {mode.damping:.3g} 1/s, {mode.starts} of {starts} starts, "
+            f"log-likelihood {mode.log_likelihood - base:+.1f}",
+        )
+        for mode in axis.modes
+    )
+    low, high = axis.ci95.get("delay", (None, None))
+    fall = axis.profile_fall or FALL
+    told = f"delay {axis.predictor.delay:.3f} s, " if axis.predictor else ""
+    reached = f"; {chosen.starts} of {starts} starts reached this optimum" if chosen else ""
+    others = len(axis.modes) - 1
+    reached += f", {others} other{'s' if others > 1 else ''} found" if others > 0 else ", no other was found"
+    return Chart(
+        kind="profile",
+        axis=name,
+        title=f"{name}: why this delay",
+        x_label="delay [s]",
+        y_label="log-likelihood − maximum",
+        x=delay,
+        lines=(Line("profile likelihood", "model", value),),
+        reading="The curve says how well the data agree with each delay when everything else is fitted anew; where it "
+        f"stays above the dashed line (−{fall:.2f}) lies the 95 % interval, shaded. Dots are optima that were found; "
+        "hollow ones lie beyond the picture.",
+        summary=f"{name}: {told}95 % interval {_end(low)} to {_end(high)} s{reached}.",
+        marks=marks,
+        levels=((-fall, f"−{fall:.2f}"),),
+        span=(-np.inf if low is None else low, np.inf if high is None else high),
+        y_range=(
+            max(-PROFILE_REACH, float(value.min())),
+            min(PROFILE_REACH, max([1.5, 1.1 * float(value.max()), *(1.1 * mark.y for mark in marks)])),
+        ),
+    )
+
+
+def _end(value: float | None) -> str:
+    return "open" if value is None else f"{value:.3f}"
+
+
+def residual_charts(white: Mapping[str, Correlogram], free: Mapping[str, Correlogram]) -> tuple[Chart, ...]:
+    """Correlations of the residuals with 95 % bands; see `correlograms`.
+
+    Args:
+        white: Axis to their autocorrelation.
+        free: Axis to their correlation with past commands.
+    """
+    return (
+        *(_colour_chart(axis, found) for axis, found in white.items()),
+        *(_command_chart(axis, found) for axis, found in free.items()),
+    )
+
+
+def _correlogram_chart(axis: str, found: Correlogram, title: str, label: str, reading: str) -> Chart:
+    outside, n = int(np.sum(np.abs(found.value) > found.band)), found.lag.size
+    size = f"of about ±{float(np.median(found.band)):.3f} " if n else ""
+    return Chart(
+        kind="correlation",
+        axis=axis,
+        title=f"{axis}: {title}",
+        x_label="lag [s]",
+        y_label=label,
+        x=found.lag,
+        lines=(
+            Line(title, "residual", found.value),
+            Line("95 % band", "band", found.band),
+            Line("95 % band", "band", -found.band),
+        ),
+        reading=reading,
+        summary=f"{axis}: {outside} of {n} lags lie outside the 95 % band {size}({0.05 * n:.0f} expected by chance).",
+    )
+
+
+def _colour_chart(axis: str, found: Correlogram) -> Chart:
+    reading = (
+        "Bars inside the band: the model has used up what the past can tell. Bars that stand out: something regular is "
+        "left, and the table says by how much the stated intervals are then too narrow."
+    )
+    return _correlogram_chart(axis, found, "what the residuals say", "autocorrelation", reading)
+
+
+def _command_chart(axis: str, found: Correlogram) -> Chart:
+    reading = (
+        "Residuals against commands from before them: bars that stand out mean that the model leaves out part of the "
+        "answer. Commands from after them are not asked, for a controller answers residuals."
+    )
+    return _correlogram_chart(axis, found, "residuals and past commands", "correlation", reading)
