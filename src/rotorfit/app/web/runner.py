@@ -83,6 +83,7 @@ class Runner:
                 self._running = Running(fit.id, float(told["fraction"]), str(told["text"]), process.pid)
         code = process.wait()
         process.stdin.close()
+        process.stdout.close()
         status, text = self._outcome(fit, code, said)
         with self._lock:  # both at once: a fit that nobody runs must not be called running
             try:
