@@ -93,11 +93,13 @@ def export(
         known, wanted, origin, digest, dt=dt, predictor=predictor, physical=physical, round_delay=round_delay
     )
     check(subject, to, form)
-    if path and to == "matlab" and Path(path).stem != subject.name:
-        raise ExportError(f"{path}: MATLAB wants the file to have the name of its function; call it {subject.name}.m")
+    if path and form.named and Path(path).stem != subject.name:
+        raise ExportError(
+            f"{path}: {to} wants the file to have the name of its function; call it {subject.name}{form.suffix}"
+        )
     mark = f"Written by rotorfit export {__version__}, format {to}."
     lines = header(
-        subject, summary_of(subject, to), trained_on(training), scores(known, validation, subject.axes), mark
+        subject, summary_of(subject, form), trained_on(training), scores(known, validation, subject.axes), mark
     )
     text = render(subject, to, form, lines)
     if path:

@@ -5,29 +5,11 @@ from dataclasses import dataclass
 
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
+from rotorfit.exports.formats import Language
 from rotorfit.exports.subject import Subject
 
 SPEEDS = {"x": "forward", "y": "left", "z": "v_z", "yaw": "v_yaw"}
 """Axis to the variable that holds its velocity in the heading frame."""
-
-
-@dataclass(frozen=True)
-class Language:
-    """How a language writes what the laws need.
-
-    Attributes:
-        absolute: Name of |a|.
-        larger: Name of max(a, b).
-        smaller: Name of min(a, b).
-        prefix: Before the name of a constant.
-        zero: 0 as a float.
-    """
-
-    absolute: str
-    larger: str
-    smaller: str
-    prefix: str = ""
-    zero: str = "0.0"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,29 @@
-"""Formats: every kind of file that a model is exported to."""
+"""Formats: every kind of file that a model is exported to. Command line and studio take their lists from this table.
+
+A new format is a template in `templates` and one row here.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Language:
+    """How a language writes what the laws need.
+
+    Attributes:
+        absolute: Name of |a|.
+        larger: Name of max(a, b).
+        smaller: Name of min(a, b).
+        prefix: Before the name of a constant; `{NAME}` stands for the name of the vehicle in capitals.
+        zero: 0 as a float.
+    """
+
+    absolute: str
+    larger: str
+    smaller: str
+    prefix: str = ""
+    zero: str = "0.0"
 
 
 @dataclass(frozen=True)
@@ -12,43 +34,104 @@ class Format:
         suffix: Of its files.
         text: What it is, for a list.
         template: In `templates`.
+        summary: What a file of it holds, for the head of the file.
+        language: In which it writes the laws out, to be stepped by Runge-Kutta; None where it does not.
         linear: Whether it holds linear laws only.
         plain: Whether it holds the default law only, with or without its delay.
+        steady: Whether it needs a steady speed on all four axes.
+        named: Whether the file must have the name of the function in it.
         needs: What one needs to use it.
     """
 
     suffix: str
     text: str
     template: str
+    summary: str
+    language: Language | None = None
     linear: bool = False
     plain: bool = False
+    steady: bool = False
+    named: bool = False
     needs: str = ""
 
 
+NUMPY = Language("np.abs", "np.maximum", "np.minimum")
+
 FORMATS: Mapping[str, Format] = {
     "python-control": Format(
-        ".py", "linear state space at a heading: continuous, sampled with the exact delay, Pade",
-        "python_control.py.j2", linear=True, needs="pip install 'rotorfit[control]'",
+        ".py",
+        "linear state space at a heading: continuous, sampled with the exact delay, Pade",
+        "python_control.py.j2",
+        "Linear state space at a fixed heading for python-control, with the exact delay when sampled.",
+        linear=True,
+        needs="pip install 'rotorfit[control]'",
     ),
     "casadi": Format(
-        ".py", "CasADi functions for MPC: right-hand side, exact-delay step, model for acados", "casadi.py.j2",
+        ".py",
+        "CasADi functions for MPC: right-hand side, exact-delay step, model for acados",
+        "casadi.py.j2",
+        "CasADi functions: the right-hand side, and a step of any sample period with the exact delay.",
+        Language("ca.fabs", "ca.fmax", "ca.fmin"),
         needs="pip install 'rotorfit[casadi]'; CasADi is LGPL",
     ),
-    "numpy": Format(".py", "NumPy functions: right-hand side, step, simulation; any batch", "numpy.py.j2"),
-    "jax": Format(
-        ".py", "the same in JAX: jit, grad, vmap", "numpy.py.j2", needs="pip install 'rotorfit[jax]'",
+    "numpy": Format(
+        ".py",
+        "NumPy functions: right-hand side, step, simulation; any batch",
+        "numpy.py.j2",
+        "NumPy functions: the right-hand side, and steps of any length with the exact delay.",
+        NUMPY,
     ),
-    "matlab": Format(".m", "MATLAB and Octave: functions, and the state space at a heading", "matlab.m.j2"),
-    "c": Format(".h", "C99 header: fixed-step predictor without allocation", "c.h.j2"),
-    "ros1": Format(".yaml", "ROS 1 parameters, with K as drone_dev takes it", "ros1.yaml.j2"),
-    "ros2": Format(".yaml", "ROS 2 parameters, with K as drone_dev takes it", "ros2.yaml.j2"),
+    "jax": Format(
+        ".py",
+        "the same in JAX: jit, grad, vmap",
+        "numpy.py.j2",
+        "JAX functions: the right-hand side, and steps of any length with the exact delay.",
+        Language("jnp.abs", "jnp.maximum", "jnp.minimum"),
+        needs="pip install 'rotorfit[jax]'",
+    ),
+    "matlab": Format(
+        ".m",
+        "MATLAB and Octave: functions, and the state space at a heading",
+        "matlab.m.j2",
+        "Functions for MATLAB and Octave: the right-hand side, steps of any length with the exact delay, and the "
+        "state space at a fixed heading where the laws are linear.",
+        Language("abs", "max", "min", prefix="p."),
+        named=True,
+    ),
+    "c": Format(
+        ".h",
+        "C99 header: fixed-step predictor without allocation",
+        "c.h.j2",
+        "C99 predictor of a fixed step with the exact delay. It allocates nothing and needs math.h only.",
+        Language("fabs", "fmax", "fmin", prefix="{NAME}_"),
+    ),
+    "ros1": Format(
+        ".yaml",
+        "ROS 1 parameters, with K as drone_dev takes it",
+        "ros1.yaml.j2",
+        "Parameters for ROS 1, to be loaded by rosparam or a launch file.",
+    ),
+    "ros2": Format(
+        ".yaml",
+        "ROS 2 parameters, with K as drone_dev takes it",
+        "ros2.yaml.j2",
+        "Parameters for ROS 2, to be loaded by --params-file.",
+    ),
     "rotorpy": Format(
-        ".py", "vehicle for RotorPy's Environment that moves as the model does", "rotorpy.py.j2",
+        ".py",
+        "vehicle for RotorPy's Environment that moves as the model does",
+        "rotorpy.py.j2",
+        "A vehicle for RotorPy's Environment, which moves exactly as the model does; it has no rotors.",
+        NUMPY,
         needs="pip install 'rotorfit[rotorpy]'",
     ),
     "gazebo": Format(
-        ".xacro", "gains of Gazebo's MulticopterVelocityControl; what it cannot hold is said", "gazebo.xacro.j2",
+        ".xacro",
+        "gains of Gazebo's MulticopterVelocityControl; what it cannot hold is said",
+        "gazebo.xacro.j2",
+        "A xacro macro with the gains of Gazebo's MulticopterVelocityControl.",
         plain=True,
+        steady=True,
     ),
-}  # fmt: skip
+}
 """Every format by its name."""

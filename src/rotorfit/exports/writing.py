@@ -13,46 +13,20 @@ from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.limits import CommandMeaning
 from rotorfit.core.model import Model
 from rotorfit.dynamics.trajectory import state_space
-from rotorfit.exports.equations import SPEEDS, Equation, Language, constants, equations, number
-from rotorfit.exports.formats import Format
+from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
+from rotorfit.exports.formats import NUMPY, Format, Language
 from rotorfit.exports.subject import Subject, listed
 
 _PLAIN = (FIRST_ORDER_DELAY.name, "first_order")
 
-LANGUAGES: Mapping[str, Language] = {
-    "numpy": Language("np.abs", "np.maximum", "np.minimum"),
-    "rotorpy": Language("np.abs", "np.maximum", "np.minimum"),
-    "jax": Language("jnp.abs", "jnp.maximum", "jnp.minimum"),
-    "casadi": Language("ca.fabs", "ca.fmax", "ca.fmin"),
-    "c": Language("fabs", "fmax", "fmin"),
-    "matlab": Language("abs", "max", "min", prefix="p."),
-}
-"""Of the formats that write the laws out."""
 
-TOLD = {
-    "python-control": "Linear state space at a fixed heading for python-control, with the exact delay when sampled.",
-    "casadi": "CasADi functions: the right-hand side, and a step of any sample period with the exact delay.",
-    "numpy": "NumPy functions: the right-hand side, and steps of any length with the exact delay.",
-    "jax": "JAX functions: the right-hand side, and steps of any length with the exact delay.",
-    "matlab": "Functions for MATLAB and Octave: the right-hand side, steps of any length with the exact delay, and the "
-    "state space at a fixed heading where the laws are linear.",
-    "c": "C99 predictor of a fixed step with the exact delay. It allocates nothing and needs math.h only.",
-    "ros1": "Parameters for ROS 1, to be loaded by rosparam or a launch file.",
-    "ros2": "Parameters for ROS 2, to be loaded by --params-file.",
-    "rotorpy": "A vehicle for RotorPy's Environment, which moves exactly as the model does; it has no rotors.",
-    "gazebo": "A xacro macro with the gains of Gazebo's MulticopterVelocityControl.",
-}  # fmt: skip
-"""What a file of each format holds."""
-
-
-def summary_of(subject: Subject, to: str) -> str:
+def summary_of(subject: Subject, form: Format) -> str:
     """What a file of the format holds, in a sentence or two."""
-    stepped = {"casadi", "numpy", "jax", "matlab", "c", "rotorpy"}
     steps = (
         f" Between changes of the command the motion is stepped by Runge-Kutta of order 4, at most "
         f"{subject.longest:.3g} s at a time."
     )
-    return TOLD[to] + (steps if to in stepped else "")
+    return form.summary + (steps if form.language else "")
 
 
 def check(subject: Subject, to: str, form: Format) -> None:
@@ -72,11 +46,11 @@ def check(subject: Subject, to: str, form: Format) -> None:
             "the default structure"
         )
     unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
-    if to == "gazebo" and unsteady:
+    if form.steady and unsteady:
         verbs, them = ("is left out or has", "it") if len(unsteady) == 1 else ("are left out or have", "them")
         hidden = any(subject.original.axes[axis].predictor and axis not in subject.axes for axis in unsteady)
         raise ExportError(
-            f"gazebo holds a velocity on all four axes, and {listed(unsteady)} {verbs} no positive damping; fit a "
+            f"{to} holds a velocity on all four axes, and {listed(unsteady)} {verbs} no positive damping; fit a "
             f"flight that moves {them}, {'try --predictor, ' if hidden else ''}or export to another format"
         )
 
@@ -97,18 +71,18 @@ def render(subject: Subject, to: str, form: Format, header: Sequence[str]) -> st
         keep_trailing_newline=True, line_comment_prefix="##",
     )  # fmt: skip
     environment.filters["number"] = number
-    return environment.get_template(form.template).render(**_context(subject, to), header=header)
+    return environment.get_template(form.template).render(
+        **_context(subject, to, form.language or NUMPY), header=header
+    )
 
 
 def _template(name: str) -> str:
     return resources.files(__name__.rpartition(".")[0]).joinpath("templates", name).read_text(encoding="utf-8")
 
 
-def _context(subject: Subject, to: str) -> dict[str, Any]:
+def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
     """What the templates speak of."""
-    language = LANGUAGES.get(to, LANGUAGES["numpy"])
-    if to == "c":
-        language = replace(language, prefix=f"{subject.name.upper()}_")
+    language = replace(language, prefix=language.prefix.format(NAME=subject.name.upper()))
     laws = {equation.axis: equation for equation in equations(subject, language)}
     limits = [command.limit if axis in subject.axes else None for axis, command in _commands(subject)]
     parts, steady = segments(subject, subject.dt), {axis: steady_gain(subject, axis) for axis in AXES}

@@ -28,7 +28,6 @@ def export(
 
     With LOGs the file also states the errors of predictions on them. Without --to, lists the formats.
     """
-    from dataclasses import asdict
 
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.handover import export_formats_view, export_mapping, export_view
@@ -38,7 +37,10 @@ def export(
 
     if to is None:
         if as_json:
-            return print_json({"formats": {name: asdict(form) for name, form in FORMATS.items()}})
+            told = ("suffix", "text", "template", "linear", "plain", "needs")
+            return print_json(
+                {"formats": {name: {key: getattr(form, key) for key in told} for name, form in FORMATS.items()}}
+            )
         return show(export_formats_view(FORMATS))
     if model_path is None or output is None:
         raise click.UsageError("give a model and -o FILE: rotorfit export model.json --to NAME -o FILE")
