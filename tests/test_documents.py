@@ -28,10 +28,14 @@ from rotorfit.estimation.likelihood import blocks as record
 from rotorfit.estimation.likelihood import optima as modes
 from rotorfit.estimation.likelihood import parameters as point
 from rotorfit.estimation.likelihood.coefficients import DIVERGED, WIDEST_DAMPING
+from rotorfit.estimation.methods import METHODS
 from rotorfit.estimation.regression import paper as regression
+from rotorfit.exports.formats import FORMATS as EXPORT_FORMATS
 from rotorfit.files import cards as card_file
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.files.logs import FORMATS
+from rotorfit.files.logs.formats import FORMATS as LOG_FORMATS
+from rotorfit.flying.links import LINKS
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
 
@@ -91,6 +95,25 @@ def write_csv(flight: SimulatedFlight, path: Path) -> None:
         table = csv.writer(file)
         table.writerow(["time", "x", "y", "z", "yaw", "cmd_x", "cmd_y", "cmd_z", "cmd_yaw"])
         table.writerows([f"{1e-9 * t:.6f}", *cells] for t, cells in sorted(poses + sent, key=lambda row: row[0]))
+
+
+def undocumented() -> set[str]:
+    """Formats, methods, exports and links that have no row in the table of their page."""
+    tables = {
+        "format": ("formats", LOG_FORMATS),
+        "method": ("ladder", METHODS),
+        "export": ("exports", EXPORT_FORMATS),
+        "link": ("links", LINKS),
+    }
+    rows = {
+        kind: " ".join(line for line in page_of(page).splitlines() if line.startswith("|"))
+        for kind, (page, _) in tables.items()
+    }
+    return {f"{kind} {name}" for kind, (_, table) in tables.items() for name in table if f"`{name}" not in rows[kind]}
+
+
+def page_of(name: str) -> str:
+    return (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
