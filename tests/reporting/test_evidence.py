@@ -14,6 +14,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.model import unknown_axis
 from rotorfit.core.results import AxisScore, FlightScores, Horizon, Validation, student_quantile
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
+from rotorfit.reporting.tables import unit_text
 
 NOTHING = AxisScore({"1": Horizon(None, None, 0)}, None)
 
@@ -89,7 +90,7 @@ def test_coefficients_stand_beside_the_papers_with_units_of_the_card() -> None:
 
     x = rows["x", "input"]
     assert (x.symbol, x.value, x.low, x.high, x.paper) == ("g1", 3.6976, 3.6576, 3.7376, 3.6976)
-    assert x.unit == "m/s² per full tilt"
+    assert (x.unit, x.per, unit_text(x)) == ("m/s^2", "full tilt", "m/s² per full tilt")
     assert rows["yaw", "damping"].symbol == "g8"
     assert rows["yaw", "steady_gain"].paper == pytest.approx(2 * 4.4168 / 2.7023)
     assert rows["yaw", "total_lag"].status == "open"

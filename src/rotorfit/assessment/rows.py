@@ -3,7 +3,7 @@
 Numbers are in SI; the unit that a reader sees is `SPEED` and `LENGTH` of an axis.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.results import FlightScores, Validation
 
 SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for axis in AXES}
@@ -19,9 +19,6 @@ SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for 
 
 LENGTH = {axis: ("deg", 180 / np.pi) if axis == "yaw" else ("cm", 100.0) for axis in AXES}
 """Unit of a position error for people, and the factor from SI."""
-
-_UNITS = {"natural_frequency": "rad/s", "damping_ratio": "", "damping_at_rest": "1/s", "quadratic_drag": "1/m or 1/rad"}
-"""Units of combinations that are not seconds."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,9 @@ class CoefficientRow:
         axis: Name.
         name: `input`, `damping`, `delay`, a further parameter of the structure, or a combination such as `total_lag`.
         symbol: The paper's, such as g1; empty where it has none.
-        unit: As text.
+        kind: `coefficient`, `parameter` of the structure, or `combination`.
+        unit: In SI, such as `m/s^2`; `command` for the unit of the command itself.
+        per: Unit of the command, where the unit is per command or that of the command; else empty.
         value: Estimate.
         stderr: Standard error.
         low: Lower end of the 95 % interval.
@@ -63,7 +62,9 @@ class CoefficientRow:
     axis: str
     name: str
     symbol: str
+    kind: str
     unit: str
+    per: str
     value: float | None
     stderr: float | None
     low: float | None
@@ -74,37 +75,43 @@ class CoefficientRow:
 
 def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
     """Coefficients and their identifiable combinations, axis by axis, with the paper's beside them."""
-    rows = []
-    for k, name in enumerate(AXES):
-        axis, per = model.axes[name], command_unit(model, name)
-        gain, damping = model.paper[2 * k : 2 * k + 2]
-        papers = {"input": gain, "damping": damping, "steady_gain": None, "total_lag": None}
-        if gain is not None and damping:
-            papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
-        rate = "rad/s" if name == "yaw" else "m/s"
-        units = {"input": f"{rate}² per {per}", "damping": "1/s", "steady_gain": f"{rate} per {per}", **_UNITS}
-        units |= {"input_up": units["input"], "input_down": units["input"]}
-        for number, coefficient in enumerate(COEFFICIENTS):
-            low, high = axis.ci95.get(coefficient, (None, None))
-            rows.append(
-                CoefficientRow(
-                    name, coefficient, f"g{2 * k + number + 1}" if number < 2 else "",
-                    units.get(coefficient, "s"), getattr(axis, coefficient), axis.stderr.get(coefficient), low, high,
-                    axis.status.get(coefficient, "not_identifiable"), papers.get(coefficient),
-                )
-            )  # fmt: skip
-        for extra in structure_named(axis.structure).extras if axis.predictor else ():
-            low, high = axis.ci95.get(extra.name, (None, None))
-            unit = {"speed": rate, "gain": f"{rate}² per {per}", "command": per}.get(extra.unit, extra.unit)
-            value, error = axis.extra[extra.name], axis.stderr.get(extra.name)
-            status = axis.status.get(extra.name, "given")
-            rows.append(CoefficientRow(name, extra.name, "", unit, value, error, low, high, status, None))
-        for combination, known in axis.combinations.items():
-            low, high = known.ci95
-            status = "ok" if low is not None and high is not None else "open"
-            unit, paper = units.get(combination, "s"), papers.get(combination)
-            rows.append(CoefficientRow(name, combination, "", unit, known.value, None, low, high, status, paper))
-    return tuple(rows)
+    return tuple(row for name in AXES for row in _axis_rows(model, name))
+
+
+def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
+    k, axis, per = AXES.index(name), model.axes[name], command_unit(model, name)
+    gain, damping = model.paper[2 * k : 2 * k + 2]
+    papers = {"input": gain, "damping": damping}
+    if gain is not None and damping:
+        papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
+    rate, place = ("rad/s", "rad") if name == "yaw" else ("m/s", "m")
+    own = {"speed": rate, "gain": f"{rate}^2"}
+    units = {"damping": "1/s", "damping_at_rest": "1/s", "natural_frequency": "rad/s", "damping_ratio": ""} | {
+        "input": f"{rate}^2", "input_up": f"{rate}^2", "input_down": f"{rate}^2", "steady_gain": rate,
+        "quadratic_drag": f"1/{place}",
+    }  # fmt: skip
+
+    def row(
+        part: str, kind: str, unit: str, of_command: bool, value: float | None, ends: Interval, status: str
+    ) -> CoefficientRow:
+        symbol = f"g{2 * k + COEFFICIENTS.index(part) + 1}" if part in COEFFICIENTS[:2] else ""
+        error = axis.stderr.get(part) if kind != "combination" else None
+        paper = papers.get(part) if kind != "parameter" else None
+        return CoefficientRow(
+            name, part, symbol, kind, unit, per if of_command else "", value, error, *ends, status, paper
+        )
+
+    for part in COEFFICIENTS:
+        ends, status = axis.ci95.get(part, (None, None)), axis.status.get(part, "not_identifiable")
+        yield row(part, "coefficient", units.get(part, "s"), part == "input", getattr(axis, part), ends, status)
+    for extra in structure_named(axis.structure).extras if axis.predictor else ():
+        ends, status = axis.ci95.get(extra.name, (None, None)), axis.status.get(extra.name, "given")
+        unit, of_command = own.get(extra.unit, extra.unit), extra.unit in ("gain", "command")
+        yield row(extra.name, "parameter", unit, of_command, axis.extra[extra.name], ends, status)
+    for part, known in axis.combinations.items():
+        status = "ok" if None not in known.ci95 else "open"
+        of_command = part in ("steady_gain", "input_up", "input_down")
+        yield row(part, "combination", units.get(part, "s"), of_command, known.value, known.ci95, status)
 
 
 def command_unit(model: Model, axis: str) -> str:

@@ -8,6 +8,7 @@ from rotorfit.assessment.evidence import Evidence
 from rotorfit.assessment.rows import SPEED
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.reporting.tables import unit_text
 from rotorfit.reporting.views import ChartRow, RowChart, look_of
 from rotorfit.reporting.words import chance, figure, rounded, term_of
 
@@ -135,11 +136,10 @@ def coefficients_side_by_side(evidences: Sequence[Evidence], names: Sequence[str
             for k, row in enumerate(mine):
                 scale = row.stderr or (row.high - row.low) / 4 if row.low is not None and row.high is not None else None
                 ends = " to ".join("open" if end is None else rounded(end, scale) for end in (row.low, row.high))
-                text = (
-                    f"{names[k]}: {axis} {term_of(name)} {rounded(row.value, scale)}, 95 % interval {ends} {row.unit}"
-                )
+                value = f"{rounded(row.value, scale)}, 95 % interval {ends} {unit_text(row)}"
+                text = f"{names[k]}: {axis} {term_of(name)} {value}"
                 rows.append(ChartRow(shortened(names[k]), ((look_of(k), row.value),), text, row.low, row.high))
-            units = dict.fromkeys(row.unit for row in mine)
+            units = dict.fromkeys(unit_text(row) for row in mine)
             title, label = f"{axis}: {term_of(name)}", f"{term_of(name)} [{' or '.join(units)}]"
             summary = "; ".join(row.text for row in rows)
             charts.append(RowChart(title, label, tuple(rows), COEFFICIENTS_READING, f"{summary}."))

@@ -60,6 +60,13 @@ def laws_of(model: Model) -> list[tuple[str, str]]:
     return [(name, structure_named(structure).law) for name, structure in known.items()]
 
 
+def unit_text(row: CoefficientRow) -> str:
+    """The unit of a row, per command where it is."""
+    if row.unit == "command":
+        return row.per
+    return f"{row.unit.replace('^2', '²')} per {row.per}" if row.per else row.unit
+
+
 def _row_text(row: CoefficientRow) -> RowText:
     width = None if row.low is None or row.high is None else (row.high - row.low) / 4
     scale = row.stderr or width
@@ -77,7 +84,7 @@ def _row_text(row: CoefficientRow) -> RowText:
         value=rounded(row.value, scale),
         stderr=rounded(row.stderr, row.stderr),
         interval=interval,
-        unit=row.unit,
+        unit=unit_text(row),
         status=row.status.replace("_", " "),
         paper=paper,
         kind=kind,

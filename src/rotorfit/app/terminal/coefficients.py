@@ -1,6 +1,5 @@
 """What the terminal shows of a model: coefficients, accuracy, physics, structures, findings."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import RenderableType
@@ -17,6 +16,7 @@ from rotorfit.app.terminal.tables import (
     three_digits,
     title,
 )
+from rotorfit.assessment.rows import LENGTH, coefficient_rows
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.finding import DAMAGED
 from rotorfit.core.frames import AXES
@@ -24,22 +24,6 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Mode, Model
 from rotorfit.dynamics.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.reporting.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
-
-_UNITS = {
-    "input": ("m/s^2", "rad/s^2"),
-    "damping": ("1/s", "1/s"),
-    "delay": ("s", "s"),
-    "steady_gain": ("m/s", "rad/s"),
-    "total_lag": ("s", "s"),
-    "delay_plus_lag": ("s", "s"),
-    "offset_plus_delay": ("s", "s"),
-    "natural_frequency": ("rad/s", "rad/s"),
-    "quadratic_drag": ("1/m", "1/rad"),
-    "damping_at_rest": ("1/s", "1/s"),
-    "input_up": ("m/s^2", "rad/s^2"),
-    "input_down": ("m/s^2", "rad/s^2"),
-}
-"""Of an axis of translation and of yaw; `input` and `steady_gain` per unit of the command."""
 
 _AS_LIKELY, _FAR_LESS_LIKELY = 1.0, 5.0
 """Differences of the log-likelihood: below the first nobody could tell, beyond the second nobody would doubt."""
@@ -92,29 +76,21 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
     out = table("axis", "coefficient", "estimate", "95 % interval", "unit", "paper", "status", left=(0, 1, 4, 6), gap=1)
-    for axis in axes:
-        known, k = model.axes[axis], AXES.index(axis)
-        paper = dict(zip(COEFFICIENTS, model.paper[2 * k : 2 * k + 2], strict=False))
-        there = [name for name in COEFFICIENTS if known.predictor or name == "input" or paper.get(name) is not None]
-        for name in there:
-            value, beside = getattr(known, name), paper.get(name)
-            out.add_row(
-                axis if name == "input" else "",
-                name,
-                "-" if value is None else number_text(value, known.ci95[name]),
-                interval_text(known.ci95[name]),
-                _UNITS[name][axis == "yaw"],
-                "" if beside is None else f"{beside:.3g}",
-                known.status[name],
-            )
-        for name, further in known.extra.items():
-            ends, unit = known.ci95.get(name, (None, None)), _unit(axis, known.structure, name)
-            value = "-" if further is None else number_text(further, ends)
-            out.add_row("", _words(name), value, interval_text(ends), unit, "", known.status.get(name, "given"))
-        for name, part in known.combinations.items():
-            value = "-" if part.ci95 == (None, None) else number_text(part.value, part.ci95)
-            unit = _UNITS.get(name, ("", ""))[axis == "yaw"]
-            out.add_row("", _words(name), value, interval_text(part.ci95), unit, "", "")
+    for row in coefficient_rows(model):
+        first, ends = row.name == COEFFICIENTS[0], (row.low, row.high)
+        if row.axis not in axes or not (model.axes[row.axis].predictor or first or row.paper is not None):
+            continue
+        combined = row.kind == "combination"
+        unknown = row.value is None or (combined and ends == (None, None))
+        out.add_row(
+            row.axis if first else "",
+            _words(row.name),
+            "-" if unknown or row.value is None else number_text(row.value, ends),
+            interval_text(ends),
+            row.unit,
+            "" if row.paper is None else f"{row.paper:.3g}",
+            "" if combined else row.status,
+        )
     return out
 
 
@@ -143,13 +119,6 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _unit(axis: str, structure: str, name: str) -> str:
-    """Unit of a further parameter of a structure."""
-    unit = next(extra.unit for extra in structure_named(structure).extras if extra.name == name)
-    speed = "rad/s" if axis == "yaw" else "m/s"
-    return {"speed": speed, "gain": f"{speed}^2"}.get(unit, unit)
-
-
 def _structure_view(axis: str, known: Axis) -> View:
     """The law of an axis where it is not the default, the default's coefficients, and what it was chosen from."""
     if known.plain:
@@ -166,7 +135,7 @@ def _structure_view(axis: str, known: Axis) -> View:
         return
     yield ""
     yield title(f"{axis}: structures tried")
-    scale, unit = (180 / math.pi, "deg") if axis == "yaw" else (100.0, "cm")
+    unit, scale = LENGTH[axis]
     out = table("structure", "log L", "BIC", f"1 s [{unit}/s]", f"5 s [{unit}]", left=(0,))
     for one in known.candidates:
         errors = ["-" if e is None else three_digits(scale * e) for e in (one.velocity, one.position)]

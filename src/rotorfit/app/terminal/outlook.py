@@ -13,6 +13,7 @@ from rich.text import Text
 
 from rotorfit.app.demo import Demo, recovered, scores
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, three_digits, title
+from rotorfit.assessment.rows import SPEED
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Plan, Signal, Sines, value
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval
@@ -205,7 +206,7 @@ def demo_view(demo: Demo) -> View:
     yield title("1 s predictions of the velocity on flights that were not fitted:")
     errors = table("axis", "likelihood", "paper's method", "velocity held", "flight", left=(0, 4))
     for score in scores(demo):
-        scale = 180 / math.pi if score.axis == "yaw" else 100.0
+        scale = SPEED[score.axis][1]
         cells = ["-" if v is None else three_digits(scale * v) for v in (score.ml, score.paper, score.hold)]
         errors.add_row(score.axis, *cells, Path(score.path).name)
     yield errors

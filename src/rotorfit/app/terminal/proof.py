@@ -9,6 +9,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from rotorfit.app.terminal.tables import NOTHING, View, bullets, finding_view, indented, table, three_digits, title
+from rotorfit.assessment.rows import SPEED
 from rotorfit.core.frames import AXES
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
     """Figures and verdict."""
     if found is None:
         return "-", ""
-    scale = 180 / math.pi if axis == "yaw" else 100.0
+    scale = SPEED[axis][1]
     ends, value = found.rmse_ci95, scale * found.rmse
     sign = "-" if value < 0 else "+"
     if ends is None or scale * (ends[1] - ends[0]) / 2 < NOTHING:

@@ -13,6 +13,7 @@ from rich.text import Text
 from rotorfit.app.terminal.proof import leave_one_out_view, paired_view, residuals_view
 from rotorfit.app.terminal.tables import View, bullets, indented, table, three_digits, title
 from rotorfit.assessment.method_comparison import Ladder, MethodRow
+from rotorfit.assessment.rows import SPEED
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
 
@@ -27,7 +28,7 @@ def ladder_view(ladder: Ladder) -> View:
     yield title(f"Every method on {', '.join(ladder.paths)}")
     for axis, rows in ladder.axes.items():
         shown = table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
-        scale = 180 / math.pi if axis == "yaw" else 100.0
+        scale = SPEED[axis][1]
         for row in rows:
             values = [_plus_minus(getattr(row.axis, name), row.axis.stderr[name]) for name in COEFFICIENTS]
             error = "-" if row.prediction is None else three_digits(scale * row.prediction)
@@ -145,7 +146,7 @@ def _score_table(rows: Mapping[str, "FlightScores"], axes: Sequence[str], horizo
     heads = [f"{what} {horizon} s" for what in "vp" for horizon in horizons]
     out = table("axis", "", *heads, "fit", left=(0, 1))
     for axis in axes:
-        scale = 180 / math.pi if axis == "yaw" else 100.0
+        scale = SPEED[axis][1]
         for number, (name, flight) in enumerate(rows.items()):
             errors = [flight.axes[axis].horizons[horizon] for horizon in horizons]
             values = [*(error.velocity_rmse for error in errors), *(error.position_rmse for error in errors)]
