@@ -19,8 +19,8 @@ from rotorfit.core.errors import CardError, ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import limits_from_text
 from rotorfit.core.model import Combination, Model
+from rotorfit.core.physics import physics
 from rotorfit.dynamics.other_limits import convert, scaled
-from rotorfit.dynamics.physics import with_physics
 from rotorfit.dynamics.trajectory import simulate
 from rotorfit.files.models import load, save, to_mapping
 from rotorfit.planning.signals import two_sines
@@ -106,7 +106,7 @@ def test_what_is_per_command_or_in_commands_goes_by_its_name_wherever_it_stands(
 
 
 def test_there_and_back_the_file_has_the_same_numbers_and_no_conversion() -> None:
-    model = with_physics(model_of())
+    model = model_of()
     there = convert(model, OTHER)
     again = convert(there, BACK)
 
@@ -141,12 +141,12 @@ def test_commands_divided_by_the_factor_move_the_converted_model_the_same() -> N
 
 
 def test_limits_that_are_not_named_stay_and_physics_keeps_its_ratios() -> None:
-    model = with_physics(model_of())
+    model = model_of()
     other = convert(model, limits_from_text("tilt=10deg"))
 
     assert other.axes["z"] == model.axes["z"]
     assert other.card.raw["limits"]["vertical_speed"] == model.card.raw["limits"]["vertical_speed"]
-    old, new = model.physics["x"]["acceleration"], other.physics["x"]["acceleration"]
+    old, new = physics(model)["x"]["acceleration"], physics(other)["x"]["acceleration"]
     assert old.ratio is not None
     assert new.ratio is not None
     assert new.ratio.value == pytest.approx(old.ratio.value)

@@ -7,7 +7,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import GRAVITY, Meaning, Quantity, limit_text, meaning_of
 from rotorfit.core.model import Model
-from rotorfit.dynamics.physics import compared, mapped, people
+from rotorfit.core.physics import compared, mapped, people
 from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 
 LIMIT_MARGIN = 1.2

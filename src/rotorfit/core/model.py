@@ -11,7 +11,7 @@ from rotorfit.core.finding import Finding, counted
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.limits import Conversion, Quantity
+from rotorfit.core.limits import Conversion
 from rotorfit.core.plotting import AXIS_COLOURS, IntervalMark, interval_panels
 from rotorfit.core.tabular import FrameLibrary, columns_of, frame, html_table, interval, number, text_table
 from rotorfit.version import __version__
@@ -239,7 +239,6 @@ class Model:
         rotorfit: Version that wrote it.
         uncertainty: The accuracy table; None where it was not asked for.
         prior: Coefficient, such as `x.input`, to what the card's prior did to it; None where no prior was used.
-        physics: Axis name to physical quantities, as `physics.physics` gives them; for the reader of the file.
         conversion: Set where the model was converted to other limits than those of its flights.
         leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
             asked for. See `leave_one_out.LeaveOneOut`.
@@ -257,7 +256,6 @@ class Model:
     rotorfit: str = __version__
     uncertainty: Uncertainty | None = None
     prior: Mapping[str, PriorUse] | None = None
-    physics: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     conversion: Conversion | None = None
     leave_one_out: Mapping[str, Any] | None = None
 

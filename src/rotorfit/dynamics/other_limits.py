@@ -16,7 +16,6 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.limits import Conversion, Meaning, gain_factor, limit_text, meaning_of
 from rotorfit.core.model import Model, with_findings
-from rotorfit.dynamics.physics import with_physics
 from rotorfit.files.cards import card_from_mapping
 
 PER_COMMAND: Mapping[str, int] = {
@@ -81,7 +80,7 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
         uncertainty=None,  # these two are of the flights as they were flown
         leave_one_out=None,
     )
-    return with_physics(with_findings(converted, _findings(converted)))
+    return with_findings(converted, _findings(converted))
 
 
 def _card_under(model: Model, limits: Mapping[str, Any]) -> Card:

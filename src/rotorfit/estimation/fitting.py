@@ -13,7 +13,6 @@ from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
-from rotorfit.dynamics.physics import with_physics
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
 from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
@@ -88,8 +87,7 @@ def fit(
     report(1.0, "done")
     model = with_clock_error(_model(flights, method, paper, found), flights)
     late = {axis: delay_error(serving_flights(flights, e.records[0].axes), e) for axis, e in found.estimates.items()}
-    model = with_physics(with_delay_error(model, late, GROUPS))
-    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers)
+    return Fit(with_delay_error(model, late, GROUPS), tuple(flights), paper, found.estimates, found.remarks, outliers)
 
 
 @dataclass(frozen=True)

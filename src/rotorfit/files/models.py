@@ -14,8 +14,9 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import LEVELS_OF, structure_named
-from rotorfit.core.limits import Conversion, Figure, Quantity
+from rotorfit.core.limits import Conversion
 from rotorfit.core.model import STRUCTURE, Axis, Candidate, Combination, Mode, Model, Plain, Predictor, Source
+from rotorfit.core.physics import physics
 from rotorfit.files.cards import card_from_mapping
 
 
@@ -90,7 +91,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
         "paper": {"gamma": list(model.paper)},
-        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in model.physics.items()},
+        "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in physics(model).items()},
         "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
         "flights": [asdict(flight) for flight in model.flights],
@@ -137,10 +138,6 @@ def from_mapping(raw: Any, where: str) -> Model:
             rotorfit=raw["rotorfit"],
             uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
             prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
-            physics={
-                name: {key: _quantity(part) for key, part in parts.items()}
-                for name, parts in raw.get("physics", {}).items()
-            },
             conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
             leave_one_out=raw.get("leave_one_out"),
         )
@@ -167,12 +164,6 @@ def _axis(raw: Mapping[str, Any]) -> Axis:
             "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
         }
     )
-
-
-def _quantity(raw: Mapping[str, Any]) -> Quantity:
-    figures = {name: raw[name] for name in ("measured", "ratio", "implied_limit")}
-    known = {name: Figure(part["value"], tuple(part["ci95"])) if part else None for name, part in figures.items()}
-    return Quantity(**{**raw, **known})
 
 
 def _plain(raw: Mapping[str, Any]) -> Plain:

@@ -22,7 +22,7 @@ from rotorfit.core.finding import DAMAGED
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Mode, Model
-from rotorfit.dynamics.physics import PhysicsRow, implied_limits, physics_rows
+from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.reporting.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
 
 _AS_LIKELY, _FAR_LESS_LIKELY = 1.0, 5.0

@@ -22,9 +22,6 @@ LEAST_DAMPING = 0.5
 AT_BOUND = 1e-3
 """A delay this close to an end of the searched range is cut off by it [s]."""
 
-RIDGE = 1e-12
-"""Smallest eigenvalue of the scaled regressors' products below which they are dependent."""
-
 
 @dataclass(frozen=True)
 class MethodResult:

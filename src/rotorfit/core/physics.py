@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import PEOPLE, Figure, Meaning, Quantity, expectation, limit_that_gives, meaning_of
@@ -28,11 +28,6 @@ def physics(model: Model) -> dict[str, dict[str, Quantity]]:
         Axis name to `QUANTITIES`. What the card or the data do not tell is None, with a reason.
     """
     return {axis: _quantities(model, axis) for axis in AXES}
-
-
-def with_physics(model: Model) -> Model:
-    """The model with its physics, for the model file."""
-    return replace(model, physics=physics(model))
 
 
 def compared(model: Model, axis: str) -> Quantity:
