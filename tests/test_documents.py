@@ -4,8 +4,6 @@ import ast
 import csv
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,10 +44,6 @@ CARDS, FINDINGS, METHOD, ARCHITECTURE = (
     for name in ("cards", "findings", "method", "architecture")
 )
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-PUBLIC = (
-    "RotorfitError", "__version__", "export", "fit", "flight_from_log", "load", "load_card", "read", "save", "simulate",
-    "studio", "tune", "validate",
-)  # fmt: skip
 
 
 def blocks(text: str, language: str) -> list[str]:
@@ -389,21 +383,3 @@ def anchors(page: Path) -> set[str]:
 
 def test_the_changelog_has_an_entry_of_this_version() -> None:
     assert f"## [{rotorfit.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-
-
-def test_the_public_names_are_these_and_each_is_there() -> None:
-    assert tuple(rotorfit.__all__) == PUBLIC
-    assert {name for name in PUBLIC if getattr(rotorfit, name, None) is None} == set()
-    assert set(PUBLIC) <= set(dir(rotorfit))
-
-
-def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
-        rotorfit.no_such_name  # noqa: B018
-
-
-def test_importing_the_package_imports_nothing_heavy() -> None:
-    heavy = "{'numpy', 'numba', 'scipy', 'polars', 'rosbags', 'matplotlib', 'rich'}"
-    code = f"import sys, rotorfit, rotorfit.app.cli; print(sorted({heavy} & set(sys.modules)))"
-
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

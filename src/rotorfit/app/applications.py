@@ -1,5 +1,7 @@
 """The public functions that use a model: simulate, convert, plan the next flight, fly it, tune, export."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -34,7 +36,7 @@ def simulate(
     time: npt.ArrayLike,
     pose: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
-) -> "Trajectory":
+) -> Trajectory:
     """Computes the motion under held commands from a given state; axes without numbers keep their velocity.
 
     Args:
@@ -59,7 +61,7 @@ def simulate(
     return trajectory.simulate(as_model(model), when, what, until, start, speed)
 
 
-def state_space(model: ModelLike) -> "StateSpace":
+def state_space(model: ModelLike) -> StateSpace:
     """Writes the model as a linear state space with an input delay, in a frame that keeps the heading.
 
     Args:
@@ -197,7 +199,7 @@ def fly(
 
 def tune(
     model: ModelLike,
-    design: "Kind" = "predictor",
+    design: Kind = "predictor",
     *,
     path: FilePath | None = None,
     rate: float = 50.0,
@@ -206,7 +208,7 @@ def tune(
     peak: float = 1.7,
     draws: int = 200,
     seed: int = 0,
-) -> "Tuning":
+) -> Tuning:
     """Gains of a position controller, as fast as what is known of the vehicle allows.
 
     Args:
@@ -249,7 +251,7 @@ def export(
     training: Sequence[Flight] | None = None,
     validation: Validation | None = None,
     name: str | None = None,
-) -> "Export":
+) -> Export:
     """Writes a model in the form that a controller, an estimator or a simulator takes.
 
     Args:

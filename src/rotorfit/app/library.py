@@ -4,6 +4,8 @@ Paths, flights, models and fits come in; nouns of `core` and the results of the 
 here: each function calls what the verb of the same name calls, and imports it when it is first used.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Sequence
 from os import PathLike
@@ -70,7 +72,7 @@ flight_from_log = flight
 
 def diagnose(
     log: Log | FilePath, card: CardLike | None = None, span: tuple[float | None, float | None] = (None, None)
-) -> "Survey":
+) -> Survey:
     """Looks through a log before any fit: tables, rates, gaps, which card fits, what each command excites, findings.
 
     Args:
@@ -153,7 +155,7 @@ def ladder(
     *,
     card: CardLike | None = None,
     progress: Progress | None = None,
-) -> "Ladder":
+) -> Ladder:
     """Fits by every method, side by side, and tests each against the likelihood.
 
     Args:
@@ -214,7 +216,7 @@ def compare(
     *,
     card: CardLike | None = None,
     progress: Progress | None = None,
-) -> "Comparison":
+) -> Comparison:
     """Scores several models on the same flights, and tests them in pairs.
 
     Args:

@@ -1,0 +1,331 @@
+"""The public interface: its names, signatures and documents; it does what the command line does."""
+
+import ast
+import inspect
+import json
+import pkgutil
+import re
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib import pyplot as plt
+
+import rotorfit as rf
+from logs import Csv, ran
+from rotorfit.files.models import to_mapping
+from rotorfit.flying.links.sim import SimLink
+from rotorfit.planning.signals import two_sines
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
+
+mpl.use("agg")
+
+NOUNS = ("Axis", "Card", "Finding", "Fit", "Flight", "Log", "Model", "Plan", "RotorfitError", "Validation")
+
+FUNCTIONS: dict[str, str] = {
+    "compare": "(models, flights, horizons=None, *, card=None, progress=None)",
+    "convert": "(model, limits)",
+    "diagnose": "(log, card=None, span=(None, None))",
+    "export": (
+        "(model, to, path=None, *, dt=0.02, predictor=False, physical=False, round_delay=False, "
+        "training=None, validation=None, name=None)"
+    ),
+    "fit": (
+        "(flights, method='ml', axes=('x', 'y', 'z', 'yaw'), *, card=None, structure='first_order_delay', "
+        "uncertainty=False, prior=False, leave_one_out=False, progress=None)"
+    ),
+    "flight": "(log, card=None, span=(None, None))",
+    "flight_from_log": "(log, card=None, span=(None, None))",
+    "fly": (
+        "(plan, link, path, *, card=None, poses='', land=True, take_off=False, seed=0, real_vehicle=False, status=None)"
+    ),
+    "ladder": "(flights, axes=('x', 'y', 'z', 'yaw'), *, card=None, progress=None)",
+    "load": "(path)",
+    "load_card": "(name_or_path)",
+    "load_plan": "(path)",
+    "plan": (
+        "(card=None, *, after=None, design=None, room=None, box=None, axes=None, open_loop=False, "
+        "duration=60.0, amplitude=None, speed=None, seed=0, progress=None)"
+    ),
+    "read": "(path, tables=None)",
+    "report": "(models, flights=(), path='report.html', *, card=None, figures=None, progress=None)",
+    "save": "(result, path)",
+    "simulate": "(model, command_time, command, time, pose=None, velocity=None)",
+    "state_space": "(model)",
+    "studio": "(folder=None, port=0, ready=None)",
+    "tune": (
+        "(model, design='predictor', *, path=None, rate=50.0, latency=0.015, axes=('x', 'y', 'z', 'yaw'), "
+        "peak=1.7, draws=200, seed=0)"
+    ),
+    "validate": "(model, flights, horizons=None, *, card=None, progress=None)",
+}
+"""A change here is a change of the public interface: see docs/api.md."""
+
+
+def test_the_public_names_are_these_and_each_is_there() -> None:
+    assert sorted(rf.__all__) == sorted((*NOUNS, "__version__", *FUNCTIONS))
+    assert {name for name in rf.__all__ if getattr(rf, name, None) is None} == set()
+    assert set(rf.__all__) <= set(dir(rf))
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+        rf.no_such_name  # noqa: B018
+
+
+def test_type_checkers_are_told_the_names_from_where_they_are() -> None:
+    tree = ast.parse(Path(rf.__file__).read_text(encoding="utf-8"))
+    told = {
+        alias.name: node.module.removeprefix("rotorfit.")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("rotorfit.")
+        for alias in node.names
+    }
+    homes = {name: module for module, names in rf._HOMES.items() for name in names}
+
+    assert told == {**homes, "__version__": "version"}
+
+
+def test_importing_the_package_or_naming_a_noun_imports_nothing_heavy() -> None:
+    def imported(*names: str) -> list[str]:
+        heavy = "{'numba', 'scipy', 'polars', 'rosbags', 'matplotlib', 'rich', 'pandas'}"
+        code = f"import sys, json, rotorfit.app.cli as c, rotorfit as rf; {'; '.join(f'rf.{name}' for name in names)}"
+        code += f"\nprint(json.dumps(sorted({heavy} & set(sys.modules)) + ['numpy'] * ('numpy' in sys.modules)))"
+        out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        found: list[str] = json.loads(out)
+        return found
+
+    assert imported("__version__") == []
+    assert imported(*NOUNS) == ["numpy"]
+
+
+def test_no_module_has_the_name_of_a_public_function() -> None:
+    modules = {module.name.split(".")[-1] for module in pkgutil.walk_packages(rf.__path__, "rotorfit.")}
+
+    assert modules & set(FUNCTIONS) == set()
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_signature_is_the_one_that_was_promised(name: str) -> None:
+    assert signature_of(name) == FUNCTIONS[name]
+
+
+def signature_of(name: str) -> str:
+    """Names, order and defaults of the parameters."""
+    signature = inspect.signature(getattr(rf, name))
+    bare = [one.replace(annotation=inspect.Parameter.empty) for one in signature.parameters.values()]
+    return str(signature.replace(parameters=bare, return_annotation=inspect.Signature.empty))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_public_function_says_what_it_takes_gives_and_raises(name: str) -> None:
+    function = getattr(rf, name)
+    document, signature = inspect.getdoc(function), inspect.signature(function)
+    sections = dict(re.findall(r"^(Args|Returns|Raises):\n((?: +.*\n?|\n)*)", document, re.MULTILINE))
+
+    assert set(re.findall(r"^    (\w+): ", sections["Args"], re.M)) == set(signature.parameters)
+    assert sections["Raises"]
+    assert ("Returns" in sections) == (signature.return_annotation not in (None, "None"))
+
+
+def test_the_page_on_the_library_has_every_public_name() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
+
+    assert {name for name in (*NOUNS, *FUNCTIONS) if f"`rf.{name}" not in page} == set()
+
+
+@dataclass(frozen=True)
+class Room:
+    """Two logs, the card, and what came of the first.
+
+    Attributes:
+        train: Path of a log.
+        proof: Path of another one.
+        card: Path of their card.
+        fit: Of the first.
+    """
+
+    train: str
+    proof: str
+    card: str
+    fit: rf.Fit
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
+    logs = []
+    for name, duration, seed in (("train", 25.0, 3), ("proof", 12.0, 4)):
+        folder = tmp_path_factory.mktemp(name)
+        log, _, card = Csv(simulate_flight(Truth(), two_sines, duration, seed)).write(folder)
+        logs.append(log)
+    return Room(logs[0], logs[1], card, rf.fit(logs[0], card=card, axes="z,yaw"))
+
+
+def plain(model: rf.Model) -> Any:
+    """A model as its file has it."""
+    return json.loads(json.dumps(to_mapping(model)))
+
+
+def test_a_fit_is_that_of_the_command_line_from_a_path_a_flight_or_a_list(room: Room) -> None:
+    said = ran("fit", room.train, "--card", room.card, "--axes", "z,yaw")
+    flight = rf.flight(rf.read(room.train), rf.load_card(room.card))
+
+    assert said["findings"]
+    assert said["axes"]["z"]["profile"]
+    assert plain(room.fit.model) == said
+    for same in (flight, [flight], [Path(room.train)], (flight,)):
+        assert plain(rf.fit(same, card=room.card, axes=("z", "yaw")).model) == said
+    assert rf.flight_from_log(rf.read(room.train), rf.load_card(room.card)).findings == flight.findings != ()
+
+
+def test_validation_comparison_and_diagnosis_are_those_of_the_command_line(room: Room, tmp_path: Path) -> None:
+    rf.save(room.fit, tmp_path / "model.json")
+    said = ran("validate", str(tmp_path / "model.json"), room.proof)
+    validation = rf.validate(room.fit, room.proof)
+    flight = rf.flight(room.proof, room.card)
+    paper = rf.fit(rf.flight(room.train, room.card), "paper", ("z", "yaw"))
+    comparison = rf.compare([tmp_path / "model.json", paper], [flight])
+
+    rmse = {axis: score.horizons["1"].velocity_rmse for axis, score in validation.flights[0].axes.items()}
+    assert rmse == {axis: row["horizons"]["1"]["velocity_rmse"] for axis, row in said["flights"][0]["axes"].items()}
+    assert rf.validate(tmp_path / "model.json", flight).flights == validation.flights
+    assert comparison.validations[0].flights == validation.flights
+    assert comparison.paths == (str(tmp_path / "model.json"), "model 2")
+    assert comparison.to_frame()["model"].unique(maintain_order=True).to_list() == list(comparison.paths)
+    assert rf.diagnose(room.train, room.card) == rf.diagnose(rf.read(room.train), rf.load_card(room.card))
+
+
+def test_what_a_model_is_for_takes_fits_models_and_files(room: Room, tmp_path: Path) -> None:
+    file = tmp_path / "model.json"
+    rf.save(room.fit, file)
+    motions = [rf.simulate(m, [0.0], [[0, 0, 0.2, 0]], [0.0, 1.0]) for m in (room.fit, room.fit.model, str(file))]
+    page = rf.report(room.fit, room.proof, tmp_path / "report.html", card=room.card)
+
+    assert np.ptp([motion.velocity for motion in motions], axis=0).max() == 0
+    assert motions[0].velocity[-1, 2] > 0
+    assert rf.state_space(file).axes == ("z", "yaw")
+    assert rf.export(file, "numpy").axes == rf.export(room.fit, "numpy").axes == ("z", "yaw")
+    assert rf.tune(room.fit, path=tmp_path / "gains.toml").axes.keys() == rf.tune(file).axes.keys()
+    assert (tmp_path / "gains.toml").is_file()
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html")
+
+
+def test_a_plan_is_made_saved_flown_and_its_recording_needs_no_card(tmp_path: Path) -> None:
+    plan = rf.plan("sim:bebop2", room=(6, 6, 4), duration=15, axes="yaw")
+    rf.save(plan, tmp_path / "plan.toml")
+    flown = rf.fly(tmp_path / "plan.toml", "sim:bebop2", tmp_path / "flight.mcap")
+
+    assert flown.reason == "completed"
+    assert rf.flight(tmp_path / "flight.mcap").axes == ("x", "y", "z", "yaw")
+    assert len(plan.plot()) == 1
+    plt.close("all")
+
+
+def test_a_real_vehicle_is_not_moved_unless_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SimLink, "live", True)
+    plan = rf.plan("sim:bebop2", room=(6, 6, 4), duration=15, axes="yaw")
+
+    with pytest.raises(rf.RotorfitError, match="moves a real vehicle: nothing was flown"):
+        rf.fly(plan, "sim:bebop2", tmp_path / "flight.mcap")
+    assert not (tmp_path / "flight.mcap").exists()
+
+
+@pytest.mark.parametrize("wrong", [3, None, [3], b"flight.csv"])
+def test_what_is_neither_path_nor_flight_is_one_clear_error(wrong: Any, room: Room) -> None:
+    for call in (rf.fit, rf.ladder, lambda flights: rf.validate(room.fit, flights)):
+        with pytest.raises(TypeError, match="a flight, the path of a log, or a sequence of them is wanted, not"):
+            call(wrong)
+    for call in (rf.simulate, rf.tune, rf.state_space):
+        with pytest.raises(TypeError, match="a model, a fit or the path of a model file is wanted, not"):
+            call(wrong, *[[0.0]] * (3 if call is rf.simulate else 0))
+
+
+def test_other_wrong_words_are_errors_that_say_what_is_right(room: Room) -> None:
+    with pytest.raises(TypeError, match=r"make a flight of it with rotorfit\.flight"):
+        rf.fit(rf.read(room.train))  # type: ignore[arg-type]
+    with pytest.raises(rf.RotorfitError, match="no such method: 'best'; methods are ml, "):
+        rf.fit(room.train, "best", card=room.card)
+    with pytest.raises(rf.RotorfitError, match="no such axis: 'roll'; axes are x, y, z, yaw"):
+        rf.fit(room.train, axes="z,roll", card=room.card)
+    with pytest.raises(rf.RotorfitError, match="accuracy table is of the likelihood"):
+        rf.fit(room.train, "paper", card=room.card, uncertainty=True)
+    with pytest.raises(TypeError, match="a model, a fit or a plan can be saved, not int 3"):
+        rf.save(3, "model.json")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="a sequence of models, fits or model files is wanted"):
+        rf.compare(room.fit, room.proof)  # type: ignore[arg-type]
+
+
+def test_texts_of_nouns_are_short_and_what_files_say_is_escaped(room: Room) -> None:
+    flight = rf.flight(room.proof, room.card)
+    nasty = replace(room.fit.model, card=replace(room.fit.model.card, name="<script>"))
+    shown = (
+        rf.read(room.train), rf.load_card(room.card), flight, room.fit, nasty, nasty.card, nasty.findings[0],
+        rf.validate(room.fit, flight), rf.diagnose(room.train, room.card), rf.tune(room.fit),
+        rf.plan("sim:bebop2", room="6x6x4", duration=15, axes=["yaw"]),
+    )  # fmt: skip
+
+    for value in shown:
+        assert len(repr(value)) < 1500
+        assert "<script>" not in value._repr_html_()  # type: ignore[attr-defined]
+        assert len(value._repr_html_()) < 8000  # type: ignore[attr-defined]
+    for value in (room.fit.paper, rf.validate(room.fit, flight).errors["model"][0]["1"]):
+        assert "array of shape" in repr(value)
+        assert len(repr(value)) < 2000
+    assert "z     delay" in repr(room.fit.model)
+
+
+def test_frames_hold_what_the_nouns_hold(room: Room) -> None:
+    model, flight = room.fit.model, rf.flight(room.proof, room.card)
+    frame = model.to_frame()
+    scores = rf.validate(model, flight).to_frame()
+    one = scores.filter((pl.col("axis") == "z") & (pl.col("predictor") == "hold") & (pl.col("horizon") == 1.0))
+
+    assert frame.filter(axis="z", coefficient="delay")["estimate"].to_list() == [model.axes["z"].delay]
+    assert frame.filter(axis="x")["estimate"].to_list() == [None, None, None]
+    assert one.height == 1
+    assert one["velocity_rmse"][0] > 0
+    assert flight.to_frame().height == flight.pose_time.size
+    at = int(np.searchsorted(flight.command_time, flight.pose_time[100], side="right")) - 1
+    assert flight.to_frame()["command_yaw"][100] == flight.command[at, 3]
+
+
+def test_pandas_is_only_imported_if_asked_for_and_an_error_says_how_to_get_it(
+    room: Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room.fit.model.to_frame()
+    assert "pandas" not in sys.modules
+    monkeypatch.setitem(sys.modules, "pandas", None)
+
+    with pytest.raises(rf.RotorfitError, match="pandas is not installed; install it with: pip install pandas"):
+        room.fit.model.to_frame("pandas")
+    with pytest.raises(rf.RotorfitError, match="no such library of data frames: 'arrow'"):
+        room.fit.model.to_frame("arrow")  # type: ignore[call-overload]
+
+
+def test_a_pandas_frame_is_the_same_table(room: Room) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = room.fit.model.to_frame("pandas")
+
+    assert isinstance(frame, pandas.DataFrame)
+    assert list(frame.columns) == room.fit.model.to_frame().columns
+
+
+def test_figures_show_what_is_known(room: Room) -> None:
+    flight = rf.flight(room.proof, room.card)
+    model, validation = room.fit.model, rf.validate(room.fit, flight)
+    coefficients, scores, motion = model.plot(), validation.plot(), flight.plot()
+
+    assert [axes.get_title(loc="left") for axes in coefficients] == [
+        "input [m/s², yaw rad/s²]", "damping [1/s]", "delay [s]",
+    ]  # fmt: skip
+    assert [label.get_text() for label in coefficients[2].get_yticklabels()] == ["z", "yaw"]
+    assert [axes.get_ylabel() for axes in motion] == ["command", "position [m]", "yaw [rad]"]
+    assert len(scores) == 2 * len(validation.flights[0].moved)
+    assert all(axes.get_yscale() == "log" for axes in scores)
+    plt.close("all")
