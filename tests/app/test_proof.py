@@ -6,7 +6,8 @@ from rich.console import Console, RenderableType
 
 from rotorfit.app.terminal.proof import leave_one_out_view, paired_view, residual_line
 from rotorfit.assessment.leave_one_out import LeaveOneOut, Spread
-from rotorfit.core.results import Difference, FlightScores, Paired, PairedTest, ResidualTests
+from rotorfit.core.residuals import ResidualTests
+from rotorfit.core.results import Difference, FlightScores, Paired, PairedTest
 
 BETTER = Difference(150, -0.0123, 0.002, 9.0, 1e-4, -1e-3, 2e-4, "better")
 WORSE = Difference(150, 0.0456, 0.004, 9.0, 1e-4, 1e-3, 2e-4, "worse")

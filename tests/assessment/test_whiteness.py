@@ -18,7 +18,7 @@ from rotorfit.assessment.whiteness import (
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import Model
-from rotorfit.core.results import Innovations, ResidualTests
+from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 

@@ -10,8 +10,8 @@ from other_laws import DELAY, LAG, TRUTH, B, G, flown_by
 from rotorfit.assessment.validation import residuals, validate
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import START_LEVELS, STRUCTURES, structure_named
-from rotorfit.core.model import Axis
+from rotorfit.core.laws import FIRST_ORDER_DELAY, START_LEVELS, STRUCTURES, structure_named
+from rotorfit.core.model import STRUCTURE, Axis
 from rotorfit.dynamics.trajectory import simulate, state_space
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.blocks import record
@@ -229,3 +229,7 @@ def test_an_unknown_structure_and_one_with_the_papers_method_are_said_in_one_lin
         fit([flight], structure="cubic")
     with pytest.raises(ModelError, match="leave --structure out"):
         fit([flight], method="paper", structure="second_order")
+
+
+def test_the_default_of_a_model_is_the_default_law() -> None:
+    assert FIRST_ORDER_DELAY.name == STRUCTURE

@@ -25,7 +25,8 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Axis, Model, unknown_axis
-from rotorfit.core.results import CURVE, Difference, Paired, PairedTest, ResidualTests, Validation
+from rotorfit.core.residuals import ResidualTests
+from rotorfit.core.results import CURVE, Difference, Paired, PairedTest, Validation
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.files.cards import builtin_cards
 from rotorfit.files.models import save

@@ -19,6 +19,7 @@ from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
 from rotorfit.assessment.validation import to_mapping, validate
 from rotorfit.core.card import Card
+from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.core.finding import by_gravity
 from rotorfit.core.flight_data import Flight, Note
@@ -28,7 +29,6 @@ from rotorfit.core.log import Log
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
-from rotorfit.core.tabular import FrameLibrary, columns_of, frame
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.estimation.fitting import fit, with_delay_profiles
@@ -249,7 +249,7 @@ class Comparison:
             library: `polars`, or `pandas`, which must be installed.
 
         Raises:
-            RotorfitError: pandas is asked for and not installed, or another library.
+            ModuleNotFoundError: pandas is asked for and not installed.
         """
         parts = zip(self.paths, self.validations, strict=True)
         rows = [(name, *row) for name, one in parts for row in one.rows()]

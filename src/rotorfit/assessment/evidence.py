@@ -21,7 +21,8 @@ from rotorfit.core.flight_data import LONGEST_GAP, Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
-from rotorfit.core.results import Correlogram, PairedTest, ResidualTests
+from rotorfit.core.residuals import Correlogram, ResidualTests
+from rotorfit.core.results import PairedTest
 from rotorfit.dynamics.kinematics import local_polynomial, motion_from_flight
 from rotorfit.dynamics.protocol import START_EVERY, Predictions, free_run_prediction, predict_flight
 from rotorfit.estimation.regression.paper import modelled_acceleration

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from rotorfit.assessment.validation import validate
+from rotorfit.core.display import short_repr
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, FlightScores
-from rotorfit.core.tabular import short_repr
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST, compared_methods
 

@@ -14,16 +14,8 @@ from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, LEVELS_OF, Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import (
-    HORIZONS,
-    AxisScore,
-    FlightScores,
-    Horizon,
-    Innovations,
-    ResidualTests,
-    StartErrors,
-    Validation,
-)
+from rotorfit.core.residuals import Innovations, ResidualTests
+from rotorfit.core.results import HORIZONS, AxisScore, FlightScores, Horizon, StartErrors, Validation
 from rotorfit.dynamics.protocol import (
     AxisDynamics,
     free_run_prediction,

@@ -18,7 +18,8 @@ from rotorfit.assessment.paired import frequencies, variance_of_mean
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
 from rotorfit.core.model import COEFFICIENTS
-from rotorfit.core.results import Correlogram, Innovations, ResidualTests, student_quantile
+from rotorfit.core.residuals import Correlogram, Innovations, ResidualTests
+from rotorfit.core.results import student_quantile
 from rotorfit.estimation.regression.paper import newey_west
 
 REACH = 1.0

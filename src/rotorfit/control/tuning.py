@@ -23,11 +23,11 @@ from rotorfit.control.robustness import (
     known_dynamics,
     robustness,
 )
+from rotorfit.core.display import html_table, number, text_table
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.model import Model
-from rotorfit.core.tabular import html_table, number, text_table
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 from rotorfit.planning.plan_control import full_scale

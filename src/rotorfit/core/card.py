@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from rotorfit.core.tabular import html_table
+from rotorfit.core.display import html_table
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,6 @@ class Finding:
         return f"<b>{self.severity}</b> <code>{escape(self.code)}</code>{where}: {escape(said)}"
 
 
-def counted(number: int, what: str) -> str:
-    """`1 gap`, `2 gaps`."""
-    return f"{number} {what}{'s' * (number != 1)}"
-
-
 def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Findings in the order error, warning, info; else as they come."""
     rank = {"error": 0, "warning": 1, "info": 2}

@@ -1,20 +1,32 @@
 """Flight: what a vehicle was told and where it was, on one clock, in SI units, with every repair as a note."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
-from rotorfit.core.card import Card
-from rotorfit.core.finding import Finding, counted
+from rotorfit.core.display import (
+    AXIS_COLOURS,
+    FrameLibrary,
+    Line,
+    Panel,
+    counted,
+    frame,
+    html_table,
+    line_panels,
+    short_repr,
+)
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.plotting import AXIS_COLOURS, Line, Panel, line_panels
-from rotorfit.core.tabular import FrameLibrary, frame, html_table, short_repr
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
+
+    from rotorfit.core.card import Card
+    from rotorfit.core.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -129,7 +141,7 @@ class Velocity:
         """When the velocity of an axis was what it says, on the clock of the poses, shape (V,) [s]."""
         return self.time if self.late is None else self.time - self.late[AXES.index(axis)]
 
-    def between(self, low: float, high: float) -> "Velocity":
+    def between(self, low: float, high: float) -> Velocity:
         """What lies between two times [s]."""
         inside = (self.time >= low) & (self.time <= high)
         return replace(self, time=self.time[inside], value=self.value[inside])
@@ -198,7 +210,7 @@ class Flight:
         return html_table(repr(self), ("repair", "samples", "what"), rows, self.findings)
 
     @overload
-    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    def to_frame(self, library: Literal["polars"] = "polars") -> pl.DataFrame: ...
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
@@ -212,7 +224,7 @@ class Flight:
             in the heading frame; NaN where the command is not known.
 
         Raises:
-            RotorfitError: pandas is asked for and not installed, or another library.
+            ModuleNotFoundError: pandas is asked for and not installed.
         """
         held = np.searchsorted(self.command_time, self.pose_time, side="right") - 1
         known = np.any([(self.pose_time >= s.start) & (self.pose_time <= s.end) for s in self.segments], axis=0)
@@ -221,7 +233,7 @@ class Flight:
         sent = {f"command_{axis}": command[:, k] for k, axis in enumerate(AXES)}
         return frame({"time": self.pose_time, **pose, **sent}, library)
 
-    def plot(self) -> "tuple[Axes, ...]":
+    def plot(self) -> tuple[Axes, ...]:
         """Draws commands, position and heading over time; grey where the commands are not known.
 
         Returns:

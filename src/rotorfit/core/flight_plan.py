@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from rotorfit.core.display import AXIS_COLOURS, Line, Panel, html_table, line_panels, number
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.plotting import AXIS_COLOURS, Line, Panel, line_panels
-from rotorfit.core.tabular import html_table, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

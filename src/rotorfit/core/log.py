@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from rotorfit.core.finding import counted
-from rotorfit.core.tabular import html_table, short_repr
+from rotorfit.core.display import counted, html_table, short_repr
 
 Column = npt.NDArray[Any]
 """A column: shape (N,), or (N, M) / (M, N) for a matrix as MAT files hold them. Any numeric type, as recorded."""

@@ -1,28 +1,42 @@
 """Model: coefficients with their uncertainty, disturbance levels, and where they come from."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from rotorfit.core.accuracy import PriorUse, Uncertainty
-from rotorfit.core.card import Card
+from rotorfit.core.display import (
+    AXIS_COLOURS,
+    FrameLibrary,
+    IntervalMark,
+    columns_of,
+    counted,
+    frame,
+    html_table,
+    interval,
+    interval_panels,
+    number,
+    text_table,
+)
 from rotorfit.core.errors import ModelError
-from rotorfit.core.finding import Finding, counted
-from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.limits import Conversion
-from rotorfit.core.plotting import AXIS_COLOURS, IntervalMark, interval_panels
-from rotorfit.core.tabular import FrameLibrary, columns_of, frame, html_table, interval, number, text_table
 from rotorfit.version import __version__
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
 
+    from rotorfit.core.accuracy import PriorUse, Uncertainty
+    from rotorfit.core.card import Card
+    from rotorfit.core.finding import Finding
+    from rotorfit.core.flight_data import Note
+    from rotorfit.core.limits import Conversion
+
 COEFFICIENTS = ("input", "damping", "delay")
 
-STRUCTURE = FIRST_ORDER_DELAY.name
+STRUCTURE = "first_order_delay"
+"""Name of the default law, `laws.FIRST_ORDER_DELAY`."""
 
 Interval = tuple[float | None, float | None]
 
@@ -266,7 +280,7 @@ class Model:
         return html_table(self._title(), self._HEADS, self._texts(), self.findings)
 
     @overload
-    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    def to_frame(self, library: Literal["polars"] = "polars") -> pl.DataFrame: ...
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
@@ -280,12 +294,12 @@ class Model:
             interval, `status`, `structure`; null where the data cannot tell, and for open ends.
 
         Raises:
-            RotorfitError: pandas is asked for and not installed, or another library.
+            ModuleNotFoundError: pandas is asked for and not installed.
         """
         heads = ("axis", "coefficient", "estimate", "stderr", "low", "high", "status", "structure")
         return frame(columns_of(heads, self._rows()), library)
 
-    def plot(self) -> "tuple[Axes, ...]":
+    def plot(self) -> tuple[Axes, ...]:
         """Draws the coefficients with their 95 % intervals, open ends as arrows, beside those of the paper's method.
 
         Returns:

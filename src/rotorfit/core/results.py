@@ -1,22 +1,38 @@
 """Results: Fit with the paper's regression, Validation with scores, paired tests and tests of the residuals."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
+from rotorfit.core.display import (
+    PREDICTOR_LOOKS,
+    FrameLibrary,
+    Line,
+    Panel,
+    columns_of,
+    counted,
+    frame,
+    html_table,
+    line_panels,
+    number,
+    short_repr,
+    text_table,
+)
 from rotorfit.core.errors import FlightError
-from rotorfit.core.finding import Finding, counted
-from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import Model
-from rotorfit.core.plotting import PREDICTOR_LOOKS, Line, Panel, line_panels
-from rotorfit.core.tabular import FrameLibrary, columns_of, frame, html_table, number, short_repr, text_table
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
+
+    from rotorfit.core.finding import Finding
+    from rotorfit.core.flight_data import Flight
+    from rotorfit.core.model import Model
+    from rotorfit.core.residuals import ResidualTests
 
 PaperStatus = Literal["ok", "not_excited", "not_identifiable", "too_short"]
 
@@ -261,81 +277,6 @@ class PairedTest:
 
 
 @dataclass(frozen=True)
-class Innovations:
-    """One-step innovations of an axis on one flight, standardised. B blocks of poses.
-
-    Attributes:
-        time: Shape (B,) [s].
-        innovation: Shape (B,): white and of unit variance where the model is right.
-        past: The command of the axis k blocks before, for k = 1 ... L, up to a second back, shape (B, L).
-        sensitivity: Change of the innovations by -1 times a change of input, log damping and delay, as far as trim and
-            start cannot make up for it, shape (B, 3).
-    """
-
-    time: Array
-    innovation: Array
-    past: Array
-    sensitivity: Array
-
-    __repr__ = short_repr
-
-
-@dataclass(frozen=True)
-class Correlogram:
-    """Correlations over the lag with 95 % bands of their own.
-
-    Attributes:
-        lag: Shape (L,) [s].
-        value: Shape (L,).
-        band: Half width of the band of each, shape (L,): wider where the variance changes or neighbours go together.
-    """
-
-    lag: Array
-    value: Array
-    band: Array
-
-    __repr__ = short_repr
-
-
-@dataclass(frozen=True)
-class ResidualTests:
-    """The tests of one axis on one flight.
-
-    Attributes:
-        n: Innovations.
-        lags: How many lags, up to a second, the test of whiteness takes.
-        ljung_box: Its classic statistic, chi-squared with `lags` degrees of freedom if the innovations are white.
-        ljung_box_p: p-value of it.
-        white_p: The same where the variance may change during the flight: what the verdict takes.
-        command_freedom: How many independent past commands, up to a second back, the second test takes.
-        command_p: p-value of the innovations not following them; None where the axis was not commanded.
-        command_peak: Largest correlation with a past command, in units of its 95 % band.
-        command_peak_lag: Its lag [s].
-        variance_ratio: Mean square of the innovations with the levels of the fit; 1 if wind and noise are those of
-            the fit.
-        variance_ci95: Its 95 % interval, what the fit knows of its levels included.
-        optimism: Coefficient name to the factor by which its interval would be too narrow for innovations like these.
-        white: Whether nothing speaks against whiteness at 95 %.
-        follows_command: Whether they follow the past commands, at 95 %; None where there were none.
-    """
-
-    n: int
-    lags: int
-    ljung_box: float
-    ljung_box_p: float
-    white_p: float
-    command_freedom: int
-    command_p: float | None
-    command_peak: float | None
-    command_peak_lag: float | None
-    variance_ratio: float
-    variance_ci95: tuple[float, float]
-    optimism: Mapping[str, float]
-    white: bool
-    follows_command: bool | None
-
-
-@dataclass(frozen=True)
 class FlightScores:
     """Prediction errors on one flight.
 
@@ -391,7 +332,7 @@ class Validation:
         return html_table(*self._table(), self.findings)
 
     @overload
-    def to_frame(self, library: Literal["polars"] = "polars") -> "pl.DataFrame": ...
+    def to_frame(self, library: Literal["polars"] = "polars") -> pl.DataFrame: ...
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
@@ -406,7 +347,7 @@ class Validation:
             `n` and `fit_percent`; null where there is no number.
 
         Raises:
-            RotorfitError: pandas is asked for and not installed, or another library.
+            ModuleNotFoundError: pandas is asked for and not installed.
         """
         return frame(columns_of(SCORE_COLUMNS, self.rows()), library)
 
@@ -425,7 +366,7 @@ class Validation:
             for horizon, one in score.horizons.items()
         ]
 
-    def plot(self) -> "tuple[Axes, ...]":
+    def plot(self) -> tuple[Axes, ...]:
         """Draws the errors of predictions over the horizon, a line for each flight that moves the axis.
 
         Returns:

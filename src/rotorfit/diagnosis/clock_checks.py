@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from rotorfit.core.card import Card, Channel
-from rotorfit.core.finding import Finding, counted
+from rotorfit.core.display import counted
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log

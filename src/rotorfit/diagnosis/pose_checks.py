@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numba
 import numpy as np
 
-from rotorfit.core.finding import Finding, counted
+from rotorfit.core.display import counted
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, UNIT_SCALE, Array, Mask
 from rotorfit.core.results import Motion

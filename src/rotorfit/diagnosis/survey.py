@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from rotorfit.core.card import Card
+from rotorfit.core.display import counted, html_table, number
 from rotorfit.core.errors import CardError, FlightError
-from rotorfit.core.finding import Finding, counted
+from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log, Table
-from rotorfit.core.tabular import html_table, number
 from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
 from rotorfit.diagnosis.command_checks import spectrum
 from rotorfit.diagnosis.doctor import damage_of, findings_of_flight

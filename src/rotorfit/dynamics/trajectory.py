@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorfit.core.display import short_repr
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of, structure_named
 from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
-from rotorfit.core.tabular import short_repr
 
 
 @dataclass(frozen=True)

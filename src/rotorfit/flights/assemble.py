@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from rotorfit.core.card import Card
+from rotorfit.core.display import counted
 from rotorfit.core.errors import FlightError
-from rotorfit.core.finding import counted
 from rotorfit.core.flight_data import ANSWER, MIN_DURATION, SLOWEST_POSES, Clocks, Flight, Note, Segment
 from rotorfit.core.frames import AXES, Array, Indices, heading_from_world
 from rotorfit.core.log import Log

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.core.card import Card, Channel
+from rotorfit.core.display import counted
 from rotorfit.core.errors import CardError, FlightError
-from rotorfit.core.finding import counted
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES, Array, yaw_from_quaternion
 from rotorfit.core.log import Log

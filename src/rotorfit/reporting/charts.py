@@ -7,7 +7,8 @@ import numpy as np
 from rotorfit.assessment.rows import LENGTH, SPEED, HorizonErrors
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import Axis, Model
-from rotorfit.core.results import Correlogram, PairedTest, Quantity
+from rotorfit.core.residuals import Correlogram
+from rotorfit.core.results import PairedTest, Quantity
 from rotorfit.reporting.views import Chart, Line, Mark
 
 FALL = 1.92

@@ -17,7 +17,8 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import Figure
 from rotorfit.core.model import STRUCTURE, Model
-from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, ResidualTests, Validation
+from rotorfit.core.residuals import ResidualTests
+from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, Validation
 from rotorfit.reporting.verdict import Use, Verdict, better, errors_text
 from rotorfit.reporting.words import figure, rounded, sentences, term_of
 

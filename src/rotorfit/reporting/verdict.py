@@ -12,7 +12,8 @@ from rotorfit.assessment.whiteness import FINDING_LEVEL, LEVEL, narrows_interval
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Axis, Model
-from rotorfit.core.results import HORIZONS, Difference, PairedTest, ResidualTests
+from rotorfit.core.residuals import ResidualTests
+from rotorfit.core.results import HORIZONS, Difference, PairedTest
 from rotorfit.reporting.words import and_list, chance, figure, sentences
 
 USEFUL = 2.0

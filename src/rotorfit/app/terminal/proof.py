@@ -14,7 +14,8 @@ from rotorfit.core.frames import AXES
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
-    from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, ResidualTests, Validation
+    from rotorfit.core.residuals import ResidualTests
+    from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, Validation
 
 SHORT_HORIZON = "1"
 """Horizon at which velocities are compared in the table, where there is one [s]."""
