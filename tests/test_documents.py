@@ -37,6 +37,8 @@ from rotorfit.flying.links import LINKS
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, SimulatedFlight, Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CARDS, FINDINGS, METHOD, ARCHITECTURE = (

@@ -13,6 +13,8 @@ sys.path.append(str(ROOT / "examples"))
 
 from to_notebook import cells_of, notebook  # noqa: E402
 
+pytestmark = pytest.mark.flights
+
 SCRIPT = (ROOT / "examples" / "quickstart.py").read_text(encoding="utf-8")
 
 

@@ -24,6 +24,8 @@ from rotorfit.flying.links.sim import SimLink
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 mpl.use("agg")
 
 NOUNS = ("Axis", "Card", "Finding", "Fit", "Flight", "Log", "Model", "Plan", "RotorfitError", "Validation")

@@ -15,6 +15,8 @@ import pytest
 from rotorfit.core.laws import STRUCTURES
 from test_documents import undocumented
 
+pytestmark = pytest.mark.flights
+
 HERE = Path(__file__).parent
 
 CARD = """

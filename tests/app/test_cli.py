@@ -21,6 +21,8 @@ from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
 from rotorfit.version import __version__
 
+pytestmark = pytest.mark.flights
+
 VERBS = [
     "demo",
     "info",

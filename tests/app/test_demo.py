@@ -17,6 +17,8 @@ from rotorfit.files.logs import read
 from rotorfit.files.models import load, to_mapping
 from rotorfit.files.plans import load_plan, plan_from_text, plan_text
 
+pytestmark = pytest.mark.flights
+
 FLIGHTS = ["train_xy", "train_z", "train_yaw", "validate_xy", "validate_z", "validate_yaw"]
 
 

@@ -19,6 +19,8 @@ from rotorfit.estimation.fitting import with_delay_profiles
 from rotorfit.estimation.likelihood import blocks as record_module
 from rotorfit.files.log_span import WHOLE, LogSpan, Span
 
+pytestmark = pytest.mark.flights
+
 X, Z = "bebop2-wsu/Training_CT_TestDay_X.mat", "bebop2-wsu/Training_CT_TestDay_Z.mat"
 HALF = {X: 84.0, Z: 68.0}
 DJI = [f"dji-hexarotor/Datos_Prueba{i}.mat" for i in range(1, 7)]

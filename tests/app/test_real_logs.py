@@ -53,6 +53,8 @@ from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import card_for, fitting_cards
 
+pytestmark = pytest.mark.flights
+
 PX4 = "px4-s500/TestFlight1.ulg"
 ARDUCOPTER = "arducopter/2014-10-18_20-04-24.bin"
 

@@ -31,6 +31,8 @@ from rotorfit.files.models import load, save
 from rotorfit.flights.assemble import flight_from_log
 from studio_room import added, bag, client_of, opened, session_of, settled
 
+pytestmark = pytest.mark.flights
+
 
 @pytest.fixture
 def studio(tmp_path: Path) -> Iterator[Studio]:

@@ -21,6 +21,8 @@ from rotorfit.files.models import to_mapping as model_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight, write_bag
 
+pytestmark = pytest.mark.flights
+
 BREEZE = replace(Truth(), wind_sigma=(0.02, 0.02, 0.1, 0.02))
 
 

@@ -19,6 +19,8 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 NOISE: Mapping[str, float] = {
     "wind_power": 1e-3,
     "pose_variance": 2.5e-7,

@@ -22,6 +22,8 @@ from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 
+pytestmark = pytest.mark.flights
+
 N = 1500
 TIME = np.arange(N) / 30
 LAGS = 30

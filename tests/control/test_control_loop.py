@@ -18,6 +18,8 @@ from rotorfit.simulation.air import wind_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.vehicle import load_vehicle
 
+pytestmark = pytest.mark.flights
+
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "control.md"
 
 

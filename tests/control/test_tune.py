@@ -13,6 +13,8 @@ from rotorfit.control.robustness import believed_possible
 from rotorfit.control.tuning import DELAY_SHARE, PEAK, RESTLESS, tune
 from rotorfit.core.errors import ModelError
 
+pytestmark = pytest.mark.flights
+
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_better_a_vehicle_is_known_the_faster_are_its_gains(kind: Kind) -> None:

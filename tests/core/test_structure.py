@@ -20,6 +20,8 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import Truth
 
+pytestmark = pytest.mark.flights
+
 NEUTRAL = {"lag": 1e-3, "drag_share": 0.0, "reference_speed": 0.5, "level": 1e3}
 """Where a further parameter does nothing; 0 for all others."""
 

@@ -33,6 +33,8 @@ from rotorfit.simulation.paper_vehicle import (
     simulate_flight,
 )
 
+pytestmark = pytest.mark.flights
+
 TRUTH = replace(Truth(), stale_share=0.0)
 SIGNS = {"axes_turned", "sign_flipped"}
 TURNING = steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.4), seed=4)

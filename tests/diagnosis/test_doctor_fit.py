@@ -14,6 +14,8 @@ from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 TRUTH = replace(Truth(), stale_share=0.0)
 Z = steps(("z",), seed=2)
 SLUGGISH = replace(TRUTH, gamma=(GAMMA_B[0], 0.05, *GAMMA_B[2:]), delay=(0.2,) * 4)

@@ -15,6 +15,8 @@ from rotorfit.files.models import to_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_A, GAMMA_B, GAMMA_F, Truth
 
+pytestmark = pytest.mark.flights
+
 QUIET = Truth()
 """The demo's wind and mocap."""
 

@@ -20,6 +20,8 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
+pytestmark = pytest.mark.flights
+
 
 @cache
 def turning() -> tuple[Flight, Fit]:

@@ -28,6 +28,8 @@ from rotorfit.estimation.likelihood.optima import (
 )
 from rotorfit.simulation.paper_vehicle import GAMMA_E, Controller, Truth
 
+pytestmark = pytest.mark.flights
+
 
 def searched(flight: Flight, axes: tuple[str, ...]) -> tuple[Sequence[Record], tuple[CandidateOptimum, ...]]:
     rec = record(flight, axes)

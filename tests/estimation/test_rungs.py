@@ -18,6 +18,8 @@ from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Controller, Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 REGRESSIONS = [name for name, method in METHODS.items() if method.estimator]
 GROUPS = (("x", "y"), ("z",), ("yaw",))
 LIMIT = 3e-4

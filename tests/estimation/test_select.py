@@ -21,6 +21,8 @@ from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth
 
+pytestmark = pytest.mark.flights
+
 
 def chosen(flight: Flight, axis: str = "z") -> Axis:
     return fit([flight], axes=(axis,), structure="auto").model.axes[axis]

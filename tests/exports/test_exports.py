@@ -32,6 +32,8 @@ from rotorfit.exports.formats import FORMATS
 from rotorfit.exports.validity import scores, trained_on
 from rotorfit.files.models import save
 
+pytestmark = pytest.mark.flights
+
 BENCH = Path(__file__).resolve().parents[2] / "bench"
 PAGE = (BENCH.parent / "docs" / "exports.md").read_text(encoding="utf-8")
 POINTS = {"x": (3.7, 0.18, 0.1664), "y": (3.6, 0.41, 0.1973), "z": (2.3, 2.05, 0.0529), "yaw": (4.4, 2.7, 0.0754)}

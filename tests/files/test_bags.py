@@ -40,6 +40,8 @@ from rotorfit.files.logs.batches import messages_of
 from rotorfit.files.logs.ros_messages import Topic, decoded, types_of
 from rotorfit.flights.columns import tables_of
 
+pytestmark = pytest.mark.flights
+
 Write = Callable[[Path, Recording], Path]
 
 

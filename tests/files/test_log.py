@@ -33,6 +33,8 @@ from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
 from rotorfit.files.logs import compression, read
 
+pytestmark = pytest.mark.flights
+
 FILES = [name for name in WRITERS if not name.startswith("rosbag2")]
 """Cases of `WRITERS` that are one file."""
 

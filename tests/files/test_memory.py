@@ -13,6 +13,8 @@ from rotorfit.core.errors import LogError
 from rotorfit.files.logs import read
 from rotorfit.files.logs import topics as collector
 
+pytestmark = pytest.mark.flights
+
 MB = 1_000_000
 READ = """
 import re, resource, sys

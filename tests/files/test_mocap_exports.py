@@ -12,6 +12,8 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
 from rotorfit.flights.streams import poses_of
 
+pytestmark = pytest.mark.flights
+
 MOTIVE = """Format Version,1.23,Take Name,a take,Capture Frame Rate,120.000000,Export Frame Rate,120.000000,\
 Capture Start Time,2019-09-18 04.30.02.695 PM,Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global
 

@@ -38,6 +38,8 @@ from rotorfit.files.logs.batches import messages_of
 from rotorfit.files.logs.content import DamageError
 from rotorfit.files.logs.ros_messages import Topic, decoded, types_of
 
+pytestmark = pytest.mark.flights
+
 POSE, TWIST, IMAGE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/Image"
 TOPICS = {"/drone/pose": POSE, "/cmd_vel": TWIST, "/camera": IMAGE}
 NOETIC, JAZZY = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)

@@ -24,6 +24,8 @@ from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight
 from twin_logs import Sensor, Skew, as_one, card_of, in_two_files
 
+pytestmark = pytest.mark.flights
+
 LENGTH = 60.0
 CUT = card_from_mapping(
     {

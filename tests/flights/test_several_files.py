@@ -21,6 +21,8 @@ from rotorfit.flights.several_files import bound, flights_of
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 from twin_logs import RAW, Skew, card_of, in_two_files, log_of, written
 
+pytestmark = pytest.mark.flights
+
 COMMAND = {"t": np.arange(3.0), "u_x": np.ones(3), "u_y": np.ones(3), "u_z": np.ones(3), "u_yaw": np.ones(3)}
 POSE = {"t": np.arange(4.0), "x": np.ones(4), "y": np.ones(4), "z": np.ones(4), "yaw": np.ones(4)}
 RAW_COMMAND = {"time": "own:t", "x": "u_x", "y": "u_y", "z": "u_z"}

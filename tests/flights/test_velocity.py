@@ -33,6 +33,8 @@ from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.stamps import coarse, grain
 from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 Array = np.ndarray
 EXACT = {"noise": 0.0, "bias": 0.0}
 

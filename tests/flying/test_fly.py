@@ -26,6 +26,8 @@ from rotorfit.simulation.air import Wind
 from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.sensors import Mocap, Swap
 
+pytestmark = pytest.mark.flights
+
 NOISY = Conditions()
 
 

@@ -22,6 +22,8 @@ from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.links.sim import _scene
 from rotorfit.planning.belief import belief_from_card, belief_mapping
 
+pytestmark = pytest.mark.flights
+
 
 def rotorfit(*words: object, stdin: str | None = None) -> Result:
     return CliRunner().invoke(main, [str(word) for word in words], input=stdin)

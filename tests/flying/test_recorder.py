@@ -27,6 +27,8 @@ from rotorfit.files.logs import read
 from rotorfit.flying.recorder import COMMAND, POSE, Recorder, card_as_recorded, record
 from rotorfit.version import __version__
 
+pytestmark = pytest.mark.flights
+
 numbers = st.floats(allow_nan=False, width=64)
 
 

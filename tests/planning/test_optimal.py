@@ -28,6 +28,8 @@ from rotorfit.planning.optimal import TARGETS, AxisLimits, OptimalSignal, optima
 from rotorfit.planning.signals import paper_sines
 from rotorfit.simulation.paper_vehicle import Controller, Truth, noise_free, simulate_flight
 
+pytestmark = pytest.mark.flights
+
 TRUTH = Truth(pose_jitter=0.0, command_jitter=0.0, stale_share=0.0)
 X = AxisBelief(TRUTH.gamma[0], TRUTH.gamma[1], TRUTH.delay[0])
 Z = AxisBelief(TRUTH.gamma[4], TRUTH.gamma[5], TRUTH.delay[2])

@@ -26,6 +26,8 @@ from rotorfit.planning.plan_flight import IDENT, band_of, full_amplitude, plan_f
 from rotorfit.planning.request import space_of_box, space_of_room
 from rotorfit.planning.signals import paper_sines
 
+pytestmark = pytest.mark.flights
+
 CARD = load_card("rotorfit-demo")
 BELIEF = belief_from_card(CARD)
 ROOM = space_of_room("6x4x3")

@@ -21,6 +21,8 @@ from rotorfit.planning.precision import fly_plan, information, inverse_of, path,
 from rotorfit.planning.signals import designed
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, noise_free
 
+pytestmark = pytest.mark.flights
+
 CARD = load_card("rotorfit-demo")
 TRUTH = Truth(gamma=GAMMA_B, delay=(0.12, 0.18, 0.1, 0.2))
 BELIEF = replace(belief_from_card(CARD), truth=TRUTH)

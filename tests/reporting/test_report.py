@@ -41,6 +41,8 @@ from rotorfit.reporting.verdict import Light, better, uses_of, verdict_of
 from rotorfit.reporting.views import Chart, Line, flight_view, overlaid
 from rotorfit.reporting.words import figure, rounded
 
+pytestmark = pytest.mark.flights
+
 NO_VALIDATION = Validation((), {"hold": (), "paper": ()})
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{ 7 * 7 }}"
 WARNING = Finding("weak_excitation", "warning", "the gain of z is known to 26 % only", "z is wide", "fly larger", "z")
