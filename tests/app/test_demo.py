@@ -99,6 +99,7 @@ def test_the_likelihood_predicts_better_than_the_paper_and_both_better_than_hold
         assert row.ml < row.hold / 4
 
 
+@pytest.mark.slow
 def test_a_second_run_keeps_the_logs_and_gives_the_same(result: Demo, folder: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in result.written}
     found = CliRunner().invoke(main, ["demo", str(folder), "--json"])

@@ -216,6 +216,7 @@ def test_an_export_without_frames_is_refused_in_one_line(content: str, tmp_path:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [MOTIVE, QUATERNION, NEXUS])
 def test_an_export_cut_anywhere_gives_the_frames_before_the_cut(whole: str, tmp_path: Path) -> None:
     frames = {
