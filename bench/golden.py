@@ -8,6 +8,10 @@ recorded flights beside the project; `--only` takes the cases whose names begin 
 differ by more than a relative tolerance and the keys that only one file has. Of a text that is meant to be read only
 the numbers count, so that a better sentence is no difference. `--rename` is for a word in the keys of A that has
 another name in B.
+
+Compiled kernels contract products and sums where they are inlined, and what is loaded from the cache is inlined less
+than what was just compiled: the first run of a fresh installation differs from all later ones in the last bits. Compare
+second runs.
 """
 
 import os

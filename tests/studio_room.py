@@ -62,7 +62,7 @@ def session_of(client: TestClient) -> dict[str, Any]:
     return found
 
 
-def settled(studio: Studio, seconds: float = 120.0) -> None:
+def settled(studio: Studio, seconds: float = 300.0) -> None:
     """Waits until nothing runs."""
     end = time.monotonic() + seconds
     while studio.runner.running is not None:

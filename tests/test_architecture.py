@@ -33,8 +33,8 @@ NOUNS = {
 
 NOUN_REACH = 3
 KERNEL_REACH = 8
-COMPOSED = ("dynamics.protocol",)
-"""Composes kernels: the prediction protocol."""
+COMPOSED = ("dynamics.error_bands", "dynamics.protocol", "dynamics.trajectory", "simulation.flight_room")
+"""What composes kernels: predictions and their bands, simulation by a model, the virtual flight room."""
 
 
 @pytest.fixture(scope="module")

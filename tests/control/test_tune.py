@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_robustness import without_delays
 
-import rotorfit
 from models import VEHICLE, model_of
 from rotorfit.control.control_law import KINDS, Kind
 from rotorfit.control.margins import margins
@@ -86,7 +85,3 @@ def test_noisy_poses_get_a_slower_filter() -> None:
 def test_what_cannot_be_asked_is_refused(asked: dict[str, object]) -> None:
     with pytest.raises(ModelError):
         tune(model_of(), **asked)  # type: ignore[arg-type]
-
-
-def test_the_package_has_it_by_name() -> None:
-    assert rotorfit.tune is tune

@@ -1,4 +1,8 @@
-"""Model -> files that a controller, an estimator or a simulator takes."""
+"""Model to code and parameters that a controller, an estimator or a simulator takes.
+
+In goes a Model, and a Validation where there is one; out comes the text of one file in the target's own language, with
+the numbers, where they are from and what they are valid for.
+"""
 
 import hashlib
 import json

@@ -1,4 +1,8 @@
-"""Evidence -> one HTML page to send on, and figures for a paper. Nothing is computed here that is not drawn."""
+"""Evidence to one HTML page to send on, and figures for a paper.
+
+In go the values that the assessment computed; out come a self-contained page, PNG and PDF. Nothing is estimated,
+filtered or predicted here.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
