@@ -2,10 +2,10 @@
 
     python bench/fuzz.py [--minutes 10] [--seed 0] [--keep FOLDER] [FORMAT...]
 
-Takes the small files that the tests write (`tests/test_sources.py`, `WRITERS`), changes them at random and reads them
-in a process of its own for so many minutes a format. What goes wrong is kept in FOLDER: a process that ended by a
-signal, an exception that is no LogError, an error of several lines, more than 10 s of processor time, more than 1 GB.
-Ends with 1 if anything did.
+Takes the small files that the tests write (`WRITERS` in `tests/files/test_sources.py`), changes them at random and
+reads them in a process of its own for so many minutes a format. What goes wrong is kept in FOLDER: a process that ended
+by a signal, an exception that is no LogError, an error of several lines, more than 10 s of processor time, more than
+1 GB. Ends with 1 if anything did.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-TESTS = Path(__file__).resolve().parents[1] / "tests"
+TESTS = Path(__file__).resolve().parents[1] / "tests/files"
 SECONDS, MEGABYTES = 10, 1000
 EXTREMES = (b"\0", b"\xff", b"\x7f", b"\x80", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\0\0\0\0\0")
 
@@ -53,7 +53,7 @@ def mutated(content: bytes, rng: random.Random) -> bytes:
 
 def samples(name: str, folder: Path) -> list[bytes]:
     """Files of a format as the tests write them, those of folders by their storage."""
-    sys.path.insert(0, str(TESTS))
+    sys.path[:0] = [str(TESTS), str(TESTS.parent)]
     from test_sources import WRITERS, recording
 
     found = []

@@ -385,3 +385,10 @@ def anchors(page: Path) -> set[str]:
 
 def test_the_changelog_has_an_entry_of_this_version() -> None:
     assert f"## [{rotorfit.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_tests_that_the_documents_name_are_there() -> None:
+    named = {path for page in DOCUMENTS for path in re.findall(r"tests/[\w/]+\.py", page.read_text(encoding="utf-8"))}
+
+    assert len(named) > 10
+    assert {path for path in named if not (ROOT / path).is_file()} == set()
