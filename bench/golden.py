@@ -9,9 +9,9 @@ differ by more than a relative tolerance and the keys that only one file has. Of
 the numbers count, so that a better sentence is no difference. `--rename` is for a word in the keys of A that has
 another name in B.
 
-Compiled kernels contract products and sums where they are inlined, and what is loaded from the cache is inlined less
-than what was just compiled: the first run of a fresh installation differs from all later ones in the last bits. Compare
-second runs.
+Kernels round otherwise in the process that compiles them than in those that load them from the cache, probably because
+`fastmath` contracts other products and sums where more is inlined: the first run of a fresh installation differs from
+all later ones in the last bits. Compare second runs.
 """
 
 import os
