@@ -35,7 +35,7 @@ from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of
 from peers.table import RAN_AWAY, document, print_case
 from peers.tuning import Forecast, chosen
 from rotorfit.assessment.paired import paired_test
-from rotorfit.assessment.validation import dynamics_from_model
+from rotorfit.assessment.validation import dynamics_from_model, paper_dynamics
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import Model
@@ -121,12 +121,12 @@ def _part_predictions(models: Chosen, flight: Flight, part: Predictions) -> Arra
 
 
 def baselines(model: Model, flight: Flight, parts: Sequence[Predictions]) -> dict[str, list[Array]]:
-    """rotorfit's own predictions, the held velocity, and the paper's coefficients from the same starts."""
+    """rotorfit's own predictions, the held velocity, and the paper's coefficients from the same states."""
     gamma = np.array([np.nan if value is None else value for value in model.paper])
     return {
         "ml": [part.predicted for part in parts],
         "hold": [hold_velocity(part) for part in parts],
-        "paper": [free_run_prediction(flight, part, gamma[0::2], gamma[1::2]) for part in parts],
+        "coast": [free_run_prediction(flight, part, gamma[0::2], gamma[1::2]) for part in parts],
     }
 
 
@@ -145,7 +145,7 @@ def run(case: Case) -> dict[str, Any]:
         }
         taken[peer.name] = time.perf_counter() - began
     dynamics, horizon = dynamics_from_model(model), max(HORIZONS)
-    methods = (*OWN, "hold", "paper", *models)
+    methods = (*OWN, "hold", "paper", "coast", *models)
     if case.truth:
         methods = (*methods, "truth")
     errors: dict[str, list[dict[str, StartErrors]]] = {name: [] for name in methods}
@@ -156,9 +156,11 @@ def run(case: Case) -> dict[str, Any]:
         predicted |= {name: peer_predictions(models[name], flight, parts) for name in models}
         own_parts = dict.fromkeys(methods, parts)
         own_parts["auto"] = predict_flight(flight, dynamics_from_model(auto), horizon)
-        predicted["auto"] = [part.predicted for part in own_parts["auto"]]
+        own_parts["paper"] = predict_flight(flight, paper_dynamics(model), horizon)
+        for name in ("auto", "paper"):
+            predicted[name] = [part.predicted for part in own_parts[name]]
         if case.truth:
-            predicted["truth"] = [part.predicted for part in predict_flight(flight, case.truth, horizon)]
+            predicted["truth"] = [part.predicted for part in predict_flight(flight, case.truth, horizon, adapt=False)]
         for name, values in predicted.items():
             scores[name].append(score_predictions(own_parts[name], values, HORIZONS))
             errors[name].append({f"{h:g}": start_errors(own_parts[name], values, h) for h in HORIZONS})

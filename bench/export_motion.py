@@ -58,7 +58,7 @@ def drive(seed: int, dt: float = 0.02, duration: float = 20.0, turning: bool = T
 def reference(model: Model, given: Drive) -> Array:
     """The model's own simulation at the times, shape (N, 8)."""
     fine = np.unique(np.concatenate([[0.0], np.arange(0.0, given.time[-1], DENSE), given.time]))
-    motion = simulate(model, given.stamp, given.command, fine, given.pose, given.velocity)
+    motion = simulate(model, given.stamp, given.command, fine, given.pose, given.velocity, given.command[0])
     return np.hstack([motion.pose, motion.velocity])[np.searchsorted(fine, given.time)]
 
 

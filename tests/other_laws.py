@@ -12,6 +12,7 @@ from rotorfit.core.frames import AXES, Array
 
 G, B, DELAY, LAG = 3.0, 1.2, 0.12, 0.15
 SLOW_LAG = 0.3  # of the second order: its poles are complex
+ZERO = 0.25
 
 Law = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
 """v, q, u and the wind, each (K,), to v' and q'; q is what a lag remembers."""
@@ -35,6 +36,10 @@ LAWS: dict[str, Law] = {
     "saturation": lambda v, q, u, w: (G * bounded(u, 0.35) - B * v + w, 0 * q),
     "dead_zone": lambda v, q, u, w: (G * without_middle(u, 0.08) - B * v + w, 0 * q),
     "second_order": lambda v, q, u, w: (q, (G * u - B * v + w - q) / SLOW_LAG),
+    "second_order_zero": lambda v, q, u, w: (  # q is the acceleration less what the zero adds, so u' is not needed
+        q + G * ZERO / SLOW_LAG * u,
+        (G * (1 - ZERO / SLOW_LAG) * u - B * v + w - q) / SLOW_LAG,
+    ),
     "coupled": lambda v, q, u, w: (
         np.array([[G, 0.5], [-0.4, 2.5]]) @ u - np.array([[B, 0.15], [-0.2, 0.8]]) @ v + w,
         0 * q,
@@ -52,6 +57,16 @@ TRUTH: dict[str, dict[str, float]] = {
     "saturation": {"input": G, "damping": B, "delay": DELAY, "level": 0.35},
     "dead_zone": {"input": G, "damping": B, "delay": DELAY, "dead_zone": 0.08},
     "second_order": {"input": G, "damping": B, "delay": DELAY, "lag": SLOW_LAG, "natural_frequency": 2.0},
+    "second_order_zero": {
+        "input": G,
+        "damping": B,
+        "delay": DELAY,
+        "lag": SLOW_LAG,
+        "zero": ZERO,
+        "natural_frequency": 2.0,
+        "total_lag": DELAY + 1 / B - ZERO,
+        "steady_gain": G / B,
+    },
     "coupled": {"input": G, "damping": B, "delay": DELAY, "cross_input": 0.5, "cross_damping": 0.15},
 }
 """Coefficients, further parameters and combinations of the first axis."""

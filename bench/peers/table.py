@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-NAMES = ("hold", "paper", "PySINDy", "SysIdentPy", "N4SID", "statsmodels", "ml", "auto", "truth")
+NAMES = ("hold", "paper", "coast", "PySINDy", "SysIdentPy", "N4SID", "statsmodels", "ml", "auto", "truth")
 SIGNS = {"better": "+", "no_difference_shown": "=", "worse": "-", "too_short": "?"}
 
 RAN_AWAY = 1e3

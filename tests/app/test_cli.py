@@ -245,8 +245,8 @@ def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
 def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Path) -> None:
     found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.5,1")
 
-    assert list(found) == ["flights", "baselines", "paired", "residuals", "findings"]
-    assert list(found["baselines"]) == ["hold", "paper"]
+    assert list(found) == ["flights", "baselines", "paired", "residuals", "bands", "findings"]
+    assert list(found["baselines"]) == ["hold", "paper", "coast"]
     (flight,) = found["flights"]
     assert list(flight["axes"]["x"]["horizons"]) == ["0.5", "1"]
     errors = {
@@ -290,16 +290,13 @@ def test_compared_models_are_shown_side_by_side_with_their_files(folder: Path) -
     found = done("compare", folder / "ml.json", folder / "paper.json", folder / "second.bag")
 
     assert f"model 2: {folder / 'paper.json'}" in found
-    assert re.findall(r"^(?:x| ) +(model 1|model 2|hold|paper) .*%$", found, re.MULTILINE)[:4] == [
+    assert re.findall(r"^(?:x| ) +(model 1|model 2|hold|paper|coast) .*%$", found, re.MULTILINE)[:5] == [
         "model 1",
         "model 2",
         "hold",
         "paper",
+        "coast",
     ]
-    plain = " ".join(found.split())
-    assert "model 2: fitted by the method paper, it is not the row paper" in plain
-    assert "model 1: fitted by" not in plain
-    assert "it is not the row paper" in done("validate", folder / "paper.json", folder / "second.bag")
 
 
 def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:

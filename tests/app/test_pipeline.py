@@ -167,7 +167,7 @@ def test_a_comparison_is_each_models_validation(folder: Path) -> None:
     for entry in raw["models"]:
         alone, _ = validate_logs(load(entry["path"]), [log(folder, "other", (2.0, 15.0))], horizons=(1.0,))
         assert entry["flights"] == to_mapping(alone)["flights"]
-    assert set(raw["baselines"]) == {"hold", "paper"}
+    assert set(raw["baselines"]) == {"hold", "paper", "coast"}
     rmse = [entry["flights"][0]["axes"]["z"]["horizons"]["1"]["velocity_rmse"] for entry in raw["models"]]
     assert rmse[0] < rmse[1]
 

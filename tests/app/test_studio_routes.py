@@ -328,14 +328,13 @@ def test_models_are_compared_on_the_stretches_for_validation(fitted: tuple[Studi
     assert third["status"] == "done", third
     found = page.get("/api/fits/3/result.json").json()
 
-    assert found["columns"] == ["fit 1", "fit 2", "paper", "hold"]
+    assert found["columns"] == ["fit 1", "fit 2", "paper", "coast", "hold"]
     at_one = next(row for row in found["rows"] if row["axis"] == "x" and row["horizon"] == 1.0)
-    assert at_one["velocity"][0] < at_one["velocity"][1] < at_one["velocity"][3]
+    assert at_one["velocity"][0] < at_one["velocity"][1] < at_one["velocity"][4]
     assert at_one["path"] == "proof.bag"
     pairs = {(one["first"], one["second"]) for one in found["paired"]}
     assert pairs == {("fit 2", "fit 1"), ("fit 1", "hold"), ("fit 1", "paper"), ("fit 2", "hold")}
-    assert found["notes"][0].startswith("fit 2: fitted by the method paper, it is not the row paper")
-    assert found["notes"][-1] == "fit 2 against paper is left out for that reason"
+    assert found["notes"] == ["fit 2 against paper is left out: they are the same predictions"]
 
 
 def test_the_session_survives_the_studio(fitted: tuple[Studio, TestClient], tmp_path: Path) -> None:

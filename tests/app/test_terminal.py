@@ -39,6 +39,14 @@ def test_open_ends_and_unknown_coefficients_are_said(capsys: pytest.CaptureFixtu
     assert rows["steady gain"] == ["-", "-", "m/s"]
 
 
+def test_a_delay_that_the_law_does_not_have_is_given_and_not_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = {**axis().ci95, "delay": (0.0, 0.0)}
+
+    rows = rows_of(model({"x": replace(axis(), structure="first_order", delay=0.0, ci95=ends)}), capsys)
+
+    assert rows["delay"] == ["0", "by", "the", "law", "s", "given"]
+
+
 def test_the_papers_coefficients_stand_beside_even_where_the_likelihood_has_none(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

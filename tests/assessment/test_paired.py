@@ -9,10 +9,11 @@ import pytest
 from test_validation import of
 
 from flights import flown, steps
-from rotorfit.assessment.paired import independent_frequencies, paired_test, variance_of_mean
+from rotorfit.assessment.paired import independent_frequencies, paired_test
 from rotorfit.assessment.validation import dynamics_from_model
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.results import Difference, Paired, StartErrors
+from rotorfit.dynamics.long_run import variance_of_mean
 from rotorfit.dynamics.protocol import hold_velocity, predict_flight, score_predictions, start_errors
 from rotorfit.simulation.paper_vehicle import Controller, Truth
 

@@ -82,7 +82,7 @@ def test_of_recorded_flights_under_known_limits_the_climb_agrees_and_the_tilt_sh
             assert low < 1 < high
 
     assert "gain_contradicts_limit" not in told["vert"]
-    assert "gain_contradicts_limit" in told["pitch"]
+    assert "gravity_supports_lag" in told["pitch"]
 
 
 # Limits

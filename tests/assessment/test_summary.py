@@ -1,6 +1,7 @@
 """The summary of a fit: plain words that say no more than the statuses and findings do."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,3 +108,9 @@ def test_an_error_of_the_whole_flight_forbids_every_axis_that_has_numbers() -> N
     found = summary_of_model(model({"x": axis(), "z": axis()}, [finding("error", None)]))
 
     assert "Do not use x and z before you have read the findings." in found
+
+
+def test_a_law_without_a_delay_does_not_make_it_known() -> None:
+    undelayed = replace(axis(), structure="first_order", delay=0.0, predictor=Predictor(4.0, 0.2, 0.0))
+
+    assert "Known of x: input gain and damping; its law has no delay." in summary_of_model(model({"x": undelayed}))

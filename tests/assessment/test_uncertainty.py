@@ -12,14 +12,8 @@ from click.testing import CliRunner
 
 from flights import flown, steps
 from rotorfit.app.cli import main
-from rotorfit.assessment.uncertainty import (
-    disagreement_findings,
-    most_unlike,
-    observed_covariance,
-    sandwich_covariance,
-    scatter,
-    with_uncertainty,
-)
+from rotorfit.assessment.law_findings import disagreement_findings
+from rotorfit.assessment.uncertainty import observed_covariance, sandwich_covariance, scatter, with_uncertainty
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.results import Fit
@@ -62,7 +56,7 @@ def test_where_the_model_is_true_all_standard_errors_say_about_the_same() -> Non
             assert getattr(known, error) == pytest.approx(known.expected, rel=0.4), f"{name} {error}"
         assert not known.ragged
         assert known.scatter is None
-        assert known.expected == pytest.approx(one_flight().model.axes["z"].stderr[name], rel=1e-9)
+        assert known.expected <= (one_flight().model.axes["z"].stderr[name] or 0.0)  # that of the vehicle
 
 
 def test_percentages_are_of_the_value_and_insensitivity_never_passes_the_error() -> None:
@@ -158,22 +152,17 @@ def test_flights_of_two_vehicles_disagree_in_the_coefficient_that_differs() -> N
 
     assert told.code == "flights_disagree"
     assert told.axis == "z"
-    assert "most in input" in told.evidence
-    assert f"input {spread.factor['input']:.1f}" in told.effect
+    assert "on the next one" in told.effect
     assert spread.factor["input"] > 3
     assert spread.i_squared["input"] > 0.9
     first, second = (one.value["input"] for one in spread.flights)
     assert second / first == pytest.approx(1.3, rel=0.1)
 
 
-def test_flights_that_disagree_in_no_coefficient_alone_are_told_apart_by_what_they_know() -> None:
-    """Of gain and damping, which move together in slow flights, each is known badly and their ratio is not."""
+def test_the_scatter_knows_combinations_that_it_does_not_know_the_parts_of() -> None:
     spread = scatter(unlike().estimates["z"], [0, 1])
     assert spread is not None
-    vague = replace(spread, cochran=spread.cochran | dict.fromkeys(COEFFICIENTS, 0.7))
 
-    assert most_unlike(spread) == ("input", True)
-    assert most_unlike(vague) == ("steady_gain", False)
     first, second = (one.value["steady_gain"] for one in spread.flights)
     assert second / first == pytest.approx(1.3, rel=0.05)
     assert spread.cochran["steady_gain"] == pytest.approx(
@@ -230,7 +219,7 @@ def test_two_vehicles_in_one_fit_are_told_on_the_command_line_with_the_table(tmp
     logs = [str(tmp_path / f"{number}.bag") for number in range(2)]
     result = CliRunner().invoke(main, ["fit", *logs, "--axes", "z", "--uncertainty", "-o", str(tmp_path / "m.json")])
     assert result.exit_code == 0, result.output
-    assert "warning flights_disagree: the 2 flights that move z differ" in result.output
+    assert "warning flights_disagree: the 2 flights that tell z apart differ" in result.output
     assert "insens. %" in result.output
     assert "bootstrap: 200 flights drawn in blocks of 2 s, seed 0" in result.output
     stored = json.loads((tmp_path / "m.json").read_text())

@@ -84,8 +84,8 @@ def test_the_result_has_the_shape_of_the_contract() -> None:
     raw = to_mapping(validate(of(), [flight_of(), flight_of(4)], (0.5, 1.0, 2.5)))
 
     json.dumps(raw, allow_nan=False)
-    assert list(raw) == ["flights", "baselines", "paired", "residuals", "findings"]
-    assert set(raw["baselines"]) == {"hold", "paper"}
+    assert list(raw) == ["flights", "baselines", "paired", "residuals", "frequency_response", "bands", "findings"]
+    assert set(raw["baselines"]) == {"hold", "paper", "coast"}
     for flights in (raw["flights"], *(raw["baselines"][name]["flights"] for name in ("hold", "paper"))):
         assert len(flights) == 2
         for flight in flights:

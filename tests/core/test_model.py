@@ -186,7 +186,7 @@ def test_the_state_space_moves_as_the_simulation_does_while_the_heading_is_kept(
         acting = command[np.maximum(i - late, 0), np.arange(n)]
         state = step[: 2 * n, : 2 * n] @ state + step[: 2 * n, 2 * n :] @ acting
     time = np.arange(300) * h
-    np.testing.assert_allclose(simulate(still, time, command, time).pose, out, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(simulate(still, time, command, time, before=command[0]).pose, out, rtol=0, atol=1e-9)
 
 
 def test_without_an_excited_axis_there_is_no_state_space_and_no_predictor() -> None:
@@ -232,7 +232,7 @@ def test_a_simulation_agrees_with_a_fine_integration_of_the_turning_vehicle() ->
     command = 0.3 * rng.standard_normal((60, 4))
     start = np.array([1.0, -2.0, 1.5, 0.7, 0.3, -0.2, 0.1, 0.4])
 
-    found = simulate(VEHICLE, command_time, command, time, start[:4], start[4:])
+    found = simulate(VEHICLE, command_time, command, time, start[:4], start[4:], command[0])
     expected = integrated(time, command_time, command, start)
     assert np.ptp(found.pose[:, 3]) > 0.4
     np.testing.assert_allclose(found.pose[:, 2:], expected[:, 2:4], rtol=0, atol=1e-9)
@@ -253,11 +253,25 @@ def test_by_default_a_simulation_starts_at_rest_at_the_origin_and_axes_without_a
     assert rest.pose[-1, 2] > 0.05
 
 
-def test_before_the_first_command_the_first_one_acts() -> None:
-    time = np.linspace(0, 2, 21)
-    early, late = (simulate(VEHICLE, np.array([t]), np.full((1, 4), 0.2), time).pose for t in (-1.0, 0.5))
+def test_a_simulation_is_at_rest_until_the_delay_of_the_first_command_has_passed() -> None:
+    time = np.linspace(0, 2, 201)
+    push = np.full((1, 4), 0.2)
+    moved = simulate(VEHICLE, np.zeros(1), push, time)
 
-    np.testing.assert_allclose(early, late, atol=1e-12)
+    for k, axis in enumerate(AXES):
+        point = VEHICLE.axes[axis].predictor
+        assert point is not None
+        begins = time[np.flatnonzero(moved.velocity[:, k])[0]]
+        assert begins == pytest.approx(point.delay + 0.01, abs=1e-6)
+
+
+def test_a_command_that_is_in_force_before_the_first_acts_until_the_first_does() -> None:
+    time = np.linspace(0, 2, 201)
+    push = np.full((1, 4), 0.2)
+
+    told = simulate(VEHICLE, np.zeros(1), push, time, before=push[0]).pose
+    early = simulate(VEHICLE, np.array([-1.0]), push, time).pose
+    np.testing.assert_allclose(told, early, atol=1e-12)
 
 
 def test_a_simulated_flight_of_the_papers_unstable_vehicle_does_not_depend_on_the_times_asked_for() -> None:

@@ -80,7 +80,7 @@ def test_where_it_adds_nothing_a_structure_moves_as_the_default_does(name: str, 
 @pytest.mark.parametrize("name", [name for name in STRUCTURES if STRUCTURES[name].extras])
 def test_sensitivities_are_the_slopes_of_the_motion(name: str, turning: tuple[Array, Array]) -> None:
     values = {"lag": 0.1, "drag_share": 0.4, "reference_speed": 0.6, "asymmetry": 0.2, "level": 0.15}
-    values |= {"dead_zone": 0.03, "cross_input": 0.5, "cross_damping": 0.2}
+    values |= {"dead_zone": 0.03, "zero": 0.25, "cross_input": 0.5, "cross_damping": 0.2}
     for K, rec in enumerate(turning, 1):
         if name == "coupled" and K == 1:
             continue

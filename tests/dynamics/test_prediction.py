@@ -36,7 +36,7 @@ def predicted(
     yaw = pose[:, 3] if pair == (0, 1) else np.zeros(t.size)
     index = np.minimum(first[:, None] + np.arange((last - first).max()), t.size - 1)
     gain, damping = np.array(gamma)[::2][list(pair)], np.array(gamma)[1::2][list(pair)]
-    out, begin = predict(
+    out, begin, _ = predict(
         flight.command_time,
         np.ascontiguousarray(flight.command[:, list(pair)]),
         t,
@@ -47,7 +47,7 @@ def predicted(
         damping,
         np.full(2, delay),
         damping,
-        levels,
+        levels[None, None],
         np.full(2, trim_variance),
         first,
         last,

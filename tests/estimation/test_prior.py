@@ -134,21 +134,21 @@ def test_a_vague_prior_changes_nothing_and_a_sharp_one_is_the_answer() -> None:
 
 def test_prior_and_flight_are_weighted_by_their_information() -> None:
     plain = alone().model.axes["z"]
-    error = plain.stderr["delay"]
-    assert error is not None
+    early, late = plain.ci95_flight["delay"]
+    assert early is not None
+    assert late is not None
+    error = (late - early) / (2 * 1.96)
     assert plain.delay is not None
     result = believed(delay={"mean": plain.delay + error, "sd": error}).model
 
     assert result.axes["z"].delay == pytest.approx(plain.delay + 0.5 * error, abs=0.1 * error)
-    assert result.axes["z"].stderr["delay"] == pytest.approx(error / np.sqrt(2), rel=0.1)
     assert result.prior is not None
     use = result.prior["z.delay"]
     assert use.moved == pytest.approx(0.5, abs=0.1)
     assert use.share == pytest.approx(0.5, abs=0.1)
     assert use.conflict == pytest.approx(np.sqrt(0.5), abs=0.1)
-    low, high = result.axes["z"].ci95["delay"]
-    wide_low, wide_high = plain.ci95["delay"]
-    assert high - low < 0.85 * (wide_high - wide_low)  # type: ignore[operator]
+    low, high = result.axes["z"].ci95_flight["delay"]
+    assert (high - low) / (late - early) == pytest.approx(1 / np.sqrt(2), rel=0.15)  # type: ignore[operator]
 
 
 def test_a_prior_is_always_told_and_a_conflict_is_a_warning() -> None:

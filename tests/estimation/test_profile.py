@@ -14,7 +14,7 @@ from rotorfit.estimation.likelihood.axis_estimate import estimate_axis
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, score
-from rotorfit.estimation.likelihood.profile import height, hold, profile, quantile
+from rotorfit.estimation.likelihood.profile import _crossing, height, hold, profile, quantile
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
@@ -201,3 +201,12 @@ def test_the_intervals_of_x_and_y_of_the_demo_hold_the_truth_95_times_of_100() -
     print(hits)
     low, high = binom.ppf([0.0005, 0.9995], runs, 0.95)
     assert all(low <= count <= high for count in hits.values()), hits
+
+
+@pytest.mark.parametrize("edge", [0.7, 1.3, 2.9])
+def test_an_end_where_the_fall_is_flat_beyond_is_found_and_not_the_last_number_that_was_tried(edge: float) -> None:
+    def root(target: float) -> float:
+        return 2.0 if target > edge else 0.5 * target / edge
+
+    assert _crossing(root, lambda _inside, _outside: True, 0.0, 8.3, 9.2, 1.96) == pytest.approx(edge, rel=0.1)
+    assert _crossing(root, lambda _inside, _outside: False, 0.0, 8.3, 9.2, 1.96) is None

@@ -397,7 +397,7 @@ def test_a_pade_delay_is_an_approximation_that_its_order_improves(
     time = np.linspace(0.0, 3.0, 301)
     command = np.zeros((4, time.size))
     command[0] = 0.2
-    truth = simulate(model, np.array([0.0]), command[:, :1].T, time).pose[:, 0]
+    truth = simulate(model, np.array([0.0]), command[:, :1].T, time, before=command[:, 0]).pose[:, 0]
     late = np.interp(time - POINTS["x"][2], time, truth, left=0.0)
     off = []
     for order in (1, 3):

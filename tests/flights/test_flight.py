@@ -128,15 +128,15 @@ def test_a_card_may_state_the_hold() -> None:
 
 def test_a_gap_in_the_commands_longer_than_the_hold_starts_a_segment() -> None:
     cmd = commands()
-    kept = np.r_[0:60, 64:120, 122:200]
+    kept = np.r_[0:60, 68:120, 122:200]
 
     flight = flight_of(rows(cmd, kept))
 
     found = [(round(part.start, 6), round(part.end, 6)) for part in flight.segments]
-    assert found == [(0.0, 2.95 + 0.15), (3.2, 9.95 + 0.15)]
+    assert found == [(0.0, 2.95 + 0.15), (3.4, 9.95 + 0.15)]
     assert counts(flight)["command_gaps"] == 1
     told = {note.code: note.text for note in flight.notes}["command_gaps"]
-    assert told == "1 gap in the commands, up to 0.100 s beyond the hold, split it"
+    assert told == "1 gap in the commands, up to 0.300 s beyond the hold, split it"
 
 
 def test_gaps_of_exactly_three_rounded_periods_do_not_split() -> None:

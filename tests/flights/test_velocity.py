@@ -433,6 +433,6 @@ def test_the_tello_log_is_fitted_in_its_yaw_and_forward_velocity(real_flights: P
     ran("fit", real_flights / "tello" / "demo_spotlight.txt", "-o", model)
     axes = json.loads(model.read_text())["axes"]
 
-    low, high = axes["yaw"]["combinations"]["steady_gain"]["ci95"]
+    low, high = axes["yaw"]["combinations"]["steady_gain"]["ci95_flight"]
     assert 0.9 < low < high < 1.15  # 100 of the stick are close to 1 rad/s
     assert axes["x"]["noise"]["velocity_variance"] >= 0

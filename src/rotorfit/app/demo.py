@@ -167,7 +167,8 @@ def recovered(demo: Demo) -> tuple[Recovered, ...]:
 
 def scores(demo: Demo) -> tuple[VelocityError, ...]:
     """Errors of 1 s predictions, of each axis on the flight that moves it."""
-    methods: Mapping[str, Any] = {"ml": demo.validation.flights, **demo.validation.baselines}
+    baselines = {name: demo.validation.baselines[name] for name in ("hold", "paper")}
+    methods: Mapping[str, Any] = {"ml": demo.validation.flights, **baselines}
     rows = []
     for number, flight in enumerate(demo.validation.flights):
         flown = Path(flight.path).stem.removeprefix("validate_")

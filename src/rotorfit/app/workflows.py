@@ -24,9 +24,10 @@ from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
 from rotorfit.core.finding import by_gravity
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
+from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
-from rotorfit.core.model import STRUCTURE, Model, with_findings
+from rotorfit.core.model import Model, with_findings
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
@@ -150,7 +151,7 @@ def fit_logs(
     method: str = BEST,
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
-    structure: str = STRUCTURE,
+    structure: str = AVERAGED,
     uncertainty: bool = False,
     prior: bool = False,
 ) -> Fit:
@@ -173,7 +174,7 @@ def fit_logs(
 
 
 def leave_one_out_logs(
-    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = STRUCTURE
+    fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = AVERAGED
 ) -> tuple[Fit, LeaveOneOut]:
     """Leaves out each flight of a fit in turn; the model keeps the result."""
     result = leave_one_out(fit.flights, fit.model.method, axes, progress=progress, structure=structure)
@@ -207,14 +208,6 @@ def validate_logs(
     return validate(model, flights, horizons, progress), flights
 
 
-PAPER_TWICE = (
-    "fitted by the method paper, it is not the row paper, even where the coefficients are the same: a model starts "
-    "from its own filter and keeps the disturbance and trim found there, the row paper starts from the filter of the "
-    "first model and has neither"
-)
-"""Why the scores of a model and of the baseline differ."""
-
-
 @dataclass(frozen=True)
 class Comparison:
     """Several models on the same logs.
@@ -223,7 +216,7 @@ class Comparison:
         paths: Of the model files.
         validations: One each model, in that order.
         paired: `model 2` and on against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
-        notes: Of models that were fitted by `paper`, and of those that could not be paired, with the reason.
+        notes: Of models that could not be paired, with the reason.
     """
 
     paths: tuple[str, ...]
@@ -293,8 +286,7 @@ def compare_models(
         validations.append(validation)
         flights.append(seen)
     alike = [all(map(same_motion, seen, flights[0])) for seen in flights]
-    notes = [f"model {number}: {PAPER_TWICE}" for number, model in enumerate(models, 1) if model.method == "paper"]
-    notes += [
+    notes = [
         f"model {number}: its card reads other motion from these logs than that of model 1: no paired test with it"
         for number, same in enumerate(alike, 1)
         if not same

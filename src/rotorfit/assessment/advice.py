@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rotorfit.assessment.constancy import EVENT, ONE, TWICE, changed_coefficients, command_events, widening
+from rotorfit.assessment.law_findings import disagreement_findings, law_findings
 from rotorfit.assessment.prior_influence import prior_findings
-from rotorfit.assessment.uncertainty import disagreement_findings
 from rotorfit.core.finding import Finding, by_gravity
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
@@ -26,6 +26,7 @@ from rotorfit.estimation.likelihood.axis_estimate import LOOP_SIGMAS, Estimate, 
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
 from rotorfit.estimation.likelihood.outliers import outlier_findings
 from rotorfit.estimation.regression.axes_by_method import NOT_VALID
+from rotorfit.estimation.zero_command import findings_of_braking
 
 ONE_CLOCK = (".ulg", ".bin")
 """Logs of autopilots: one clock stamps all that is in them."""
@@ -121,10 +122,14 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
             found += (one for one in told if not (clocked and one.code in ABOUT_DELAY))  # the clocks say why
             found += _mode_findings(name, axis)
             found += _excitation_findings(name, axis, flights)
+            found += law_findings(name, axis)
         if axis.predictor and name in fit.estimates and name not in wrong:
             found += _slow_findings(name, k, axis, flights)
             found += _feedback_findings(name, fit.estimates[name])
             found += changed_coefficients(fit, name)
+            if name in fit.braking:
+                whole = sum(flight.duration for flight in fit.flights)
+                found += findings_of_braking(name, *fit.braking[name], whole)
         found += _paper_findings(fit, k)
         found += _instrument_findings(name, fit.remarks.get(name, ""))
     found += prior_findings(fit)
@@ -382,9 +387,9 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
         yield Finding(
             "feedback",
             "info",
-            f"the {name} command answers the motion: its changes correlate by {found.correlation:+.2f} with what the "
-            f"model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms before, {found.sigmas:.0f} standard "
-            "deviations of an open loop",
+            f"the {name} command answers the motion: beyond what its own past tells, its changes correlate by "
+            f"{found.correlation:+.2f} with what the model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms "
+            f"before: all lags together, {found.sigmas:.0f} standard deviations of an open loop",
             f"the likelihood allows for it; regressions, the paper's too, get gain and damping of {name} wrong",
             f"nothing for this model; what keeps {name} known in a loop is a signal added to its command from outside, "
             "as `rotorfit plan` adds one",

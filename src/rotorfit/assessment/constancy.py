@@ -96,7 +96,7 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
         "warning",
         f"input gain, damping and delay of {axis} differ between halves of the flights ({told}): chi-square "
         f"{found.chi_square:.0f} with {found.degrees} degrees of freedom, by chance in {found.probability:.0e}",
-        f"the coefficients of {axis} are a mean over what changes; their intervals are too narrow for any one time",
+        f"the coefficients of {axis} are a mean over what changes; their intervals are of that mean",
         "look for what changed: battery, limits, speed range, a clock that drifts; fit each part by --span",
         axis,
     )

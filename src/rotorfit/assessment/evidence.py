@@ -9,22 +9,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorfit.assessment.case import Case, paired_cases
+from rotorfit.assessment.frequency.comparison import response_test
 from rotorfit.assessment.rows import CoefficientRow, HorizonErrors, coefficient_rows, scores_of
 from rotorfit.assessment.validation import (
     coefficient_covariance,
     dynamics_from_model,
+    paper_dynamics,
     residual_tests_of_flight,
     residuals,
 )
 from rotorfit.assessment.whiteness import LEAST_BLOCKS, autocorrelation, cross_correlation
 from rotorfit.core.flight_data import LONGEST_GAP, Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.core.frequency_response import ResponseComparison
 from rotorfit.core.model import STRUCTURE, Model, with_findings
 from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.core.residuals import Correlogram, ResidualTests
 from rotorfit.core.results import PairedTest
 from rotorfit.dynamics.kinematics import local_polynomial, motion_from_flight
-from rotorfit.dynamics.protocol import START_EVERY, Predictions, free_run_prediction, predict_flight
+from rotorfit.dynamics.protocol import START_EVERY, Predictions, predict_flight
 from rotorfit.estimation.regression.paper import modelled_acceleration
 
 LAGS = 2.0
@@ -71,6 +74,7 @@ class Evidence:
         tests: A mapping a flight, from axis to the tests of its residuals.
         autocorrelation: Axis to the autocorrelation of the residuals over these flights.
         command_correlation: Axis to the correlation of the residuals with past commands.
+        responses: A mapping a flight, likewise, from axis to its frequency response beside the model's.
         validation: Motion of the flights of the validation.
         training: Motion of the flights of the fit; empty where it is not asked for.
         against: Paired tests against other models, by their place among the models that are compared.
@@ -85,6 +89,7 @@ class Evidence:
     tests: tuple[Mapping[str, ResidualTests], ...]
     autocorrelation: Mapping[str, Correlogram]
     command_correlation: Mapping[str, Correlogram]
+    responses: tuple[Mapping[str, ResponseComparison], ...]
     validation: tuple[FlightMotion, ...]
     training: tuple[FlightMotion, ...] = ()
     against: Mapping[int, PairedTest] = field(default_factory=dict)
@@ -120,6 +125,7 @@ def _evidence_of(case: Case, with_training: bool) -> Evidence:
         tests=tests,
         autocorrelation=white,
         command_correlation=free,
+        responses=case.validation.responses or response_test(model, shown),
         validation=tuple(motion_of_flight(model, flight, model.method != "paper") for flight in case.flights),
         training=tuple(motion_of_flight(model, flight) for flight in case.training if with_training),
     )
@@ -201,8 +207,9 @@ def _velocities(model: Model, flight: Flight, with_paper: bool) -> dict[str, Arr
     parts = predict_flight(flight, dynamics_from_model(model, flight), 2 * START_EVERY) if known.any() else ()
     paper = np.array([np.nan if g is None else g for g in model.paper])
     if with_paper and np.isfinite(paper).any():
-        coasted = [free_run_prediction(flight, part, *np.nan_to_num([paper[0::2], paper[1::2]])) for part in parts]
-        lines["paper"], told["paper"] = _stitched(t, parts, coasted), np.isfinite(paper[0::2])
+        regressed = predict_flight(flight, paper_dynamics(model, flight), 2 * START_EVERY)
+        lines["paper"] = _stitched(t, regressed, [part.predicted for part in regressed])
+        told["paper"] = np.isfinite(paper[0::2])
     lines["model"] = _stitched(t, parts, [part.predicted for part in parts])
     for name, line in lines.items():
         line[:, :2] = heading_from_world(line[:, :2], flight.yaw)

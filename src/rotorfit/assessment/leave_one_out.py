@@ -11,7 +11,8 @@ from rotorfit.assessment.validation import validate
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model
+from rotorfit.core.laws import AVERAGED
+from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import HORIZONS, FlightScores, PairedTest, StartErrors
 from rotorfit.estimation.fitting import fit
@@ -66,7 +67,7 @@ def leave_one_out(
     axes: Sequence[str] = AXES,
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
-    structure: str = STRUCTURE,
+    structure: str = AVERAGED,
 ) -> LeaveOneOut:
     """Fits all flights but one, scores that one, for each in turn; nothing is averaged over the flights.
 

@@ -1,8 +1,4 @@
-"""The variance of the mean of an autocorrelated series, from its lowest frequencies, and the t that goes with it.
-
-Source: E. Lazarus, D. J. Lewis, J. H. Stock, M. W. Watson, J. Bus. Econ. Stat. 36 (2018), pp. 541-559.
-
-Is the difference real? Two predictors on the same starts of the same flights, compared with a standard error.
+"""Is the difference real? Two predictors on the same starts of the same flights, compared with a standard error.
 
 Predictions start 0.5 s apart and reach up to 5 s, so neighbours share their data, and wind outlasts both. The variance
 of a mean is therefore taken from the lowest frequencies of its series, which gives a Student t with as many degrees of
@@ -19,33 +15,8 @@ import numpy as np
 
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.results import Difference, Paired, PairedTest, Quantity, StartErrors, Verdict
+from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.dynamics.protocol import LEAST_SCORES, START_EVERY
-
-
-def frequencies(n: int) -> int:
-    """How many low frequencies of a series of n values serve the variance of its mean: Lazarus et al., 0.4 n^(2/3)."""
-    return int(0.4 * n ** (2 / 3) + 1e-9)
-
-
-def variance_of_mean(series: Array, count: int) -> Array:
-    """Covariance (m, m) of the mean of an autocorrelated series (n, m), from so many of its lowest frequencies.
-
-    It is positive by construction, and a t-ratio with it has Student's distribution with `count` degrees of freedom.
-
-    Source: Lazarus et al. 2018, section 3: the mean square of the first terms of the cosine transform.
-    """
-    n = len(series)
-    cosines = np.cos(np.pi * np.outer(np.arange(1, count + 1), np.arange(n) + 0.5) / n)
-    terms = np.sqrt(2 / n) * cosines @ series
-    return np.asarray(terms.T @ terms / count / n)
-
-
-def two_sided(t: float, freedom: float) -> float:
-    """p-value of a t-ratio."""
-    from scipy.special import stdtr
-
-    return float(2 * stdtr(freedom, -abs(t)))
-
 
 QUANTITIES: tuple[Quantity, Quantity] = ("velocity", "position")
 

@@ -6,12 +6,15 @@ from collections.abc import Iterator
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import GRAVITY, Meaning, Quantity, limit_text, meaning_of
-from rotorfit.core.model import Model
+from rotorfit.core.model import Interval, Model
 from rotorfit.core.physics import compared, mapped, people
 from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 
 LIMIT_MARGIN = 1.2
 """Factor by which the whole interval must miss what the card makes one expect."""
+
+LIKE_GRAVITY = 1.05
+"""Factor by which an input may miss gravity where gravity is a witness."""
 
 GAIN_SYMMETRY = 1.2
 """Ratio of the gains of x and y that a multirotor may have: 9.81 tan(t) knows no direction."""
@@ -38,7 +41,7 @@ def findings_of_settings(model: Model) -> tuple[Finding, ...]:
     Args:
         model: Of any method. Axes without numbers are passed over.
     """
-    limits = (finding for axis in AXES for finding in _against_limits(model, axis))
+    limits = (finding for axis in AXES for finding in (*_against_limits(model, axis), *_by_gravity(model, axis)))
     return (*limits, *_against_symmetry(model), *_against_published(model))
 
 
@@ -62,6 +65,31 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
         + (LAGGING if meaning.asked == "tilt" and ratio.value < 1 else ""),
         axis,
     )
+
+
+def _by_gravity(model: Model, axis: str) -> Iterator[Finding]:
+    """Gravity as a witness of the law: with a lag the input of a tilt is 9.81 tan(tilt), with a delay alone not."""
+    meaning, expected, known = meaning_of(model.card, axis), compared(model, axis).expected, model.axes[axis]
+    if meaning.asked != "tilt" or not expected or known.plain is None or known.input is None:
+        return
+    with_lag, without = known.ci95["input"], known.plain.ci95["input"]
+    if not _holds(with_lag, expected, LIKE_GRAVITY) or _holds(without, expected, 1.0) or known.plain.input is None:
+        return
+    yield Finding(
+        "gravity_supports_lag",
+        "info",
+        f"with a lag beside the delay a full command accelerates {axis} by {known.input / expected:.2f} times what "
+        f"gravity gives it, with a delay alone by {known.plain.input / expected:.2f} times",
+        f"the attitude loop of {axis} has a lag; coefficients of the delay alone depend on what was flown",
+        "keep the default laws for this vehicle",
+        axis,
+    )
+
+
+def _holds(ends: Interval, value: float, margin: float) -> bool:
+    """Whether a closed interval holds a positive value give or take a factor."""
+    low, high = ends
+    return low is not None and high is not None and low <= margin * value and high >= value / margin
 
 
 def _reached(axis: str, meaning: Meaning, quantity: Quantity) -> str:

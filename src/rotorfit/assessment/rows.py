@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.laws import structure_named
+from rotorfit.core.laws import given_by_law, structure_named
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.results import FlightScores, Validation
 
@@ -57,6 +57,8 @@ class CoefficientRow:
         high: Upper end.
         status: Of the coefficient; of a combination `ok`, or `open` where an end is missing.
         paper: What the paper's regression gives on the same data.
+        flight: 95 % interval of the flights alone, where that of the vehicle is another one.
+        given: Whether the law states it, and not the data.
     """
 
     axis: str
@@ -71,6 +73,8 @@ class CoefficientRow:
     high: float | None
     status: str
     paper: float | None
+    flight: Interval | None = None
+    given: bool = False
 
 
 def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
@@ -97,9 +101,12 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
         symbol = f"g{2 * k + COEFFICIENTS.index(part) + 1}" if part in COEFFICIENTS[:2] else ""
         error = axis.stderr.get(part) if kind != "combination" else None
         paper = papers.get(part) if kind != "parameter" else None
+        own = axis.combinations[part].ci95_flight if kind == "combination" else axis.ci95_flight.get(part)
+        given = axis.predictor is not None and part in given_by_law(axis.structure)
         return CoefficientRow(
-            name, part, symbol, kind, unit, per if of_command else "", value, error, *ends, status, paper
-        )
+            name, part, symbol, kind, unit, per if of_command else "", value, error, *ends,
+            "given" if given else status, paper, own, given,
+        )  # fmt: skip
 
     for part in COEFFICIENTS:
         ends, status = axis.ci95.get(part, (None, None)), axis.status.get(part, "not_identifiable")

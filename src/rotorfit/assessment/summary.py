@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from rotorfit.core.frames import AXES
+from rotorfit.core.laws import given_by_law
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Model
 from rotorfit.estimation.methods import label_of
 
@@ -29,7 +30,8 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
     count = len(model.flights)
     flights = f"1 flight of {time:.0f} s" if count == 1 else f"{count} flights, {time:.0f} s in all,"
     coefficients = COEFFICIENTS[:2] if model.method == "paper" else COEFFICIENTS
-    whole = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
+    sure = [axis for axis in wanted if all(model.axes[axis].status[name] == "ok" for name in coefficients)]
+    whole = [axis for axis in sure if not set(given_by_law(model.axes[axis].structure)) & set(coefficients)]
     partly = [axis for axis in wanted if axis not in whole and model.axes[axis].predictor]
     sentences = [f"Fitted to {flights} by {label_of(model.method)}{BELIEVED * bool(model.prior)}."]
     if whole:
@@ -44,12 +46,21 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
 
 def _partly_known(axis: str, known: Axis) -> str:
     """What is known of an axis of which not every coefficient is."""
-    good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok"]
-    lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] != "ok"]
+    given = given_by_law(known.structure)
+    good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok" and name not in given]
+    lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
+    refuted = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "refuted"]
+    head = f"Known of {axis}: {_listed(good)}; " if good else f"Of {axis}, "
+    if refuted:
+        head += f"{_listed(refuted)} {'is' if len(refuted) == 1 else 'are'} refuted: the flights deny the law"
+        if not lost:
+            return f"{head}."
+        head += "; "
+    elif not lost:
+        return f"{head}its law has no {_listed([_NAMES[name] for name in given])}."
     whole = {name: part for name, part in known.combinations.items() if None not in part.ci95}
     combined = [f"{name.replace('_', ' ')} {_range(part)}" for name, part in whole.items()]
     instead = f", but {_listed(combined)} {'is' if len(combined) == 1 else 'are'}" if combined else ""
-    head = f"Known of {axis}: {_listed(good)}; " if good else f"Of {axis}, "
     return f"{head}{_listed(lost)} cannot be identified from these data{instead}."
 
 

@@ -11,7 +11,7 @@ chapter 12 (Cramer-Rao bound and insensitivity in per cent, their limits of 20 a
 50 (1982), pp. 1-25; W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,6 @@ from rotorfit.core.accuracy import (
     Scatter,
     Uncertainty,
 )
-from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
 from rotorfit.core.model import COEFFICIENTS, Combination
 from rotorfit.core.progress import Progress
@@ -149,9 +148,6 @@ LAG = 2.0
 
 SHARPER = 0.5
 """A combination is told in place of a pair if its error in per cent is below this share of the pair's smaller one."""
-
-DISAGREE = 0.01
-"""How often flights that agree may be said to disagree, over all axes of a fit."""
 
 _COMBINED = {("input", "damping"): "steady_gain", ("damping", "delay"): "total_lag"}
 
@@ -318,45 +314,3 @@ def _inseparable(
                         pair = replace(pair, combination=name, value=told.value, ci95=(low, high))
                 found.append(pair)
     return tuple(found)
-
-
-def disagreement_findings(fit: Fit) -> Iterator[Finding]:
-    """Axes whose flights say different things: rejected at 1 % over all axes that several flights serve."""
-    found = {
-        name: spread
-        for name, e in fit.estimates.items()
-        if fit.model.axes[name].predictor and (spread := scatter(e, serving_flights(fit, e)))
-    }
-    for name, spread in found.items():
-        if spread.p_value > DISAGREE / len(found):
-            continue
-        wide = [f"{coefficient} {factor:.1f}" for coefficient, factor in spread.factor.items()]
-        worst, alone = most_unlike(spread)
-        values = ", ".join(f"{one.value[worst]:.3g}" for one in spread.flights)
-        said = f"most in {worst}: {values}"
-        if not alone:
-            said = f"no coefficient alone by more than its error, most in {worst.replace('_', ' ')}: {values}"
-        yield Finding(
-            "flights_disagree",
-            "warning",
-            f"the {len(spread.flights)} flights that move {name} differ by more than their errors (chi-square "
-            f"{spread.ratio:.0f} of {spread.freedom}, p = {spread.p_value:.1g}); {said}",
-            f"intervals of {name} are too narrow by these factors: {', '.join(wide)}",
-            "fit the flights apart and compare their settings, payload, battery and wind; else use the error that "
-            "holds the scatter (--uncertainty)",
-            name,
-        )
-
-
-def most_unlike(spread: Scatter) -> tuple[str, bool]:
-    """What the flights disagree about most, and whether it is a coefficient that does so alone.
-
-    Where none is beyond chance alone the flights disagree in what several of them do together, which each flight knows
-    better than the parts. The coefficient is that whose interval is too narrow by most.
-    """
-    from scipy.special import chdtrc
-
-    beyond = [name for name in COEFFICIENTS if chdtrc(len(spread.flights) - 1, spread.cochran[name]) < DISAGREE]
-    if beyond or len(spread.cochran) == len(COEFFICIENTS):
-        return max(beyond or COEFFICIENTS, key=lambda name: spread.factor[name]), bool(beyond)
-    return max(set(spread.cochran) - set(COEFFICIENTS), key=lambda name: spread.cochran[name]), False

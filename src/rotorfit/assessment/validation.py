@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual_tests
 from rotorfit.core.errors import FlightError
@@ -16,8 +17,10 @@ from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.core.progress import Progress
 from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.core.results import HORIZONS, AxisScore, FlightScores, Horizon, StartErrors, Validation
+from rotorfit.dynamics.error_bands import band_scores
 from rotorfit.dynamics.protocol import (
     AxisDynamics,
+    Predictions,
     free_run_prediction,
     hold_velocity,
     predict_flight,
@@ -30,6 +33,10 @@ from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import response, whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.flights.distinct import check_distinct
+
+BASELINES = ("hold", "paper", "coast")
+"""See `Validation`. Of the last two now one, now the other is the better use of the paper's coefficients."""
 
 
 def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
@@ -78,68 +85,93 @@ def validate(
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        FlightError: If no flight is given or a horizon is not positive.
+        FlightError: If no flight is given, one is given twice, or a horizon is not positive.
     """
     if not flights:
         raise FlightError("no flight to validate on: give at least one log")
     if not horizons or min(horizons) <= 0:
         raise FlightError(f"horizons must be positive seconds, not {', '.join(f'{h:g}' for h in horizons)}")
+    check_distinct(flights)
     flights = without_held_axes(flights)
-    scores: dict[str, list[FlightScores]] = {"model": [], "hold": [], "paper": []}
+    scores: dict[str, list[FlightScores]] = {name: [] for name in ("model", *BASELINES)}
     errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
-    tests = []
+    tests, bands = [], []
     for number, flight in enumerate(flights):
         if progress:
             progress(number / len(flights), flight.path)
-        for name, (score, by_horizon) in _score_flight(model, flight, horizons).items():
+        parts = predict_flight(flight, dynamics_from_model(model, flight), max(horizons))
+        for name, (score, by_horizon) in _score_flight(model, flight, parts, horizons).items():
             scores[name].append(score)
             errors[name].append(by_horizon)
+        known = band_scores(parts, horizons)
+        bands.append({axis: known[axis] for axis in AXES if model.axes[axis].predictor})
         tests.append(residual_tests_of_flight(model, flight))
+    responses = response_test(model, flights)
     counted = tuple(() if each.fitted else each.moved for each in scores["model"])
-    found = (
+    found = [
         finding
         for flight, axes in zip(flights, tests, strict=True)
         for axis, each in axes.items()
         for finding in findings_of_residuals(axis, each, flight.path)
-    )
+    ]
+    found += findings_of_responses(responses)
     return Validation(
         flights=tuple(scores["model"]),
-        baselines={name: tuple(scores[name]) for name in ("hold", "paper")},
+        baselines={name: tuple(scores[name]) for name in BASELINES},
         errors={name: tuple(each) for name, each in errors.items()},
-        paired=tuple(
-            paired_test(("model", name), errors["model"], errors[name], counted) for name in ("hold", "paper")
-        ),
+        paired=tuple(paired_test(("model", name), errors["model"], errors[name], counted) for name in BASELINES),
         residuals=tuple(tests),
         findings=tuple(sorted(found, key=lambda finding: finding.severity == "info")),
+        responses=responses,
+        bands=tuple(bands),
     )
+
+
+def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
+    """What prediction needs of the paper's coefficients: the law without delay, with a filter of its own.
+
+    It is that of a model of method `paper` of the same flights. Axes to which the regression gives no coefficients are
+    tracked only, and yaw is taken as measured.
+
+    Args:
+        model: The model.
+        flight: As for `dynamics_from_model`.
+    """
+    axes = {}
+    for k, (name, axis) in enumerate(model.axes.items()):
+        g, b = model.paper[2 * k : 2 * k + 2]
+        point = None if g is None or b is None else Predictor(g, b, 0.0)
+        noise = model.paper_noise.get(name, axis.noise)
+        axes[name] = replace(axis, predictor=point, noise=noise, structure=FIRST_ORDER_DELAY.name)
+    return dynamics_from_model(replace(model, axes=axes), flight)
 
 
 def _score_flight(
-    model: Model, flight: Flight, horizons: Sequence[float]
+    model: Model, flight: Flight, parts: Sequence[Predictions], horizons: Sequence[float]
 ) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
-    """Scores of the model and of both baselines on one flight, and the errors behind them."""
-    dynamics = dynamics_from_model(model, flight)
-    parts = predict_flight(flight, dynamics, max(horizons))
-    paper_input = np.array([g if (g := model.paper[2 * k]) is not None else np.nan for k in range(4)])
-    paper_damping = np.array([b if (b := model.paper[2 * k + 1]) is not None else np.nan for k in range(4)])
-    coasted = [
-        free_run_prediction(flight, part, np.nan_to_num(paper_input), np.nan_to_num(paper_damping)) for part in parts
-    ]
+    """Scores of the model's predictions and of both baselines on one flight, and the errors behind them."""
+    paper = paper_dynamics(model, flight)
+    coefficients = np.array([np.nan if g is None else g for g in model.paper])
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
-    heading = "predicted" if known[AXES.index("yaw")] else "measured"
 
-    def scored(predicted: Sequence[Array], wanted: Array) -> tuple[FlightScores, dict[str, StartErrors]]:
+    def scored(
+        parts: Sequence[Predictions], predicted: Sequence[Array], wanted: Array, yaw: bool
+    ) -> tuple[FlightScores, dict[str, StartErrors]]:
         axes = score_predictions(parts, predicted, horizons)
         empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
         scores = {a: axes[a] if wanted[k] else empty for k, a in enumerate(AXES)}
         errors = {f"{h:g}": _known_errors(start_errors(parts, predicted, h), wanted) for h in horizons}
-        fitted = _was_fitted(model, flight)
+        heading, fitted = "predicted" if yaw else "measured", _was_fitted(model, flight)
         return FlightScores(flight.path, flight.span, scores, heading, fitted, flight.moved), errors
 
+    regressed = predict_flight(flight, paper, max(horizons))
+    coasted = [free_run_prediction(flight, part, *np.nan_to_num(coefficients.reshape(4, 2).T)) for part in parts]
+    told, turning = np.isfinite(coefficients[::2]), bool(known[AXES.index("yaw")])
     return {
-        "model": scored([part.predicted for part in parts], known),
-        "hold": scored([hold_velocity(part) for part in parts], np.ones(4, bool)),
-        "paper": scored(coasted, np.isfinite(paper_input)),
+        "model": scored(parts, [part.predicted for part in parts], known, turning),
+        "hold": scored(parts, [hold_velocity(part) for part in parts], np.ones(4, bool), turning),
+        "paper": scored(regressed, [part.predicted for part in regressed], told, "yaw" in paper),
+        "coast": scored(parts, coasted, told, turning),
     }
 
 
@@ -195,6 +227,19 @@ def to_mapping(validation: Validation) -> dict[str, Any]:
         "residuals": [
             {"path": flight.path, "axes": {axis: asdict(tests) for axis, tests in axes.items()}}
             for flight, axes in zip(validation.flights, validation.residuals, strict=True)
+        ],
+        "frequency_response": [
+            {"path": flight.path, "axes": {axis: response_mapping(each) for axis, each in axes.items()}}
+            for flight, axes in zip(validation.flights, validation.responses, strict=False)
+        ],
+        "bands": [
+            {
+                "path": flight.path,
+                "axes": {
+                    axis: {key: asdict(score) for key, score in horizons.items()} for axis, horizons in axes.items()
+                },
+            }
+            for flight, axes in zip(validation.flights, validation.bands, strict=True)
         ],
         "findings": [asdict(finding) for finding in validation.findings],
     }

@@ -8,8 +8,7 @@ import numpy as np
 from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.margins import frequencies, law_response, spectral_radius, vehicle_response
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import FIRST_ORDER_DELAY
-from rotorfit.core.model import COEFFICIENTS, Model, predictor_of
+from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 
@@ -56,18 +55,13 @@ class Doubt:
 
 
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
-    """The axis as a first-order law with a delay: the predictor, or the default structure's point of another one.
+    """The axis as a first-order law with a delay: its own, or the one that stands beside another law.
 
     Raises:
-        ModelError: The axis was not excited, or its structure comes without a point of the default one.
+        ModelError: The axis was not excited.
     """
-    predictor, known = predictor_of(model, axis), model.axes[axis]
-    if known.structure == FIRST_ORDER_DELAY.name or known.plain is None:
-        return AxisBelief(predictor.input, predictor.damping, predictor.delay)
-    plain = known.plain
-    numbers = [getattr(plain, name) for name in COEFFICIENTS]
-    both = zip(numbers, (predictor.input, predictor.damping, predictor.delay), strict=True)
-    return AxisBelief(*(value if one is None else one for one, value in both))
+    point = first_order(model, axis).predictor
+    return AxisBelief(point.input, point.damping, point.delay)
 
 
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[AxisBelief]:
@@ -76,18 +70,11 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
     A delay of which the model knows nothing is that of commercial quadrotors, `belief.DELAY`.
     """
     rng = np.random.default_rng(seed)
-    values = np.tile(known_dynamics(model, axis), (count, 1))
-    known = model.axes[axis]
-    if known.plain is not None:
-        deviation = [known.plain.stderr[name] or 0.0 for name in COEFFICIENTS]
-        values += rng.standard_normal((count, 3)) * deviation
-    else:
-        names = [name for name in COEFFICIENTS if f"{axis}.{name}" in model.covariance_names]
-        there = [model.covariance_names.index(f"{axis}.{name}") for name in names]
-        at = [COEFFICIENTS.index(name) for name in names]
-        values[:, at] += rng.multivariate_normal(np.zeros(len(at)), model.covariance[np.ix_(there, there)], count)
-        if "delay" not in names:
-            values[:, 2] = rng.normal(*DELAY, count)
+    values, law = np.tile(known_dynamics(model, axis), (count, 1)), first_order(model, axis)
+    at = [COEFFICIENTS.index(name) for name in law.stderr]
+    values[:, at] += rng.multivariate_normal(np.zeros(len(at)), law.covariance, count)
+    if "delay" not in law.stderr:
+        values[:, 2] = rng.normal(*DELAY, count)
     values[:, 2] = np.maximum(values[:, 2], 0.0)
     return [AxisBelief(*row) for row in values.tolist()]
 

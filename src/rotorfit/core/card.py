@@ -68,7 +68,7 @@ class Card:
         name: For people.
         frame: Of the pose: `ENU` (z up) or `NED`.
         command_frame: `heading` or `world`.
-        hold: Longest time that a command acts without a successor [s]; None for three median periods.
+        hold: Longest time that a command acts without a successor [s]; None for what `hold` judges.
         command_time: Stamp of the commands.
         command: Axis name to channel, for the commanded axes only.
         pose_time: Stamp of the poses.

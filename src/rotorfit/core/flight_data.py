@@ -178,6 +178,8 @@ class Flight:
         clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
         velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
         findings: What its log and the motion tell before any fit; empty where nobody has looked.
+        stamp_error: Half of the 95 % interval of what stamps corrected by their arrivals leave unknown between commands
+            and poses [s]; 0 where they are as the senders gave them.
     """
 
     path: str
@@ -196,6 +198,7 @@ class Flight:
     clocks: Clocks | None = None
     velocity: Velocity | None = None
     findings: tuple[Finding, ...] = ()
+    stamp_error: float = 0.0
 
     def __repr__(self) -> str:
         said = (

@@ -6,10 +6,13 @@ One general law holds them all; along one axis of the heading frame, with the de
 
     w = g (1 + s sign u) min(max(|u| - D, 0), L) sign u + h u'         what the command demands
     T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
-    T v'' + v' + b v = w + c                                           second order instead
+    T v'' + v' + b v = w + Z dw/dt + c                                 second order instead
 
 u' and v' of the second and third term being those of the other horizontal axis. A structure says which of the further
-parameters are estimated; the others stand where they do nothing (s = D = h = m = k = T = 0, L without bound).
+parameters are estimated; the others stand where they do nothing (s = D = h = m = k = T = Z = 0, L without bound).
+
+The steady gain is g / b under every linear law. The total lag, minus the slope of the phase at rest, is tau + T + 1 / b
+with a lag on the input and tau + 1 / b - Z of a second order.
 """
 
 import functools
@@ -67,13 +70,14 @@ def start_levels(measured: Measured) -> Array:
     return out
 
 
-(GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS) = (
-    range(14)
-)
+(
+    GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS,
+    ZERO,
+) = range(15)  # fmt: skip
 """Places of a law's numbers: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the input, 2 second
-order); and what acts on the velocity besides linear damping (1 quadratic drag, 2 the other axis)."""
+order); what acts on the velocity besides linear damping (1 quadratic drag, 2 the other axis); and Z."""
 
-LAW_SIZE = 14
+LAW_SIZE = 15
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,8 @@ class Structure:
 
 _LAG = Extra("lag", LAG, 0.005, 2.0, logarithmic=True, unit="s")
 
+_ZERO = Extra("zero", ZERO, 0.0, 2.0, unit="s")
+
 _DRAG = (
     Extra("drag_share", SHARE, 0.0, 1.0, closed=True),
     Extra("reference_speed", SPEED, 0.0, np.inf, False, False, "speed"),
@@ -155,6 +161,9 @@ _CROSS = (
     Extra("cross_input", CROSS_INPUT, -np.inf, np.inf, unit="gain"),
     Extra("cross_damping", CROSS_DAMPING, -np.inf, np.inf, unit="1/s"),
 )
+
+AVERAGED = "averaged"
+"""Asks for the default: delay and lag, or a second order with a zero where the data ask for it; see `average`."""
 
 FIRST_ORDER_DELAY = Structure("first_order_delay", "v' = g u(t - tau) - b v + c")
 
@@ -190,6 +199,13 @@ STRUCTURES: Mapping[str, Structure] = {
         ),
         Structure(
             "second_order", "T v'' + v' + b v = g u(t - tau) + c", (_LAG,), order=2, tried=("z", "yaw")
+        ),
+        Structure(
+            "second_order_zero",
+            "T v'' + v' + b v = g (u + Z u')(t - tau) + c",
+            (_LAG, _ZERO),
+            order=2,
+            tried=("z", "yaw"),
         ),
     )
 }  # fmt: skip
@@ -230,3 +246,8 @@ def law_of(
 
 DELAY_RANGE = (-0.1, 0.6)
 """Delays that are searched [s]. Below zero, because a bound at zero biases; a negative optimum is a finding."""
+
+
+def given_by_law(structure: str) -> tuple[str, ...]:
+    """Coefficients that a law states, which the data say nothing of: the delay of a law without one."""
+    return () if structure_named(structure).delayed else ("delay",)

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+import numpy as np
+
 from rotorfit.core.display import (
     AXIS_COLOURS,
     FrameLibrary,
@@ -47,11 +49,60 @@ class Combination:
 
     Attributes:
         value: The estimate.
-        ci95: Its 95 % interval; an open end is None.
+        ci95: 95 % interval of the vehicle's; an open end is None.
+        ci95_flight: The same of the flights of the fit alone; None where nothing was told apart.
     """
 
     value: float
     ci95: Interval
+    ci95_flight: Interval | None = None
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far a coefficient or combination differs from flight to flight of one vehicle.
+
+    Attributes:
+        source: `flights`, where several told it together with the prior; `prior`, where there was one.
+        sd: Standard deviation between flights: of the logarithm where `logarithmic`, else in its unit.
+        prior_sd: Scale of the prior on it, from recorded vehicles.
+        flights_sd: What the flights alone say, by restricted maximum likelihood; None for one.
+        flights: How many told it.
+        p_value: Of flights that do not differ giving more; None for one.
+        next_flight: 95 % interval of what another flight would give, without its own noise.
+        logarithmic: Whether the spread is that of the logarithm.
+        each: What each flight of the fit says alone and its standard error, on the same scale; None where it says
+            nothing. Empty for one flight.
+    """
+
+    source: str
+    sd: float
+    prior_sd: float
+    flights_sd: float | None
+    flights: int
+    p_value: float | None
+    next_flight: Interval
+    logarithmic: bool
+    each: tuple[tuple[float, float] | None, ...] = ()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A test of an axis that spoke against its numbers, and what was made of it.
+
+    Attributes:
+        test: Short stable name: `follows_command`, `time`, `size`, `speed`, `method`.
+        strength: What was found, one sentence.
+        p_value: Of a law that is right giving more.
+        sd: Coefficient or combination to the standard deviation that it adds, on the scale of its `Spread`.
+        refutes: Whether no widening expresses it.
+    """
+
+    test: str
+    strength: str
+    p_value: float
+    sd: Mapping[str, float]
+    refutes: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,8 +155,35 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Weighed:
+    """A law of the default family, with what the data make of it.
+
+    Attributes:
+        structure: Name.
+        weight: Its share among the laws of the family, 0 to 1, by their evidence.
+        log_likelihood: Less that of the first-order law with a delay.
+        predictor: Its point.
+        stderr: What is estimated of it, coefficients and then further parameters, to standard error.
+        correlation: Of those, in that order.
+    """
+
+    structure: str
+    weight: float
+    log_likelihood: float
+    predictor: Predictor
+    stderr: Mapping[str, float]
+    correlation: tuple[tuple[float, ...], ...]
+
+    @property
+    def covariance(self) -> Array:
+        """Of the names of `stderr`."""
+        error = np.array(list(self.stderr.values()))
+        return np.array(self.correlation) * np.outer(error, error)
+
+
+@dataclass(frozen=True)
 class Plain:
-    """The default structure's coefficients of an axis that has another: what the paper's eight are compared with.
+    """The first-order law's coefficients of an axis that has another: what the paper's eight are compared with.
 
     Attributes:
         input: g.
@@ -114,6 +192,7 @@ class Plain:
         stderr: Coefficient name to standard error.
         ci95: Coefficient name to 95 % interval.
         status: Coefficient name to status.
+        law: The likelihood's own point with its covariance, whatever the statuses; None in old files.
     """
 
     input: float | None
@@ -122,6 +201,7 @@ class Plain:
     stderr: Mapping[str, float | None]
     ci95: Mapping[str, Interval]
     status: Mapping[str, str]
+    law: Weighed | None = None
 
 
 @dataclass(frozen=True)
@@ -156,8 +236,8 @@ class Axis:
         damping: b [1/s].
         delay: tau [s].
         stderr: Coefficient name to standard error.
-        ci95: Coefficient name to 95 % interval; an open end is None.
-        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `diverged` or `too_short`.
+        ci95: Coefficient name to 95 % interval of the vehicle's; an open end is None.
+        status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged` or `too_short`.
         trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;
             `velocity_variance` beside or in place of that of the pose, where a velocity was measured.
@@ -171,9 +251,16 @@ class Axis:
         structure: Name of its law.
         extra: Further parameters of that law, published as the coefficients are; their standard errors, intervals and
             statuses stand beside those of the coefficients.
-        plain: Coefficients of the default structure where this one is another.
+        plain: Coefficients of the first-order law with a delay where this one is another.
+        laws: Of the default family, those that the data do not rule out, the chosen one first; intervals hold what all
+            of them say. Empty where the structure was asked for.
+        lag_prior: Share of what is known of the lag that its prior says, 0 to 1; None where no prior was used.
         candidates: Structures that were tried, where the structure was chosen.
         samples: Effective number of independent innovations that the candidates' criterion counts; None likewise.
+        ci95_flight: Coefficient name to 95 % interval of the flights of the fit alone: what noise and wind leave
+            unknown. Empty where nothing was told apart, and `ci95` is both.
+        spread: Coefficient or combination to how far it differs from flight to flight.
+        evidence: Tests that spoke against the numbers.
     """
 
     input: float | None
@@ -192,8 +279,13 @@ class Axis:
     structure: str = STRUCTURE
     extra: Mapping[str, float | None] = field(default_factory=dict)
     plain: Plain | None = None
+    laws: tuple[Weighed, ...] = ()
+    lag_prior: float | None = None
     candidates: tuple[Candidate, ...] = ()
     samples: float | None = None
+    ci95_flight: Mapping[str, Interval] = field(default_factory=dict)
+    spread: Mapping[str, Spread] = field(default_factory=dict)
+    evidence: tuple[Evidence, ...] = ()
 
     def __repr__(self) -> str:
         known = {"input": self.input, "damping": self.damping, "delay": self.delay, **self.extra}
@@ -202,6 +294,27 @@ class Axis:
             for name, value in known.items()
         )
         return f"Axis({', '.join(said)})"
+
+
+def weighed(
+    structure: str,
+    predictor: Predictor,
+    names: Sequence[str],
+    covariance: Array,
+    weight: float = 1.0,
+    log_likelihood: float = 0.0,
+) -> Weighed:
+    """A law with the covariance of what is estimated of it, shape (n, n), under its names."""
+    error = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(error, error)
+    return Weighed(
+        structure,
+        weight,
+        log_likelihood,
+        predictor,
+        dict(zip(names, map(float, error), strict=True)),
+        tuple(tuple(map(float, row)) for row in correlation),
+    )
 
 
 def unknown_axis(status: str) -> Axis:
@@ -256,6 +369,8 @@ class Model:
         conversion: Set where the model was converted to other limits than those of its flights.
         leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
             asked for. See `leave_one_out.LeaveOneOut`.
+        paper_noise: Axis name to the levels of the disturbance at the paper's coefficients: its predictions start from
+            a filter of their own. None for files of versions that did not write them.
     """
 
     card: Card
@@ -272,6 +387,7 @@ class Model:
     prior: Mapping[str, PriorUse] | None = None
     conversion: Conversion | None = None
     leave_one_out: Mapping[str, Any] | None = None
+    paper_noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return text_table(self._title(), self._HEADS, self._texts())
@@ -355,3 +471,17 @@ def predictor_of(model: Model, axis: str) -> Predictor:
             f"the model has no numbers for {axis} ({model.axes[axis].status['input']}): fit a flight that moves it"
         )
     return predictor
+
+
+def first_order(model: Model, axis: str) -> Weighed:
+    """An axis as a first-order law with a delay: its own law, or the one that stands beside another.
+
+    Raises:
+        ModelError: If the axis was not excited.
+    """
+    point, known = predictor_of(model, axis), model.axes[axis]
+    if known.plain is not None and known.plain.law is not None:
+        return known.plain.law
+    names = [name for name in COEFFICIENTS if f"{axis}.{name}" in model.covariance_names]
+    at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
+    return weighed(STRUCTURE, replace(point, extra={}), names, model.covariance[np.ix_(at, at)])

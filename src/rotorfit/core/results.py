@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
 
+    from rotorfit.core.error_bands import Scores
     from rotorfit.core.finding import Finding
     from rotorfit.core.flight_data import Flight
+    from rotorfit.core.frequency_response import ResponseComparison
     from rotorfit.core.model import Model
     from rotorfit.core.residuals import ResidualTests
 
@@ -155,6 +157,13 @@ class StartErrors:
     __repr__ = short_repr
 
 
+def student_quantile(freedom: float) -> float:
+    """97.5 % point of Student's distribution."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
+
+
 @dataclass(frozen=True)
 class Outlier:
     """A pose that was left out.
@@ -173,6 +182,38 @@ class Outlier:
 Outliers = tuple[tuple[Outlier, ...], ...]
 """Of each flight."""
 
+BRAKING_LEVEL = 1e-4
+"""p-value below which it is a finding."""
+
+LEAST_BRAKING = 0.3
+"""Further damping that is said, as a share of the law's own, and at the least [1/s]."""
+
+
+@dataclass(frozen=True)
+class Braking:
+    """The test of one axis.
+
+    Attributes:
+        further: Damping that acts beside the law's own while the command is zero [1/s]; of one linearised step.
+        error: Its standard error.
+        probability: Of so much of it by chance.
+        share: Of the flights, in which the command is zero.
+        damping: Of the law [1/s].
+        delay: Of the law [s].
+    """
+
+    further: float
+    error: float
+    probability: float
+    share: float
+    damping: float
+    delay: float
+
+    @property
+    def acts(self) -> bool:
+        """Whether it brakes beyond doubt, and by much beside the damping of the law."""
+        return self.probability < BRAKING_LEVEL and self.further > LEAST_BRAKING * max(self.damping, 1.0)
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -185,6 +226,8 @@ class Fit:
         estimates: Axis name to the maximum of its likelihood, an `Estimate` of the estimation; none for other methods.
         remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
         outliers: Poses of each flight that the robust method left out.
+        braking: Axis that obeys another law while its command is zero to the test that says so, and the time of the
+            parts that it was fitted to [s].
     """
 
     model: Model
@@ -193,19 +236,13 @@ class Fit:
     estimates: Mapping[str, Any] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     outliers: Outliers = ()
+    braking: Mapping[str, tuple[Braking, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Fit to {', '.join(repr(flight.path) for flight in self.flights)}\n{self.model!r}"
 
     def _repr_html_(self) -> str:
         return self.model._repr_html_()
-
-
-def student_quantile(freedom: float) -> float:
-    """97.5 % point of Student's distribution."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
 
 
 Verdict = Literal["better", "worse", "no_difference_shown", "too_short"]
@@ -309,13 +346,17 @@ class Validation:
 
     Attributes:
         flights: Of the model, one each.
-        baselines: `hold` (the world velocity of the start is kept) and `paper` (the paper's coefficients on the model's
-            training flights, from the same filtered states), each one each flight.
-        errors: `model`, `hold` and `paper` to the errors behind the scores, start by start: a mapping a flight, from
-            the horizon; NaN for an axis without a model.
+        baselines: `hold` (the world velocity of the start is kept), `paper` (the paper's coefficients of the model's
+            training flights, without delay, with a filter, trim and start of their own) and `coast` (the same
+            coefficients from the state of the model's filter, without trim and disturbance), each one each flight.
+        errors: `model`, `hold`, `paper` and `coast` to the errors behind the scores, start by start: a mapping a
+            flight, from the horizon; NaN for an axis without a model.
         paired: The model against each baseline.
         residuals: A mapping a flight, from the axes that it commands and the model knows to tests of the innovations.
-        findings: What the tests of the innovations say, in words.
+        findings: What the tests of the innovations and of the frequency responses say, in words.
+        responses: A mapping a flight, from the same axes to their frequency responses beside the model's.
+        bands: A mapping a flight, from the axes that the model knows and the horizons to how often the error bands
+            that the predictor stated held.
     """
 
     flights: tuple[FlightScores, ...]
@@ -324,6 +365,8 @@ class Validation:
     paired: tuple[PairedTest, ...] = ()
     residuals: tuple[Mapping[str, ResidualTests], ...] = ()
     findings: tuple[Finding, ...] = ()
+    responses: tuple[Mapping[str, ResponseComparison], ...] = ()
+    bands: tuple[Scores, ...] = ()
 
     def __repr__(self) -> str:
         return text_table(*self._table())

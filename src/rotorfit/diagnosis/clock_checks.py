@@ -153,7 +153,10 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     yield from _jitter(
         "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
     )
-    yield from _two_clocks(log, card) if flight.clocks is None else two_files(flight.clocks)
+    if flight.clocks is not None:
+        yield from two_files(flight.clocks)
+    else:
+        yield from _corrected(flight) if flight.stamp_error else _two_clocks(log, card)
     yield from _stale(flight)
 
 
@@ -218,6 +221,19 @@ def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[
             effect,
             f"stamp each {what} where it is made, not where it is received; of a bag take header.stamp",
         )
+
+
+def _corrected(flight: Flight) -> Iterator[Finding]:
+    """A clock that drifts or steps against the recorder's, and was put right."""
+    told = [note.text for note in flight.notes if note.code in ("command_clock_corrected", "pose_clock_corrected")]
+    yield Finding(
+        "clock_drift",
+        "info",
+        "; ".join(told),
+        f"none on gain and damping; {1e3 * flight.stamp_error:.1f} ms, the time of the messages that no clock tells, "
+        "went into the interval of every delay",
+        "synchronise the computers (chrony): then the stamps stay as they are",
+    )
 
 
 def _two_clocks(log: Log, card: Card) -> Iterator[Finding]:

@@ -54,6 +54,7 @@ def command_findings(recording: Recording) -> Iterator[Finding]:
             yield from _slow(axis, flight.command_time, command)
             yield from _units(axis, card, command)
     yield from _alike(flight)
+    yield from _low_passed(flight)
 
 
 def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
@@ -136,6 +137,28 @@ def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
             f"the input gain of {axis} is per that command: too small by the ratio of the units",
             f"give the {axis} channel of [command] its unit (deg, deg/s, cm/s), or the scale that makes it a fraction",
             axis,
+        )
+
+
+def _low_passed(flight: Flight) -> Iterator[Finding]:
+    """Commands that the log smooths, as the notes of the flight say."""
+    told = {note.code: note.text for note in flight.notes}
+    if "commands_unfiltered" in told:
+        yield Finding(
+            "commands_low_pass",
+            "info",
+            told["commands_unfiltered"],
+            "none: the coefficients are those of the commands that were sent",
+            "log each command as it is sent",
+        )
+    elif "commands_low_pass" in told:
+        yield Finding(
+            "commands_low_pass",
+            "warning",
+            told["commands_low_pass"],
+            "if the logger smooths them, input gain and damping are wrong beyond their intervals, and the delay is too "
+            "short",
+            "log each command as it is sent, or fly more steps",
         )
 
 

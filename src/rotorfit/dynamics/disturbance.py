@@ -251,7 +251,8 @@ def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, lev
 
     fx, fy are the transitions and qx, qy the covariances for a unit power, (3, 3); c and s belong to half the turn.
     """
-    _turn_covariance(P, c, s)
+    if s != 0.0:
+        _turn_covariance(P, c, s)
     for a in range(2):
         F, Q = (fx, qx) if a == 0 else (fy, qy)
         _step_block(P[a], F, F)
@@ -260,7 +261,8 @@ def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, lev
                 P[a, i, j] += levels[a, 0] * Q[i, j]
                 P[a, j, i] = P[a, i, j]
     _step_block(P[2], fx, fy)
-    _turn_covariance(P, c, s)
+    if s != 0.0:
+        _turn_covariance(P, c, s)
 
 
 @numba.njit(cache=True)

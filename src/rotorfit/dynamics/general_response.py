@@ -2,7 +2,7 @@
 
 Between two events (a switch of the delayed command, a pose) the command is constant, and `motion_step` leads from one
 to the next, all columns at once. The derivative by the delay enters at the switches: an impulse into the velocity, or
-into the lagged input where there is a lag.
+into the lagged input where there is a lag. A zero makes every switch an impulse into the acceleration.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM
+from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.general_step import MEAN, START, demand, demand_slope, lag_series, linear_step, move
 
 WARM_UP = 0.6
@@ -24,7 +24,7 @@ _CROSS_STEP = 0.01
 _SERIES_REACH = 0.5
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
     """Fills what the commands u (K,) demand of every column, shape (K, C)."""
     K, C = drive.shape
@@ -39,23 +39,42 @@ def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
                 drive[a, j] = 0.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
+def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
+    """Adds Z / T of the demand to the acceleration of a second order: before a switch taken off, after it put on."""
+    K, C = drive.shape
+    for a in range(K):
+        if law[a, ORDER] == 2 and law[a, ZERO] != 0.0:
+            lead = sign * law[a, ZERO] / law[a, LAG]
+            for j in range(C):
+                q[a, j] += lead * drive[a, j]
+
+
+@numba.njit(cache=True, inline="always")
 def _switch(
     law: Array, what: Any, whose: Any, v: Array, q: Array, drive: Array, u: Array, at: int, new: float, psi: float
 ) -> None:
     """The delayed command of axis `at` becomes `new`; the derivative by its delay gets its impulse."""
     K, C = drive.shape
     before0, before1 = drive[0, 0], drive[K - 1, 0]
+    _led(law, q, drive, -1.0)
     u[at] = new
     demands(law, what, whose, u, drive)
+    _led(law, q, drive, 1.0)
     for j in range(1, C):
+        a = whose[j]
+        if what[j] >= 0 and law[a, ORDER] == 2 and (what[j] == LAG or what[j] == ZERO):
+            jump = (drive[a, 0] - (before0 if a == 0 else before1)) / law[a, LAG]
+            q[a, j] += jump if what[j] == ZERO else -jump * law[a, ZERO] / law[a, LAG]
         if what[j] != DELAY or whose[j] != at:
             continue
         for a in range(K):
             impulse = (before0 if a == 0 else before1) - drive[a, 0]
             if law[a, ORDER] > 0:
-                q[a, j] += impulse / law[a, LAG]
-            elif K == 1:
+                lead = law[a, ZERO] / law[a, LAG]
+                q[a, j] += (1.0 - lead) * impulse / law[a, LAG]
+                impulse *= lead
+            if K == 1:
                 v[0, j] += impulse
             elif a == 0:
                 v[0, j] += np.cos(psi) * impulse

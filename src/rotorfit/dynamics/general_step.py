@@ -39,7 +39,7 @@ _TERMS = 12
 _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 4)])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def demand(law: Array, a: int, u: float, other: float) -> float:
     """The acceleration w that a command of axis a and one of the other axis demand."""
     size = min(max(abs(u) - law[a, DEAD], 0.0), law[a, LEVEL])
@@ -47,7 +47,7 @@ def demand(law: Array, a: int, u: float, other: float) -> float:
     return law[a, GAIN] * (signed + law[a, ASYMMETRY] * size) + law[a, CROSS_INPUT] * other  # type: ignore[no-any-return]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> float:
     """Derivative of the demand by a place of the law."""
     over = abs(u) - law[a, DEAD]
@@ -66,34 +66,39 @@ def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> floa
 
 @numba.njit(cache=True)
 def lag_series(law: Array) -> Array:
-    """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 4, 3, terms).
+    """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
 
-    The answer's derivative, itself, its integral and its second integral; each with its derivatives by A and B.
+    The answer's integral and its second integral; each with its derivative by B. All else follows, see `linear_step`.
     """
     K = law.shape[0]
-    out = np.zeros((K, 4, 3, _TERMS))
+    out = np.zeros((K, 2, 2, _TERMS))
     for a in range(K):
         if law[a, ORDER] == 0:
             continue
-        rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
-        A, B = (rate + slow if law[a, ORDER] == 1 else rate), rate * slow
-        raw = np.zeros((3, _TERMS))
-        raw[0, 0], raw[0, 1], raw[1, 1] = 1.0, -A, -1.0
+        A, B = _lag_rates(law, a)
+        raw = np.zeros((2, _TERMS))
+        raw[0, 0], raw[0, 1] = 1.0, -A
         for i in range(2, _TERMS):
             raw[0, i] = -A * raw[0, i - 1] - B * raw[0, i - 2]
-            raw[1, i] = -raw[0, i - 1] - A * raw[1, i - 1] - B * raw[1, i - 2]
-            raw[2, i] = -raw[0, i - 2] - A * raw[2, i - 1] - B * raw[2, i - 2]
-        for order in range(4):
+            raw[1, i] = -raw[0, i - 2] - A * raw[1, i - 1] - B * raw[1, i - 2]
+        for order in range(2):
             for i in range(_TERMS):
-                for d in range(3):
-                    out[a, order, d, i] = raw[d, i] * _INVERSE_FACTORIAL[i + order]
+                for d in range(2):
+                    out[a, order, d, i] = raw[d, i] * _INVERSE_FACTORIAL[i + order + 2]
     return out
 
 
 @numba.njit(cache=True, inline="always")
-def _horner(series: Array, a: int, n: int, d: int, t: float) -> float:
+def _lag_rates(law: Array, a: int) -> Any:
+    """A and B of v'' = -A v' - B v, the free motion of an axis with a lag."""
+    rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
+    return (rate + slow if law[a, ORDER] == 1 else rate), rate * slow
+
+
+@numba.njit(cache=True, inline="always")
+def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> float:
     value = 0.0
-    for i in range(_TERMS - 1, -1, -1):
+    for i in range(terms - 1, -1, -1):
         value = value * t + series[a, n, d, i]
     return value
 
@@ -103,6 +108,9 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
     S[a] has shape (3, 12): in each row what p gains, v and q become (four each) from v, q, the demand and the trim.
+
+    With G the answer of `lag_series`, D its derivative, J and H its integrals: G + A J + B H = t and D + A G + B J = 1;
+    the derivative of each by A is that by B of the next one in the row H, J, G, D.
     """
     order, beta = law[a, ORDER], law[a, DAMPING] * (1.0 - law[a, SHARE])
     if order < 2:
@@ -112,9 +120,15 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     if order == 0:
         return
     rate = 1.0 / law[a, LAG]
-    G, J = _horner(series, a, 1, 0, dt) * dt, _horner(series, a, 2, 0, dt) * dt * dt
-    GA, GB = _horner(series, a, 1, 1, dt) * dt, _horner(series, a, 1, 2, dt) * dt
-    JA, JB = _horner(series, a, 2, 1, dt) * dt * dt, _horner(series, a, 2, 2, dt) * dt * dt
+    A, B = _lag_rates(law, a)
+    reach = dt * max(A, np.sqrt(B))
+    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # what is left out is below 1e-12 of it
+    square, cube = dt * dt, dt * dt * dt
+    J, H = _horner(series, a, 0, 0, dt, terms) * square, _horner(series, a, 1, 0, dt, terms) * cube
+    JB, HB = _horner(series, a, 0, 1, dt, terms) * square, _horner(series, a, 1, 1, dt, terms) * cube
+    G = dt - A * J - B * H
+    JA = GB = -H - A * JB - B * HB
+    GA = -J - A * GB - B * JB
     if order == 1:
         S[a, 0, 1], S[a, 0, 5] = J, G
         S[a, 1, 1], S[a, 1, 5] = JA + rate * JB, GA + rate * GB
@@ -126,14 +140,8 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
             S[a, d, 2] -= S[a, d, 1]
             S[a, d, 6] -= S[a, d, 5]
         return
-    D, DA, DB = _horner(series, a, 0, 0, dt), _horner(series, a, 0, 1, dt), _horner(series, a, 0, 2, dt)
-    cube = dt * dt * dt
-    H, HA, HB = (
-        _horner(series, a, 3, 0, dt) * cube,
-        _horner(series, a, 3, 1, dt) * cube,
-        _horner(series, a, 3, 2, dt) * cube,
-    )
-    B = rate * beta
+    D, HA, DB = 1.0 - A * G - B * J, JB, GA
+    DA = -G - A * GA - B * JA
     S[a, 0, 0], S[a, 0, 1], S[a, 0, 2] = G + rate * J, J, rate * H
     S[a, 0, 4], S[a, 0, 5], S[a, 0, 6] = D + rate * G, G, rate * J
     S[a, 0, 8], S[a, 0, 9], S[a, 0, 10] = -B * G, D, rate * G

@@ -15,7 +15,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.limits import Conversion, Meaning, gain_factor, limit_text, meaning_of
-from rotorfit.core.model import Model, with_findings
+from rotorfit.core.model import Evidence, Model, Spread, with_findings
 from rotorfit.files.cards import card_from_mapping
 
 PER_COMMAND: Mapping[str, int] = {
@@ -132,6 +132,10 @@ def scaled(value: Any, factor: float, power: int = 0) -> Any:
         return tuple(scaled(part, factor, power) for part in value)
     if isinstance(value, Mapping):
         return {name: scaled(part, factor, PER_COMMAND.get(name, power)) for name, part in value.items()}
+    if isinstance(value, Evidence):
+        return value
+    if isinstance(value, Spread) and value.logarithmic:  # spreads of logarithms know no unit
+        return replace(value, next_flight=scaled(value.next_flight, factor, power))
     if is_dataclass(value) and not isinstance(value, type):
         parts = {each.name: getattr(value, each.name) for each in fields(value)}
         return replace(value, **scaled(parts, factor, power))

@@ -10,15 +10,8 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, ORDER, TRIM
-from rotorfit.dynamics.disturbance import (
-    predict_covariance,
-    propagate,
-    rotate,
-    start_covariance,
-    step_tables,
-    update_covariance,
-    update_rate,
-)
+from rotorfit.dynamics.disturbance import propagate, rotate
+from rotorfit.dynamics.filter_bank import bank_tables, judge, move, probe, row_size, start_bank, state_of_bank, take
 from rotorfit.dynamics.general_response import advance, demands, longest_step
 from rotorfit.dynamics.general_step import MEAN, START, lag_series
 from rotorfit.dynamics.response import transition
@@ -118,16 +111,16 @@ def _run_free(
     v: Array,
     drive: Array,
     z: Array,
-    Fx: Array,
-    Fy: Array,
+    F: Array,
     step: Any,
     out: Array,
     law: Any,
     lagged: Any,
 ) -> None:
-    """Predicts the poses after `before` up to `last` from the driven state p, v (1, 2) and the disturbance z (6,).
+    """Predicts the poses after `before` up to `last` from the driven state p, v (1, 2) and the disturbance z (A, 6).
 
-    Under a general law (2, LAW_SIZE) its lagged part (2, 1) goes with the state, else both are None.
+    The parts of the disturbance fade each in its own way F (A, 2, U, 3, 3), and add up. Under a general law
+    (2, LAW_SIZE) its lagged part (2, 1) goes with the state, else both are None.
     """
     t, psi = pose_time[before], yaw
     if law is not None:
@@ -150,14 +143,16 @@ def _run_free(
                 p[0, j], v[0, j] = position[j, 0], speed[j, 0]
         half = 0.5 * (psi_next - psi)
         c, s = np.cos(half), np.sin(half)
-        rotate(z, c, s)
-        propagate(z, Fx[step[m]], Fy[step[m]])
-        rotate(z, c, s)
+        for g in range(z.shape[0]):
+            rotate(z[g], c, s)
+            propagate(z[g], F[g, 0, step[m]], F[g, 1, step[m]])
+            rotate(z[g], c, s)
         c, s = np.cos(psi_next), np.sin(psi_next)
-        out[m - before - 1, 0] = p[0, 0] + c * z[0] - s * z[3]
-        out[m - before - 1, 1] = p[0, 1] + s * z[0] + c * z[3]
-        out[m - before - 1, 2] = v[0, 0] + c * z[1] - s * z[4]
-        out[m - before - 1, 3] = v[0, 1] + s * z[1] + c * z[4]
+        for j in range(2):
+            forward, left = z[:, j].sum(), z[:, 3 + j].sum()
+            at = (p if j == 0 else v)[0]
+            out[m - before - 1, 2 * j] = at[0] + c * forward - s * left
+            out[m - before - 1, 2 * j + 1] = at[1] + s * forward + c * left
         t, psi = t_next, psi_next
 
 
@@ -200,7 +195,7 @@ def predict(
         delay: tau, shape (2,) [s].
         filter_damping: b while the filter tracks, shape (2,) [1/s]; not negative, because a driven response that grows
             by itself cannot be told from the disturbance after a minute.
-        levels: q, r, alpha, kappa, shape (2, 4).
+        levels: q, r, alpha, kappa of the members of the bank, class by class, shape (A, G, 2, 4).
         trim_variance: Prior variance of the trim, shape (2,).
         first: Index of the first pose after each start, shape (S,).
         last: One past the last pose to predict from each start, shape (S,).
@@ -215,8 +210,8 @@ def predict(
         alone: With velocities, whether they track the axis, shape (2,); its level r is then that of a velocity.
 
     Returns:
-        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; and the filter's
-        position and velocity at the last pose before each start, shape (S, 4).
+        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; the filter's position
+        and velocity at the last pose before each start, shape (S, 4); and rows for `start_state_from_rows`.
     """
     S, E = future_yaw.shape
     out = np.full((S, E, 4), np.nan)
@@ -241,15 +236,10 @@ def predict(
                 speed[a, j] = v[j, a]
         demands(law, _WHAT, _WHOSE, u, wanted)
         _settle(law, speed, wanted, trim, yaw[0], lagged)
-    Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
-    Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
-    P = np.zeros((3, 3, 3))
-    start_covariance(P, levels)
-    state = np.zeros((5, 6))  # of the data less the driven response, of two unit trims, of two unit start velocities
-    information = np.diag(1 / np.append(trim_variance, np.full(2, START_VELOCITY_VARIANCE)))
-    weighted = np.zeros(4)
-    e = np.empty(5)
-    step_gain = np.empty(6)
+    F, Q = bank_tables(steps, levels)
+    states = np.empty((S, row_size(levels.shape[0])))
+    bank = start_bank(levels, np.append(trim_variance, np.full(2, START_VELOCITY_VARIANCE)))
+    measured = np.empty(5)
     s = 0
     for i in range(pose_time.size):
         if i:
@@ -266,78 +256,53 @@ def predict(
                 for j in range(5):
                     for a in range(2):
                         p[j, a], v[j, a] = position[a, j], speed[a, j]
-            fx, fy = Fx[step[i]], Fy[step[i]]
-            half = 0.5 * (yaw[i] - yaw[i - 1])
-            c, sn = np.cos(half), np.sin(half)
-            predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, sn)
-            for j in range(5):
-                rotate(state[j], c, sn)
-                propagate(state[j], fx, fy)
-                rotate(state[j], c, sn)
+            move(bank, levels, F, Q, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
-            if velocity is None:
-                at, variance = 3 * a, update_covariance(P, a, levels[a, 1], step_gain)
-            else:
+            rate = False
+            if velocity is not None:
                 if not tracked[i, a]:
                     continue
-                if alone[a]:
-                    at, variance = 3 * a + 1, update_rate(P, a, levels[a, 1], step_gain)
-                else:
-                    at, variance = 3 * a, update_covariance(P, a, levels[a, 1], step_gain)
+                rate = alone[a]
             for j in range(5):
                 x = p[j, 0] if j else pose[i, 0] - pose[0, 0] - p[0, 0]
                 y = p[j, 1] if j else pose[i, 1] - pose[0, 1] - p[0, 1]
                 if velocity is not None:  # noqa: SIM102  numba leaves out what None decides, one test at a time
-                    if alone[a]:
+                    if rate:
                         x = v[j, 0] if j else velocity[i, 0] - v[0, 0]
                         y = v[j, 1] if j else velocity[i, 1] - v[0, 1]
-                e[j] = (c * x + sn * y if a == 0 else c * y - sn * x) - state[j, at]
-                for m in range(6):
-                    state[j, m] += step_gain[m] * e[j]
-            for j in range(4):
-                weighted[j] += e[1 + j] * e[0] / variance
-                for m in range(4):
-                    information[j, m] += e[1 + j] * e[1 + m] / variance
+                measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
+            judge(bank, a, rate, measured, pose_time[i])
+            take(bank, levels, a, rate, measured)
+        probe(bank, pose_time[i])
         while s < S and first[s] == i + 1:
-            known = np.linalg.solve(information, weighted)  # trims and start velocities, as far as the data tell
-            z = state[0].copy()
+            known, add, z, states[s] = state_of_bank(bank, levels, p, v, c, sn)
             q, w, d, kk = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), k.copy()
             for a in range(2):
-                q[0, a] = pose[0, a] + p[0, a]
-                w[0, a] = v[0, a]
-                d[0, a] = drive[0, a] + known[a]
-            for j in range(4):
-                z -= known[j] * state[1 + j]
-                for a in range(2):
-                    q[0, a] += known[j] * p[1 + j, a]
-                    w[0, a] += known[j] * v[1 + j, a]
-            begin[s] = np.array(
-                [
-                    q[0, 0] + c * z[0] - sn * z[3],
-                    q[0, 1] + sn * z[0] + c * z[3],
-                    w[0, 0] + c * z[1] - sn * z[4],
-                    w[0, 1] + sn * z[1] + c * z[4],
-                ]
-            )
+                q[0, a] = pose[0, a] + p[0, a] + add[a]
+                w[0, a] = v[0, a] + add[2 + a]
+                d[0, a] = drive[0, a] + known[a, a]
+            for j in range(2):
+                forward, left = z[:, j].sum(), z[:, 3 + j].sum()
+                at = (q if j == 0 else w)[0]
+                begin[s, 2 * j] = at[0] + c * forward - sn * left
+                begin[s, 2 * j + 1] = at[1] + sn * forward + c * left
             if law is None:
                 _run_free(
                     command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w,
-                    d, z, Fx, Fy, step, out[s], None, None,
+                    d, z, F, step, out[s], None, None,
                 )  # fmt: skip
             else:
                 known_law, known_lag = law.copy(), np.zeros((2, 1))
                 for a in range(2):
-                    known_law[a, TRIM] = known[a]
-                    known_lag[a, 0] = lagged[a, 0]
-                    for j in range(4):
-                        known_lag[a, 0] += known[j] * lagged[a, 1 + j]
+                    known_law[a, TRIM] = known[a, a]
+                    known_lag[a, 0] = lagged[a, 0] + known[a] @ lagged[a, 1:]
                 _run_free(
                     command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], gain, damping, delay, kk, q, w,
-                    d, z, Fx, Fy, step, out[s], known_law, known_lag,
+                    d, z, F, step, out[s], known_law, known_lag,
                 )  # fmt: skip
             s += 1
-    return out, begin
+    return out, begin, states
 
 
 @numba.njit(cache=True)

@@ -14,6 +14,7 @@ from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.disturbance import distinct_steps
+from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
 from rotorfit.dynamics.kinematics import seen_in
 from rotorfit.dynamics.predictor import free_run, predict
 
@@ -85,6 +86,7 @@ class Predictions:
         begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
         heading: Heading that the horizontal prediction used, shape (S, E).
         alone: Axes of which only the velocity is measured: their positions prove nothing.
+        states: At the starts, of x and y, and of z and yaw; None where neither was wanted.
     """
 
     time: Array
@@ -97,10 +99,11 @@ class Predictions:
     begin: Array
     heading: Array
     alone: tuple[str, ...] = ()
+    states: tuple[StartState | None, StartState | None] = (None, None)
 
 
 def predict_flight(
-    flight: Flight, dynamics: Mapping[str, AxisDynamics], longest: float, axes: Sequence[str] = AXES
+    flight: Flight, dynamics: Mapping[str, AxisDynamics], longest: float, axes: Sequence[str] = AXES, adapt: bool = True
 ) -> tuple[Predictions, ...]:
     """Predicts from every start of every segment that is long enough.
 
@@ -109,13 +112,19 @@ def predict_flight(
         dynamics: Axis name to its dynamics; a missing axis is `UNMODELLED`, a missing yaw is taken as measured.
         longest: Horizon up to which to predict [s].
         axes: Those that are wanted; the others' predictions are left NaN.
+        adapt: Whether the filter learns the levels of this flight from its past; else those of the dynamics stay.
     """
-    parts = (_predict_segment(flight, segment, dynamics, longest, axes) for segment in flight.segments)
+    parts = (_predict_segment(flight, segment, dynamics, longest, axes, adapt) for segment in flight.segments)
     return tuple(part for part in parts if part is not None)
 
 
 def _predict_segment(
-    flight: Flight, segment: Segment, dynamics: Mapping[str, AxisDynamics], longest: float, wanted: Sequence[str]
+    flight: Flight,
+    segment: Segment,
+    dynamics: Mapping[str, AxisDynamics],
+    longest: float,
+    wanted: Sequence[str],
+    adapt: bool,
 ) -> Predictions | None:
     """Predicts from every start of one segment; z and yaw first, since x and y need the heading that yaw predicts.
 
@@ -137,7 +146,7 @@ def _predict_segment(
     reach = np.arange(int((last - first).max()))
     index = np.minimum(first[:, None] + reach, t.size - 1)
 
-    def run(pair: Sequence[int], yaw: Array, future: Array) -> tuple[Array, Array]:
+    def run(pair: Sequence[int], yaw: Array, future: Array) -> tuple[Array, Array, StartState | None]:
         """Filters two axes through the segment and predicts them from every start.
 
         Args:
@@ -146,13 +155,15 @@ def _predict_segment(
             future: Heading on the way of each prediction, shape (S, E) [rad]: measured or predicted, never both.
 
         Returns:
-            Position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4);
-            NaN where neither is wanted.
+            Position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4),
+            and the state there; NaN and None where neither is wanted.
         """
         chosen = [axes[i] for i in pair]
         if not any(AXES[i] in wanted for i in pair):
-            return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan)
-        return predict(  # type: ignore[no-any-return, call-arg]
+            return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan), None
+        levels = np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0]
+        members = bank_levels(levels, adapt)
+        out, begin, rows = predict(  # type: ignore[call-arg]
             flight.command_time[used],
             np.ascontiguousarray(flight.command[used][:, pair]),
             t,
@@ -161,7 +172,7 @@ def _predict_segment(
             *distinct_steps(t),
             *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay")),
             np.array([max(axis.damping, LEAST_FILTER_DAMPING) for axis in chosen]),
-            np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0],
+            members,
             np.array([axis.trim_variance for axis in chosen]),
             first,
             last,
@@ -169,10 +180,11 @@ def _predict_segment(
             *_general_law(chosen, t, pose[:, pair]),
             *seen.velocity_of(pair),
         )
+        return out, begin, start_state_from_rows(rows, members, np.array([axis.damping for axis in chosen]))
 
-    side, side_begin = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
+    side, side_begin, side_state = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
     heading = np.nan_to_num(side[:, :, 1]) if "yaw" in dynamics and "yaw" in wanted else pose[:, 3][index]
-    plane, plane_begin = run([0, 1], np.ascontiguousarray(pose[:, 3]), np.ascontiguousarray(heading))
+    plane, plane_begin, plane_state = run([0, 1], np.ascontiguousarray(pose[:, 3]), np.ascontiguousarray(heading))
     return Predictions(
         time=t,
         pose=pose,
@@ -188,6 +200,7 @@ def _predict_segment(
         ),
         heading=heading,
         alone=flight.velocity_only,
+        states=(plane_state, side_state),
     )
 
 
@@ -286,6 +299,27 @@ def start_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horiz
             out.append(np.stack([np.bincount(run, c, len(position)) for c in column.T], axis=1))
         ends.append(position**2)
     return StartErrors(*(np.concatenate(pieces) for pieces in (starts, sums, counts, ends)))
+
+
+def end_errors(part: Predictions, predicted: Array, horizon: float) -> Array:
+    """Errors of position and velocity at the horizon itself, in the measured heading, shape (S, 2, 4).
+
+    NaN for starts without poses up to there, or where nothing is measured.
+
+    Args:
+        part: What was measured in a segment.
+        predicted: What was predicted there, (S, E, 2, 4).
+        horizon: [s].
+    """
+    good, end = _complete(part, horizon)
+    out, at = np.full((part.start.size, 2, 4), np.nan), end[good] - 1
+    runs = predicted[good, at - part.first[good]]
+    for i, measured in enumerate((part.pose, part.reference)):
+        error = runs[:, i] - measured[at]
+        error[:, :2] = heading_from_world(error[:, :2], part.pose[at, 3])
+        out[good, i] = error
+    out[:, 0, np.isin(AXES, part.alone)] = np.nan
+    return out
 
 
 def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> tuple[Array, Array, Array]:

@@ -17,7 +17,7 @@ class StateSpace:
 
     Attributes:
         axes: The n axes; the states are their positions, then their velocities, then what structures with a lag add:
-            its lagged input, or the acceleration of a second order, axis by axis.
+            its lagged input, or of a second order the acceleration less what a zero adds to it, axis by axis.
         A: Shape (2 n + lags, 2 n + lags).
         B: Shape (2 n + lags, n).
         C: Positions, shape (n, 2 n + lags).
@@ -57,7 +57,9 @@ def state_space(model: Model) -> StateSpace:
             at, T = 2 * n + lags.index(i), point.extra["lag"]
             A[v, at], A[at, at], B[at, i] = 1.0, -1 / T, point.input / T
             if structure.order == 2:
+                lead = point.extra.get("zero", 0.0) / T
                 A[at, v] = -point.damping / T
+                B[v, i], B[at, i] = lead * point.input, (1 - lead) * point.input / T
         else:
             B[v, i] = point.input
         if structure.order < 2:
@@ -88,16 +90,18 @@ def simulate(
     time: Array,
     pose: Array | None = None,
     velocity: Array | None = None,
+    before: Array | None = None,
 ) -> Trajectory:
     """Motion under held commands from a given state; axes without a predictor keep their velocity.
 
     Args:
         model: The model.
-        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first, the first.
+        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next.
         command: x, y, z, yaw commands in the heading frame, shape (M, 4).
         time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
         pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.
         velocity: Its rate, shape (4,); rest by default.
+        before: Command in force before the first one, and until its delay has passed, shape (4,); none by default.
 
     Returns:
         The trajectory, without trim and disturbance.
@@ -109,6 +113,8 @@ def simulate(
     pose = np.zeros(4) if pose is None else np.asarray(pose, float)
     velocity = np.zeros(4) if velocity is None else np.asarray(velocity, float)
     time, command_time, command = (np.asarray(a, float) for a in (time, command_time, command))
+    command_time = np.append(command_time[:1] - 1.0, command_time)  # the stamp itself plays no role
+    command = np.vstack([np.zeros(4) if before is None else before, command])
     points = [model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0) for axis in AXES]
     gain, damping, delay = (np.array([getattr(p, name) for p in points]) for name in COEFFICIENTS)
 

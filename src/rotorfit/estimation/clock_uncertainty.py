@@ -1,4 +1,4 @@
-"""Fit -> Fit: what is not known of the clocks of two files goes into the delay's interval."""
+"""Fit -> Fit: what is not known of the clocks of two files, or of one that drifts, goes into the delay's interval."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -38,15 +38,16 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
     k = AXES.index(axis)
     moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
     length = sum(f.duration for f in moving)
-    known = [(f.duration, f.clocks.half_width) for f in moving if f.clocks is not None]
+    known = [(f.duration, float(np.hypot(f.stamp_error, f.clocks.half_width if f.clocks else 0.0))) for f in moving]
     return float(np.sqrt(sum((share / length * half) ** 2 for share, half in known))) if known else 0.0
 
 
 def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
     """The model with delays as the clocks of its flights allow.
 
-    Where an offset between two clocks was measured, its error is added to that of the delay, in quadrature, and to
-    those of delay plus lag. Where it was told by the answer to the commands, there is no delay to publish.
+    Where an offset between two clocks was measured, or stamps were corrected by their arrivals, the error of that is
+    added to that of the delay, in quadrature, and to those of delay plus lag. Where the offset was told by the answer
+    to the commands, there is no delay to publish.
 
     Args:
         model: As fitted to the stamps on one clock.
@@ -93,6 +94,7 @@ def _without_delay(axis: Axis, offset: float | None) -> Axis:
         delay=None,
         stderr={**axis.stderr, "delay": None},
         ci95={**axis.ci95, "delay": (None, None)},
+        ci95_flight={**axis.ci95_flight, "delay": (None, None)} if axis.ci95_flight else {},
         status={**axis.status, "delay": "not_identifiable"},
         combinations=kept,
     )
@@ -103,7 +105,10 @@ def _widened(axis: Axis, half: float) -> Axis:
     center = axis.predictor.delay if axis.predictor else None
     if center is None or not half or axis.ci95["delay"] == (None, None):
         return axis
-    low, high = ends = _wider(axis.ci95["delay"], center, half)
+    low, high = ends = _wider(axis.ci95["delay"], _middle(axis.ci95["delay"], axis.delay, center), half)
+    own = dict(axis.ci95_flight)
+    if own:
+        own["delay"] = _wider(own["delay"], _middle(own["delay"], None, center), half)
     error = axis.stderr["delay"]
     wide = low is None or high is None or high - low >= WIDEST_DELAY
     lost = wide or axis.status["delay"] != "ok"
@@ -112,16 +117,27 @@ def _widened(axis: Axis, half: float) -> Axis:
         delay=None if lost else axis.delay,
         stderr={**axis.stderr, "delay": None if lost or error is None else float(np.hypot(error, half / NORMAL))},
         ci95={**axis.ci95, "delay": ends},
+        ci95_flight=own,
         status={**axis.status, "delay": "not_identifiable"} if wide else axis.status,
         combinations=_combined(axis.combinations, half),
     )
 
 
 def _combined(combinations: Mapping[str, Combination], half: float) -> dict[str, Combination]:
-    return {
-        name: replace(one, ci95=_wider(one.ci95, one.value, half)) if name in _WITH_DELAY else one
-        for name, one in combinations.items()
-    }
+    return {name: _combination(one, half) if name in _WITH_DELAY else one for name, one in combinations.items()}
+
+
+def _combination(one: Combination, half: float) -> Combination:
+    own = one.ci95_flight and _wider(one.ci95_flight, _middle(one.ci95_flight, None, one.value), half)
+    return replace(one, ci95=_wider(one.ci95, one.value, half), ci95_flight=own)
+
+
+def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
+    """The published value of an interval; of one without, its middle, or what stands for that where an end is open."""
+    low, high = ends
+    if value is not None:
+        return value
+    return otherwise if low is None or high is None or low <= otherwise <= high else 0.5 * (low + high)
 
 
 def _wider(ends: Interval, center: float, half: float) -> Interval:

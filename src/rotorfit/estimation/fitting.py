@@ -9,13 +9,14 @@ from rotorfit.core.card import Prior
 from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
+from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
 from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
+from rotorfit.estimation.judgement.judge import judged
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, estimate_axis, estimate_plane
 from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.coefficients import (
@@ -27,6 +28,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 )
 from rotorfit.estimation.likelihood.extra_parameters import structure_at, told_apart
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, delay_error
+from rotorfit.estimation.likelihood.law_average import Law, averaged, families, told
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -36,6 +38,8 @@ from rotorfit.estimation.likelihood.richer_laws import estimate_laws
 from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
+from rotorfit.estimation.zero_command import braking, commanded_parts
+from rotorfit.flights.distinct import check_distinct
 
 Priors = Mapping[str, Mapping[str, Prior]]
 
@@ -48,7 +52,7 @@ def fit(
     method: str = BEST,
     axes: Sequence[str] = AXES,
     progress: Progress | None = None,
-    structure: str = STRUCTURE,
+    structure: str = AVERAGED,
     prior: bool = False,
 ) -> Fit:
     """Estimates the coefficients of the axes from one or several flights.
@@ -59,15 +63,16 @@ def fit(
             vehicle was; `paper`, the regression of the paper; or one of the regressions between.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
-        structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis. `coupled` is of x and y
-            together and leaves the default to every other axis.
+        structure: `averaged`, the default: delay and lag, or what else the data ask for, see `average`; the name of the
+            law of every axis; or `auto`: what the data earn, axis by axis. `coupled` is of x and y together and leaves
+            the first-order law to every other axis. Methods without a likelihood know that law only.
         prior: Use the priors of the card.
 
     Returns:
         The fit. What the data cannot tell is a status, never a number.
 
     Raises:
-        FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+        FlightError: If no flight is given, one is given twice, or their cards differ in what the coefficients mean.
         CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
         ModelError: No such method or structure, or a structure other than the default with a method other than `ml`.
     """
@@ -84,10 +89,42 @@ def fit(
     report(0.0, "the paper's regression")
     paper = paper_regression(flights, wanted)
     found = _found(flights, wanted, method, structure, priors, paper, report)
+    tested = {axis: test for axis, e in found.estimates.items() if (test := braking(e)) and test.acts}
+    parts = {axis: [commanded_parts(f, axis, test.delay) for f in flights] for axis, test in tested.items()}
+    for axis, some in parts.items():
+        report(0.9, f"{axis} while it is commanded")
+        apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
+        found, parts[axis] = (_with_axis(found, apart, axis), some) if _told(apart, axis) else (found, list(flights))
     report(1.0, "done")
-    model = with_clock_error(_model(flights, method, paper, found), flights)
-    late = {axis: delay_error(serving_flights(flights, e.records[0].axes), e) for axis, e in found.estimates.items()}
-    return Fit(with_delay_error(model, late, GROUPS), tuple(flights), paper, found.estimates, found.remarks, outliers)
+    model = with_clock_error(judged(_model(flights, method, paper, found), found.estimates), flights)
+    late = {
+        axis: delay_error(serving_flights(parts.get(axis, flights), e.records[0].axes), e)
+        for axis, e in found.estimates.items()
+    }
+    model = with_delay_error(model, late, GROUPS)
+    braked = {axis: (test, sum(f.duration for f in parts[axis])) for axis, test in tested.items()}
+    return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
+
+
+def _told(found: "_Found", axis: str) -> bool:
+    """Whether an axis came out with an input gain."""
+    return axis in found.axes and found.axes[axis].status["input"] == "ok"
+
+
+def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
+    """What was found, with one axis from elsewhere."""
+    covariance: Blocks = {}
+    for names, matrix in found.covariance.items():
+        keep = [i for i, name in enumerate(names) if name.split(".")[0] != axis]
+        if keep:
+            covariance[tuple(names[i] for i in keep)] = matrix[np.ix_(keep, keep)]
+    covariance |= {names: matrix for names, matrix in apart.covariance.items() if names[0].split(".")[0] == axis}
+    return replace(
+        found,
+        axes={**found.axes, axis: apart.axes[axis]},
+        covariance=covariance,
+        estimates={**found.estimates, axis: apart.estimates[axis]},
+    )
 
 
 @dataclass(frozen=True)
@@ -138,6 +175,7 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
         covariance_names=names,
         covariance=matrix,
         paper=tuple(float(g) if np.isfinite(g) else None for g in paper.gamma),
+        paper_noise=_paper_noise(flights, tuple(found.axes), paper),
         findings=(),
         flights=tuple(
             Source(f.path, f.sha256, f.span, f.notes, tuple(axis for axis in AXES if commands_axis(f, axis)))
@@ -150,17 +188,18 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
     """Refuses what does not go together; see `fit`."""
     if method not in METHODS:
         raise ModelError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
-    if structure != AUTO:
+    if structure not in (AUTO, AVERAGED):
         structure_named(structure)
-    if method != "ml" and structure != STRUCTURE:
+    if method != "ml" and structure not in (AVERAGED, STRUCTURE):
         raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
-    if prior and structure != STRUCTURE:
-        raise ModelError("priors are for the default structure: leave --prior or --structure out")
+    if prior and structure not in (AVERAGED, STRUCTURE):
+        raise ModelError("priors are for the default laws: leave --prior or --structure out")
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):
         raise FlightError("the logs were read with different cards: fit them apart, or give one --card for all")
     check_clocks(flights)
+    check_distinct(flights)
     if prior and not METHODS[method].likelihood:
         raise CardError(f"the method {method} takes no prior: leave --prior out, or use --method ml")
     if prior and not flights[0].card.prior:
@@ -187,10 +226,36 @@ def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> li
 def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
     """The axes of one group by the likelihood, under the structure that is asked for."""
     estimates = _estimate_group(flights, group, priors)
+    if structure == AVERAGED and estimates:
+        return _averaged(flights, group, estimates, priors)
     axes, covariance = _group_axes(flights, group, estimates)
     if structure == STRUCTURE or not estimates:
         return _Found(axes, covariance, estimates)
     return _other_structures(flights, group, estimates, axes, covariance, structure)
+
+
+def _averaged(
+    flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
+) -> _Found:
+    """The axes of a group under the default laws, with the first-order law's numbers beside."""
+    known = families(serving_flights(flights, group), estimates, priors)
+    plain, _ = _group_axes(flights, group, {axis: family.plain for axis, family in known.items()})
+    chosen = {axis: family.laws[0].estimate for axis, family in known.items()}
+    axes, covariance = _group_axes(flights, group, chosen)
+    for axis, family in known.items():
+        if not axes[axis].predictor:
+            continue
+        others = [_group_axes(flights, (axis,), {axis: law.estimate})[0][axis] for law in family.laws[1:]]
+        axes[axis] = averaged([axes[axis], *(other for other in others if other.predictor)], family, axis)
+        if axes[axis].structure != STRUCTURE:
+            axes[axis] = replace(axes[axis], plain=_beside(plain[axis], family.plain, axis))
+    return _Found(axes, covariance, chosen)
+
+
+def _beside(known: Axis, estimate: Estimate, axis: str) -> Plain:
+    """The first-order law of an axis, to stand beside another."""
+    law = told(Law(estimate, 1.0), estimate, axis)
+    return Plain(known.input, known.damping, known.delay, known.stderr, known.ci95, known.status, law)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
@@ -232,9 +297,7 @@ def _other_structures(
         found, axes = estimates, plain
     for axis in known:
         if axes[axis].structure != STRUCTURE:
-            one = plain[axis]
-            beside = Plain(one.input, one.damping, one.delay, one.stderr, one.ci95, one.status)
-            axes[axis] = replace(axes[axis], plain=beside)
+            axes[axis] = replace(axes[axis], plain=_beside(plain[axis], estimates[axis], axis))
         if axis in lost:
             axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(structure),))
         if axis in choices:
@@ -331,6 +394,12 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
         covariance[(f"{axis}.input", f"{axis}.damping")] = paper.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
     serving = [f for f in flights if any(commands_axis(f, axis) for axis in results if results[axis].predictor)]
     return _Found(with_levels(serving, results), covariance)
+
+
+def _paper_noise(flights: Sequence[Flight], axes: Sequence[str], paper: PaperFit) -> dict[str, Mapping[str, float]]:
+    """Levels of the disturbance at the paper's coefficients, of the axes that its method gives numbers."""
+    parts = [_paper_group(flights, group, paper).axes for group in groups_of(flights, axes)]
+    return {axis: known.noise for part in parts for axis, known in part.items() if known.noise}
 
 
 def _regression_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:

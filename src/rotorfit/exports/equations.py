@@ -79,15 +79,19 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
         return f"{language.prefix}{name.upper()}{end}"
 
     w, q, trim = f"w_{axis}", f"q_{axis}", f"c_{axis}"
-    damping = f"{c('damping')} * {v}"
+    damping, one = f"{c('damping')} * {v}", 1.0 if language.zero == "0.0" else 1
     if "drag_share" in names:
         share, speed = c("drag_share"), f"{language.absolute}({v}) / {c('reference_speed')}"
-        damping = f"{c('damping')} * ({1.0 if language.zero == '0.0' else 1} - {share} + {share} * {speed}) * {v}"
+        damping = f"{c('damping')} * ({one} - {share} + {share} * {speed}) * {v}"
     if "cross_damping" in names:
         damping += f" - {c('cross_damping')} * {SPEEDS[{'x': 'y', 'y': 'x'}[axis]]}"
     demand = f"{c('input')} * {_answered(axis, names, c, language)}"
     if "cross_input" in names:
         demand += f" + {c('cross_input')} * u_{ {'x': 'y', 'y': 'x'}[axis] }"
+    if "zero" in names:
+        lead = f"{c('zero')} / {c('lag')}"
+        lagged = f"(({one} - {lead}) * {w} + {trim} - {damping} - {q}) / {c('lag')}"
+        return Equation(axis, demand, f"{q} + {lead} * {w}", lagged, f"({one} - {lead}) * {w} - {damping}")
     if structure.order == 2:
         return Equation(axis, demand, q, f"({w} + {trim} - {damping} - {q}) / {c('lag')}", f"{w} - {damping}")
     if structure.order == 1:

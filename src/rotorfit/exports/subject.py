@@ -122,10 +122,13 @@ def identifier(text: str) -> str:
 
 
 def unknown_of(axis: Axis) -> list[str]:
-    """What the data cannot tell of an axis, as `delay (not_identifiable)`; empty where all is known."""
-    structure = structure_named(axis.structure)
+    """What the data cannot tell of an axis, as `delay (not_identifiable)`; empty where all is known.
+
+    A lag that its prior tells is known well enough: what matters of it, with the delay, the data tell.
+    """
+    structure, believed = structure_named(axis.structure), {"lag"} if axis.lag_prior is not None else set()
     known = {"input": axis.input, "damping": axis.damping, **({"delay": axis.delay} if structure.delayed else {})}
-    known |= {extra.name: axis.extra.get(extra.name) for extra in structure.extras}
+    known |= {extra.name: axis.extra.get(extra.name) for extra in structure.extras if extra.name not in believed}
     return [f"{name} ({axis.status.get(name, 'unknown')})" for name, value in known.items() if value is None]
 
 

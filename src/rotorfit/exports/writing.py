@@ -40,10 +40,10 @@ def check(subject: Subject, to: str, form: Format) -> None:
     wrong = bent if form.linear else other if form.plain else []
     if wrong:
         laws = ", ".join(f"{axis} {subject.structure(axis).name}" for axis in wrong)
-        kind = "linear laws" if form.linear else "the default law"
+        kind = "linear laws" if form.linear else "the first-order law with a delay"
         raise ExportError(
             f"{to} holds {kind} only, and the model has {laws}; export --to casadi, numpy, jax, matlab or c, or fit "
-            "the default structure"
+            f"with --structure {FIRST_ORDER_DELAY.name}"
         )
     unsteady = [axis for axis in AXES if steady_gain(subject, axis) is None]
     if form.steady and unsteady:

@@ -15,7 +15,20 @@ from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import LEVELS_OF, structure_named
 from rotorfit.core.limits import Conversion
-from rotorfit.core.model import STRUCTURE, Axis, Candidate, Combination, Mode, Model, Plain, Predictor, Source
+from rotorfit.core.model import (
+    STRUCTURE,
+    Axis,
+    Candidate,
+    Combination,
+    Evidence,
+    Mode,
+    Model,
+    Plain,
+    Predictor,
+    Source,
+    Spread,
+    Weighed,
+)
 from rotorfit.core.physics import physics
 from rotorfit.files.cards import card_from_mapping
 
@@ -90,7 +103,10 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "gamma": list(model.gamma),
         "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
-        "paper": {"gamma": list(model.paper)},
+        "paper": {
+            "gamma": list(model.paper),
+            "noise": {axis: dict(noise) for axis, noise in model.paper_noise.items()},
+        },
         "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in physics(model).items()},
         "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
@@ -106,9 +122,12 @@ def _axis_mapping(axis: Axis) -> dict[str, Any]:
     raw = asdict(axis)
     if raw["predictor"] and not raw["predictor"]["extra"]:
         del raw["predictor"]["extra"]
-    for name in ("extra", "plain", "candidates", "samples"):
+    for name in ("extra", "plain", "laws", "lag_prior", "candidates", "samples", "ci95_flight", "spread", "evidence"):
         if not raw[name]:
             del raw[name]
+    for part in raw["combinations"].values():
+        if part["ci95_flight"] is None:
+            del part["ci95_flight"]
     return raw
 
 
@@ -140,6 +159,7 @@ def from_mapping(raw: Any, where: str) -> Model:
             prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
             conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
             leave_one_out=raw.get("leave_one_out"),
+            paper_noise=raw["paper"].get("noise", {}),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
@@ -154,20 +174,44 @@ def _axis(raw: Mapping[str, Any]) -> Axis:
             "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()},
             "trim": tuple(raw["trim"]),
             "predictor": Predictor(**raw["predictor"]) if raw["predictor"] else None,
-            "combinations": {
-                name: Combination(part["value"], tuple(part["ci95"])) for name, part in raw["combinations"].items()
-            },
+            "ci95_flight": {name: tuple(ends) for name, ends in raw.get("ci95_flight", {}).items()},
+            "combinations": {name: _combination(part) for name, part in raw["combinations"].items()},
+            "spread": {name: _spread(part) for name, part in raw.get("spread", {}).items()},
+            "evidence": tuple(Evidence(**part) for part in raw.get("evidence", ())),
             "modes": tuple(Mode(**mode) for mode in raw["modes"]),
             "profile": tuple((delay, value) for delay, value in raw["profile"]),
             "structure": structure_named(raw.get("structure", STRUCTURE)).name,
             "plain": _plain(raw["plain"]) if raw.get("plain") else None,
+            "laws": tuple(_weighed(one) for one in raw.get("laws", ())),
             "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
         }
     )
 
 
+def _combination(raw: Mapping[str, Any]) -> Combination:
+    own = raw.get("ci95_flight")
+    return Combination(raw["value"], tuple(raw["ci95"]), None if own is None else tuple(own))
+
+
+def _spread(raw: Mapping[str, Any]) -> Spread:
+    each = tuple(None if one is None else tuple(one) for one in raw["each"])
+    return Spread(**{**raw, "next_flight": tuple(raw["next_flight"]), "each": each})
+
+
 def _plain(raw: Mapping[str, Any]) -> Plain:
-    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}})
+    law = _weighed(raw["law"]) if raw.get("law") else None
+    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}, "law": law})
+
+
+def _weighed(raw: Mapping[str, Any]) -> Weighed:
+    return Weighed(
+        **{
+            **raw,
+            "structure": structure_named(raw["structure"]).name,
+            "predictor": Predictor(**raw["predictor"]),
+            "correlation": tuple(tuple(row) for row in raw["correlation"]),
+        }
+    )
 
 
 def _candidate(raw: Mapping[str, Any]) -> Candidate:

@@ -15,7 +15,10 @@ from rotorfit.core.flight_data import ANSWER, MIN_DURATION, SLOWEST_POSES, Clock
 from rotorfit.core.frames import AXES, Array, Indices, heading_from_world
 from rotorfit.core.log import Log
 from rotorfit.flights.clocks.arrival import with_sound_stamps
+from rotorfit.flights.clocks.sender_drift import on_the_recorders_clock
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF, on_one_clock
+from rotorfit.flights.command_hold import with_judged_hold
+from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
 from rotorfit.flights.several_files import bound
 from rotorfit.flights.stamps import Mask, Stamps
@@ -119,8 +122,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     """Takes commands and poses from a log as the card says, repairs them, and cuts them to the common window.
 
     The common window runs from the first command to the earlier of the last pose and the last command plus its hold.
-    Commands hold until the next one, but no longer than `card.hold` (default: three median periods): a longer gap
-    starts a new segment. Gaps between poses do not.
+    Commands hold until the next one, but no longer than `card.hold` (default: three median periods, or what the motion
+    shows, see `hold`): a longer gap starts a new segment. Gaps between poses do not.
 
     Where commands and poses are from two files, the commands are first brought onto the clock of the poses.
 
@@ -140,9 +143,12 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     """
     card = bound(card, log)
     log, stamped = with_sound_stamps(log, card)
+    log, corrected, stamp_error = on_the_recorders_clock(log, card)
     log, clocks = on_one_clock(log, card)
     commands, axes, origin = commands_of(log, card)
     poses, velocities = poses_of(log, card), velocities_of(log, card)
+    commands = with_judged_hold(log, card, commands, axes, poses)
+    commands = without_low_pass(commands, axes, poses, card.command_frame == "world")
     commands = airborne(commands, poses, card)
     end = _window_end(log, commands, poses, origin)
     (start, stop), cut = _span(log, span, (end - origin) / 1e9)
@@ -156,7 +162,13 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     command_end = np.minimum((commands.until[acting] - origin) / 1e9, stop)
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
-    notes = (*stamped, *_clock_notes(clocks, len(commands.stamps)), *cut, *_cut_notes(seen, segments, heading, yaw))
+    notes = (
+        *stamped,
+        *corrected,
+        *_clock_notes(clocks, len(commands.stamps)),
+        *cut,
+        *_cut_notes(seen, segments, heading, yaw),
+    )
     position, velocity = poses.values[seen, :3], None
     if velocities is not None:
         velocity = in_the_world(velocities, card, origin, pose_time, yaw).between(start, stop)
@@ -183,6 +195,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         reference=reference_of(log, card, origin + np.round(command_time * 1e9).astype(np.int64)),
         clocks=clocks,
         velocity=velocity,
+        stamp_error=stamp_error,
     )
 
 

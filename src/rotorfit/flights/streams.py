@@ -24,7 +24,6 @@ from rotorfit.flights.other_tables import (
 )
 from rotorfit.flights.stamps import (
     GAP_PERIODS,
-    GAP_TOLERANCE,
     MISSING_STAMP,
     ClockDrift,
     Mask,
@@ -41,6 +40,10 @@ from rotorfit.flights.stamps import (
 
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
+
+BRIDGED = 10_000_000
+"""Time beyond its hold [ns] for which a command acts on until the next: what else could act so shortly moves nothing
+that is measured, and to split the flight there costs the 0.6 s that a segment needs to start."""
 
 NEVER = np.int64(2**62)
 """Stands for the end of what acts until something else comes [ns]."""
@@ -296,8 +299,7 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
         f"{counted(steps.size, 'step')} of the estimator's own in the pose: the flight is split there",
         steps.size,
     )
-    margin = round(2 * GAP_TOLERANCE * (median_period(stream.stamps) or 0))  # or the gap would pass for rounding
-    return replace(closed(stream, steps - margin), notes=(*stream.notes, note))
+    return replace(closed(stream, steps - 1), notes=(*stream.notes, note))  # also where a command bears that stamp
 
 
 def closed(stream: Stream, stamps: Stamps) -> Stream:
@@ -367,7 +369,7 @@ def _without_idle_ends(stream: Stream) -> Stream:
 
 
 def _held(stream: Stream, log: Log, card: Card) -> Stream:
-    """Commands that act for their hold, or until the next where that comes as soon but for the rounding of stamps."""
+    """Commands that act for their hold, or until the next where that comes as soon but for a few milliseconds."""
     period = median_period(stream.stamps)
     if period is None and card.hold is None:
         raise FlightError(f"{log.path}: there is only one command; is [command] of the card the flown stream?")
@@ -380,5 +382,6 @@ def _held(stream: Stream, log: Log, card: Card) -> Stream:
     hold = GAP_PERIODS * period if card.hold is None else round(min(card.hold, 1e9) * 1e9)  # int64 ends at 9e18
     until = np.minimum(stream.stamps + hold, stream.until)
     late = stream.stamps[1:] - until[:-1]
-    until[:-1] += np.where((late > 0) & (late <= GAP_TOLERANCE * period), late, 0)
+    timed_out = stream.until[:-1] >= stream.stamps[1:]  # nothing but time has ended the command
+    until[:-1] += np.where(timed_out & (late > 0) & (late <= BRIDGED), late, 0)
     return replace(stream, until=until)

@@ -14,7 +14,7 @@ from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 
@@ -203,8 +203,8 @@ def belief_from_model(model: Model, where: str) -> Belief:
     time, levels, notes = np.array(rest.truth.wind_time), {}, list(rest.notes)
     for axis in known:
         a, one = AXES.index(axis), model.axes[axis]
-        assert one.predictor is not None
-        values[a] = one.predictor.input, one.predictor.damping, one.predictor.delay
+        point = first_order(model, axis).predictor
+        values[a] = point.input, point.damping, point.delay
         if values[a, 2] < 0:
             notes.append(f"the model's delay of {axis} is negative: planned with 0")
             values[a, 2] = 0.0
@@ -247,14 +247,13 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
     """The covariances of a model in that of what it does not know, bounded by `UNKNOWN_SHARE`."""
     out = covariance.copy()
     for a, axis in enumerate(AXES):
-        names = [f"{axis}.{name}" for name in COEFFICIENTS]
-        if not set(names) <= set(model.covariance_names):
+        law = first_order(model, axis) if model.axes[axis].predictor else None
+        if law is None or set(law.stderr) != set(COEFFICIENTS):
             continue
-        there, at = [model.covariance_names.index(name) for name in names], slice(3 * a, 3 * a + 3)
+        at = slice(3 * a, 3 * a + 3)
         bound = np.array([*UNKNOWN_SHARE, np.nan]) * values[at]
         bound[2] = DELAY[1]
-        own = model.covariance[np.ix_(there, there)]
-        out[at, at] = np.linalg.inv(np.linalg.inv(own) + np.diag(1 / bound**2))
+        out[at, at] = np.linalg.inv(np.linalg.inv(law.covariance) + np.diag(1 / bound**2))
     return out
 
 

@@ -79,10 +79,12 @@ def _converting(model: Model) -> list[str]:
 
 def _options(model: Model) -> list[str]:
     """Structure and axes, where they are not the default."""
-    tried = any(candidate.chosen for axis in model.axes.values() for candidate in axis.candidates)
-    others = {axis.structure for axis in model.axes.values() if axis.structure != STRUCTURE}
+    known = [axis for axis in model.axes.values() if axis.predictor]
+    tried = any(candidate.chosen for axis in known for candidate in axis.candidates)
+    others = {axis.structure for axis in known if axis.structure != STRUCTURE}
     structure = "auto" if tried else next(iter(others), STRUCTURE)
-    return [*([] if structure == STRUCTURE else ["--structure", structure]), *_axes(model)]
+    default = model.method not in ("ml", "robust") or not known or any(axis.laws for axis in known)
+    return [*([] if default else ["--structure", structure]), *_axes(model)]
 
 
 def _axes(model: Model) -> list[str]:

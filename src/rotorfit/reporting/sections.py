@@ -15,6 +15,7 @@ from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import draw_chart, drawn_rows
+from rotorfit.reporting.frequency import response_charts
 from rotorfit.reporting.next_steps import next_steps, wanted_chart
 from rotorfit.reporting.panels import FlightPanels, Panel
 from rotorfit.reporting.reproduce import recipe_of
@@ -138,6 +139,13 @@ def _horizon(page: Contents) -> dict[str, Any]:
     }
 
 
+def _response(page: Contents) -> dict[str, Any]:
+    return {
+        "responses": [_panels(response_charts(evidence.responses)) for evidence in page.evidences],
+        "tested_on": "validation" if page.cases[0].flights else "training",
+    }
+
+
 def _residuals(page: Contents) -> dict[str, Any]:
     charts = [residual_charts(each.autocorrelation, each.command_correlation) for each in page.evidences]
     return {
@@ -194,6 +202,7 @@ SECTIONS: Mapping[str, Section] = {
     "validation": Section("Measured and predicted", _validation),
     "delay": Section("Why this delay", _delay),
     "horizon": Section("How far ahead", _horizon),
+    "response": Section("Frequency response", _response),
     "residuals": Section("Residuals", _residuals),
     "next": Section("What to fly next", _next),
     "coefficients": Section("Coefficients", _coefficients),

@@ -74,7 +74,7 @@ def _row_text(row: CoefficientRow) -> RowText:
     ends = [rounded(end, scale) if end is not None else "open" for end in (row.low, row.high)]
     known = row.low is not None or row.high is not None
     interval = f"{ends[0]} to {ends[1]}" if known else "—"
-    kind = {"ok": "ok", "diverged": "bad"}.get(row.status, "missing")
+    kind = {"ok": "ok", "diverged": "bad", "refuted": "bad"}.get(row.status, "missing")
     if row.name in ("steady_gain", "total_lag", "offset_plus_delay"):
         kind = "combination"
     paper = rounded(row.paper, scale)

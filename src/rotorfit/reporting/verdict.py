@@ -179,6 +179,7 @@ STATUS = {
     "too_short": "there is too little data",
     "diverged": "the estimation found no optimum",
     "not_identifiable": "the data do not separate it from the other coefficients",
+    "refuted": "the flights deny the law that it belongs to",
 }
 
 

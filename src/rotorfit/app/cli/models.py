@@ -34,7 +34,7 @@ from rotorfit.estimation.methods import BEST, METHODS
     "--structure",
     metavar="S",
     callback=structure_of,
-    help="The law of every axis, or auto; default: first_order_delay.",
+    help="The law of every axis, or auto; default: averaged, over laws that the data cannot tell apart.",
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=axes_of, help="The axes to fit; default: all.")
 @SPAN

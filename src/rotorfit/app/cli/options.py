@@ -46,12 +46,13 @@ def some_axes_of(ctx: click.Context, parameter: click.Parameter, text: str | Non
 
 
 def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> Any:
-    """Name of a structure, or `auto`; the default where none is given."""
-    from rotorfit.core.laws import FIRST_ORDER_DELAY, STRUCTURES
+    """Name of a structure, `averaged` or `auto`; the first of these where none is given."""
+    from rotorfit.core.laws import AVERAGED, STRUCTURES
 
-    if name is not None and name != "auto" and name not in STRUCTURES:
-        raise click.BadParameter(f"no such structure: {name!r}; structures are auto, {', '.join(STRUCTURES)}", ctx)
-    return name or FIRST_ORDER_DELAY.name
+    names = (AVERAGED, "auto", *STRUCTURES)
+    if name is not None and name not in names:
+        raise click.BadParameter(f"no such structure: {name!r}; structures are {', '.join(names)}", ctx)
+    return name or AVERAGED
 
 
 def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:

@@ -28,7 +28,7 @@ from rotorfit.app.cli.options import (
 @JSON
 def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, horizons: Any, as_json: bool) -> None:
     """Score a model on flights that were not fitted."""
-    from rotorfit.app.workflows import PAPER_TWICE, validate_logs
+    from rotorfit.app.workflows import validate_logs
     from rotorfit.assessment.validation import to_mapping
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.models import load
@@ -46,8 +46,6 @@ def validate(model_path: str, logs: Sequence[str], card: str | None, span: Any, 
             "The model was converted: it is for flights under its new limits, not those that it was fitted to.\n"
         )
     show(validation_view(validation))
-    if model.method == "paper":
-        click.echo(f"\nThis model: {PAPER_TWICE}.")
     return None
 
 

@@ -75,18 +75,23 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
 
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
-    out = table("axis", "coefficient", "estimate", "95 % interval", "unit", "paper", "status", left=(0, 1, 4, 6), gap=1)
+    flights = "this flight" if len(model.flights) == 1 else "these flights"
+    two = any(model.axes[axis].ci95_flight for axis in axes)
+    heads = ("95 % the vehicle", f"95 % {flights}") if two else ("95 % interval",)
+    left = (0, 1, 3 + len(heads), 5 + len(heads))
+    out = table("axis", "coefficient", "estimate", *heads, "unit", "paper", "status", left=left, gap=1)
     for row in coefficient_rows(model):
         first, ends = row.name == COEFFICIENTS[0], (row.low, row.high)
         if row.axis not in axes or not (model.axes[row.axis].predictor or first or row.paper is not None):
             continue
         combined = row.kind == "combination"
         unknown = row.value is None or (combined and ends == (None, None))
+        both = (interval_text(ends), interval_text(row.flight or ends)) if two else (interval_text(ends),)
         out.add_row(
             row.axis if first else "",
             _words(row.name),
-            "-" if unknown or row.value is None else number_text(row.value, ends),
-            interval_text(ends),
+            "-" if unknown or row.value is None else f"{row.value:g}" if row.given else number_text(row.value, ends),
+            *(("by the law", "")[: len(both)] if row.given else both),
             row.unit,
             "" if row.paper is None else f"{row.paper:.3g}",
             "" if combined else row.status,
@@ -119,6 +124,15 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def _law_lines(known: Axis) -> Iterator[str]:
+    """Between which laws the data cannot decide, and how much of the lag is a prior's."""
+    if len(known.laws) > 1:
+        parts = ", ".join(f"{law.structure} {100 * law.weight:.0f} %" for law in known.laws)
+        yield f"the data do not decide between laws ({parts}): intervals hold what all of them say"
+    if known.lag_prior is not None:
+        yield f"{100 * known.lag_prior:.0f} % of what is known of the lag is its prior (0.1 s, 0.014 to 0.71 s)"
+
+
 def _structure_view(axis: str, known: Axis) -> View:
     """The law of an axis where it is not the default, the default's coefficients, and what it was chosen from."""
     if known.plain:
@@ -130,7 +144,9 @@ def _structure_view(axis: str, known: Axis) -> View:
             for value in (getattr(known.plain, name),)
         ]
         yield title(f"{axis}: structure {known.structure}, {structure_named(known.structure).law}")
-        yield indented(f"With the default structure instead: {', '.join(numbers)}")
+        yield indented(f"With a delay alone instead: {', '.join(numbers)}")
+    if known.laws:
+        yield from bullets(_law_lines(known))
     if not known.candidates:
         return
     yield ""

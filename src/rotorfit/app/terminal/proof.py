@@ -14,6 +14,7 @@ from rotorfit.core.frames import AXES
 
 if TYPE_CHECKING:
     from rotorfit.assessment.leave_one_out import LeaveOneOut
+    from rotorfit.core.error_bands import Coverage
     from rotorfit.core.residuals import ResidualTests
     from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, Validation
 
@@ -103,6 +104,37 @@ def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quant
                             f"{what} at {key} s (p = {paired.agreement:.2g} of no more than chance): read them apart"
                         ]
                     )
+
+
+def bands_view(validation: "Validation") -> View:
+    """How wide the predicted error bands are and how often they held, flight by flight; the 95 % band and the 50 %."""
+    for flight, axes in zip(validation.flights, validation.bands, strict=True):
+        shown = [axis for axis in flight.moved if any(score.velocity for score in axes.get(axis, {}).values())]
+        if not shown:
+            continue
+        yield ""
+        yield title(f"Do the stated error bands hold? {Path(flight.path).name}")
+        keys = list(axes[shown[0]])
+        out = table("axis", "", *(f"{key} s" for key in keys), left=(0, 1))
+        for axis in shown:
+            for what in ("velocity", "position"):
+                cells = [_band(getattr(axes[axis][key], what), axis) for key in keys]
+                out.add_row(axis if what == "velocity" else "", what[0], *cells)
+        yield out
+    if any(validation.bands):
+        yield Text(
+            "Half width of the 95 % band [cm/s, cm; yaw deg/s, deg], share of the errors inside, and in brackets that "
+            "inside the 50 % band. Bands are stated at the start, from the past of the flight alone.",
+            style="dim",
+        )
+
+
+def _band(found: "Sequence[Coverage]", axis: str) -> str:
+    if not found:
+        return "-"
+    half, wide = found
+    scale = 180 / math.pi if axis == "yaw" else 100.0
+    return f"{three_digits(scale * wide.width)} {100 * wide.coverage:.0f} % ({100 * half.coverage:.0f})"
 
 
 def residuals_view(validation: "Validation") -> View:

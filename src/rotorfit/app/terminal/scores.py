@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from rich.console import RenderableType
 from rich.text import Text
 
-from rotorfit.app.terminal.proof import leave_one_out_view, paired_view, residuals_view
+from rotorfit.app.terminal.frequency import responses_view
+from rotorfit.app.terminal.proof import bands_view, leave_one_out_view, paired_view, residuals_view
 from rotorfit.app.terminal.tables import View, bullets, indented, table, three_digits, title
 from rotorfit.assessment.method_comparison import Ladder, MethodRow
 from rotorfit.assessment.rows import SPEED
@@ -71,6 +72,8 @@ def validation_view(validation: "Validation") -> View:
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
     yield ""
     yield from paired_view(validation.paired, validation.flights)
+    yield from responses_view(validation.responses, validation.flights)
+    yield from bands_view(validation)
     yield from residuals_view(validation)
 
 
@@ -132,8 +135,10 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
     yield Text(
         "v: RMSE of the predicted velocity over all steps up to the horizon [cm/s, yaw deg/s]; p: RMSE of the position "
         "at its end [cm, yaw deg]; fit: of 1 s velocity predictions; n: predictions. hold keeps the velocity of the "
-        "start, paper uses the paper's coefficients. heading predicted: x and y are predicted along the heading that "
-        "the model of yaw gives; measured: along the recorded one, for there is no model of yaw.",
+        "start; paper uses the paper's coefficients with a filter of their own, as a model of that method does; coast "
+        "uses them from the state of the model's filter, without trim and disturbance. heading predicted: x and y are "
+        "predicted along the heading that the model of yaw gives; measured: along the recorded one, for there is no "
+        "model of yaw.",
         style="dim",
     )
 

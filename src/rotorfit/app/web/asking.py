@@ -8,7 +8,7 @@ from rotorfit.app.web.card_lines import card_from_text, with_value
 from rotorfit.app.web.workspace import Range, Role, Session, Upload
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.laws import STRUCTURES
+from rotorfit.core.laws import AVERAGED, STRUCTURES
 from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.files.cards import builtin_card_text
 
@@ -106,7 +106,7 @@ def fit_request(
     if not spans["train"]:
         raise RequestError("mark a stretch for training first, on the page Ranges")
     method, structure = _one_of(body, "method", tuple(METHODS), BEST), _one_of(
-        body, "structure", ("auto", *STRUCTURES), "first_order_delay"
+        body, "structure", (AVERAGED, "auto", *STRUCTURES), AVERAGED
     )  # fmt: skip
     wanted = body.get("axes", AXES)
     axes = [axis for axis in AXES if isinstance(wanted, list | tuple) and axis in wanted]

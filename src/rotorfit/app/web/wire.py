@@ -52,7 +52,7 @@ def session_mapping(session: Session, running: Running | None) -> dict[str, Any]
 def constants_mapping() -> dict[str, Any]:
     """What does not change while the studio runs."""
     from rotorfit.core.card import LIMIT_UNITS
-    from rotorfit.core.laws import STRUCTURES
+    from rotorfit.core.laws import AVERAGED, STRUCTURES
     from rotorfit.files.cards import builtin_cards
     from rotorfit.files.logs.formats import FORMATS as LOG_FORMATS
 
@@ -65,7 +65,7 @@ def constants_mapping() -> dict[str, Any]:
         ],
         "limits": LIMIT_UNITS,
         "cards": {name: card.name for name, card in builtin_cards().items()},
-        "structures": ["auto", *STRUCTURES],
+        "structures": [AVERAGED, "auto", *STRUCTURES],
         "formats": [form.label for form in LOG_FORMATS.values()],
         "exports": {name: form.text for name, form in FORMATS.items()},
         "untold": UNTOLD,
@@ -219,7 +219,7 @@ def compared_mapping(
     """Errors of several models and of the baselines, flight by flight, and whether the differences are real."""
     columns = {
         **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
-        **{name: comparison.validations[0].baselines[name] for name in ("paper", "hold")},
+        **{name: comparison.validations[0].baselines[name] for name in ("paper", "coast", "hold")},
     }
     rows = []
     for number, flight in enumerate(comparison.validations[0].flights):
@@ -250,12 +250,12 @@ def compared_mapping(
         "columns": list(columns),
         "rows": rows,
         "paired": [test for test in paired if test["second"] != "paper" or test["first"] not in alike],
-        "notes": [*notes, *(f"{name} against paper is left out for that reason" for name in alike)],
+        "notes": [*notes, *(f"{name} against paper is left out: they are the same predictions" for name in alike)],
     }
 
 
 def _is_the_baseline(model: Model, first: Model) -> bool:
-    """Whether a model has the coefficients of the baseline `paper`, which is made of the first model's flights."""
+    """Whether a model is the baseline `paper`, which is made of the first model's flights."""
     pairs = zip(model.paper, first.paper, strict=True)
     return model.method == "paper" and all(a == b for a, b in pairs if a is not None and b is not None)
 

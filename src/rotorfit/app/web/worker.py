@@ -20,7 +20,7 @@ from rotorfit.app.web.workspace import write_whole
 from rotorfit.app.workflows import compare_logs, comparison_mapping, fit_logs, validate_logs
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import evidence_of
-from rotorfit.assessment.validation import to_mapping
+from rotorfit.assessment.validation import BASELINES, to_mapping
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.progress import Progress
@@ -33,7 +33,7 @@ from rotorfit.reporting import write_report
 FITTING, PROVING = 0.75, 0.93
 """Where the fit and the validation end on the bar of progress."""
 
-UNPROVEN = Validation((), {"hold": (), "paper": ()}, {"model": (), "hold": (), "paper": ()})
+UNPROVEN = Validation((), dict.fromkeys(BASELINES, ()), dict.fromkeys(("model", *BASELINES), ()))
 """Scores on no flight at all."""
 
 _PLACE = re.compile(r"logs/\d+/")

@@ -10,6 +10,7 @@ from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Mode, Predictor, unknown_axis
 from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, answers_motion
+from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import (
     estimated_extras,
     further,
@@ -50,7 +51,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
         structure=structure_at(optimum, k).name,
     )
-    if not estimate.excited or _unfinished(optimum, k):
+    if not estimate.excited or unfinished(optimum, k):
         return nothing
     structure, extras = structure_at(optimum, k), estimated_extras(optimum, k)
     variance = np.diag(inverted(optimum.score.information, optimum.free))
@@ -63,7 +64,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
     if holds_zero(ends["input"]):
         return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
-    status = _status(ends)
+    status = statuses(ends) | _too_fast(records, optimum, k)
     if status["delay"] != "ok" and (_at_bound(optimum, k) or answers_motion(records, optimum, k)):
         status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
     point = Predictor(
@@ -90,11 +91,24 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     )
 
 
-def _unfinished(optimum: Optimum, k: int) -> bool:
+def unfinished(optimum: Optimum, k: int) -> bool:
     """Whether one more step would still gain, and by moving the coefficients of an axis by more than a thousandth."""
     K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
     moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
     return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
+
+
+def _too_fast(records: Sequence[Record], optimum: Optimum, k: int) -> dict[str, str]:
+    """Input and damping of an axis that settles within one sample of the log: no fit tells how fast it does."""
+    if np.exp(-optimum.point.log_damping[k]) >= sample_time(records):
+        return {}
+    return dict.fromkeys(("input", "damping"), "not_identifiable")
+
+
+def sample_time(records: Sequence[Record]) -> float:
+    """Longest of the flights' median times between samples of the motion [s]."""
+    stamps = (rec.pose_time if rec.rate is None else rec.block_time[rec.rate] for rec in records)
+    return max(float(np.median(np.diff(time))) for time in stamps)
 
 
 def _at_bound(optimum: Optimum, k: int) -> bool:
@@ -125,7 +139,7 @@ def holds_zero(ends: Interval) -> bool:
     return (low is None or low <= 0) and (high is None or high >= 0)
 
 
-def _status(ends: Mapping[str, Interval]) -> dict[str, str]:
+def statuses(ends: Mapping[str, Interval]) -> dict[str, str]:
     """Per coefficient, `ok` or `not_identifiable`, from the intervals alone.
 
     Where the searched range cuts the delay off it cuts the damping off too, and the damping's interval is not its own.

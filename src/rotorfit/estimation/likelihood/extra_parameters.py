@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.core.laws import FIRST_ORDER_DELAY, Extra, Structure
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Extra, Structure
 from rotorfit.core.model import Combination, Interval
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
@@ -29,6 +29,9 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
 
 SUM_POINTS = 6
 """Lags on either side of the best at which the sum of delay and lag is looked at."""
+
+LONGEST_LAG = 2.0
+"""Longest lag that is searched [s]."""
 
 LEAST_OWN = 1e-6
 """Share of the information about a further parameter that the others must leave; with less it is one with them."""
@@ -66,7 +69,7 @@ def further(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> Further:
     values, variance = optimum.point.extra_values(k), np.diag(inverted(optimum.score.information, optimum.free))
     extras = structure_at(optimum, k).extras
     ci95 = {extra.name: _interval(extra, ends[extra.name]) for extra in extras if extra.estimated}
-    status = {extra.name: _status(extra, ci95[extra.name]) for extra in extras if extra.estimated}
+    status = {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras if extra.estimated}
     error = {
         extra.name: float(np.sqrt(variance[optimum.point.place(extra.name, k)]))
         * (values[extra.name] if extra.logarithmic else 1.0)
@@ -87,7 +90,7 @@ def _interval(extra: Extra, ends: Interval) -> Interval:
     return low, extra.high if high is None and extra.closed else high
 
 
-def _status(extra: Extra, ends: Interval) -> str:
+def extra_status(extra: Extra, ends: Interval) -> str:
     """`ok`, or `not_identifiable` where an end is open or a lag or level is anywhere within a wide range."""
     low, high = ends
     if low is None or high is None or (extra.logarithmic and high > WIDEST_RATIO * low):
@@ -108,7 +111,8 @@ def further_combinations(
         k: Which axis.
         ends: Intervals of its further parameters in the coordinates of the estimator, by name.
 
-    Source: of the second order, T v'' + v' + b v, natural frequency sqrt(b / T) and damping ratio 1 / (2 sqrt(b T)).
+    Source: of the second order, T v'' + v' + b v, also with a zero: natural frequency sqrt(b / T), damping ratio
+    1 / (2 sqrt(b T)).
     """
     structure, point = structure_at(optimum, k), optimum.point
     g, b, tau = float(point.gain[k]), float(np.exp(point.log_damping[k])), float(point.delay[k])
@@ -123,6 +127,8 @@ def further_combinations(
         out["total_lag"] = said(tau + T + 1 / b, False, delay=1.0, lag=T, damping=-1 / b)
     if structure.order == 2:
         T = value["lag"]
+        if "zero" in value:
+            out["total_lag"] = said(tau + 1 / b - value["zero"], False, delay=1.0, damping=-1 / b, zero=-1.0)
         out["natural_frequency"] = said(float(np.sqrt(b / T)), damping=0.5, lag=-0.5)
         out["damping_ratio"] = said(float(0.5 / np.sqrt(b * T)), damping=-0.5, lag=-0.5)
     if "drag_share" in value:
@@ -166,7 +172,9 @@ def _sum_interval(records: Sequence[Record], optimum: Optimum, k: int, lag: Inte
             spread = float(np.sqrt(left * inverted(here.score.information, here.free)[delay, delay]))
             middle = float(here.point.flat()[delay]) + float(np.exp(target))
             found += [middle - spread, middle + spread]
-    return min(found), max(found)
+    # beyond what is searched, the data say nothing: that is open, whatever number the information gives
+    ends = (DELAY_RANGE[0], DELAY_RANGE[1] + LONGEST_LAG)
+    return (None if min(found) < ends[0] else min(found)), (None if max(found) > ends[1] else max(found))
 
 
 def _searched(optimum: Optimum, k: int, ends: Interval) -> tuple[float, float]:

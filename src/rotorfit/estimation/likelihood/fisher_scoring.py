@@ -108,13 +108,20 @@ def maximise(
     return Optimum(point, best, free, restricted, inverse, gain, passes, prior)
 
 
-def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float = 1e-3, most: int = 80) -> Optimum:
+def climb(
+    records: Sequence[Record],
+    point: Point,
+    free: Mask,
+    tolerance: float = 1e-3,
+    most: int = 80,
+    prior: GaussianPrior | None = None,
+) -> Optimum:
     """Maximises, and again from middling poles of the disturbance where the first climb ended at remote ones.
 
     Far below one the overlap leaves no trace in the likelihood, and neither do poles faster than the blocks: a climb
     that was thrown there stays. The second start keeps the disturbance's velocity as large as it was found.
     """
-    first = maximise(records, point, free, tolerance=tolerance, most=most)
+    first = maximise(records, point, free, tolerance=tolerance, most=most, prior=prior)
     fast, flat = first.point.levels[:, 2] > FAST_DISTURBANCE, first.point.levels[:, 3] < FLAT_OVERLAP
     if not (fast | flat).any() or not free[-1]:
         return first
@@ -129,6 +136,7 @@ def climb(records: Sequence[Record], point: Point, free: Mask, tolerance: float 
         free,
         tolerance=tolerance,
         most=most,
+        prior=prior,
     )
     return again if again.score.log_likelihood > first.score.log_likelihood else first
 

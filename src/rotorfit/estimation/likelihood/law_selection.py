@@ -208,7 +208,7 @@ def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estima
         if not records or record(held, axes) is None:
             continue
         dynamics = dynamics_of(axes, _refitted(records, estimate.optimum))
-        parts = predict_flight(thinned(held), dynamics, FAR, axes)
+        parts = predict_flight(thinned(held), dynamics, FAR, axes, adapt=False)
         for horizon in (NEAR, FAR):
             errors = start_errors(parts, [part.predicted for part in parts], horizon)
             with np.errstate(invalid="ignore"):

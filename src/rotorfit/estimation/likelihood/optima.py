@@ -211,7 +211,7 @@ def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Op
     dynamics = dynamics_of(axes, optimum)
     squares, count = np.zeros((2, len(axes))), np.zeros(len(axes))
     for flight in flights:
-        parts = predict_flight(thinned(flight), dynamics, JUDGE_HORIZON, axes)
+        parts = predict_flight(thinned(flight), dynamics, JUDGE_HORIZON, axes, adapt=False)
         for row, predicted in enumerate(([p.predicted for p in parts], [hold_velocity(p) for p in parts])):
             errors = horizon_errors(parts, predicted, JUDGE_HORIZON)
             for k, axis in enumerate(axes):

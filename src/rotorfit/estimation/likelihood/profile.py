@@ -63,6 +63,9 @@ def quantile(optimum: Optimum, direction: Array) -> float:
 MOST_SHARE = 1.0
 """Largest share of the levels' uncertainty that is believed: beyond it the expansion says nothing."""
 
+SCALED = 5
+"""Looks by scaled steps before a bracket is halved."""
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -105,19 +108,33 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
             points.append((target, -fall))
             return float(np.sqrt(2 * fall))
 
-        ends.append(_crossing(root, best, best + side * reach * error, bound, reach))
+        def holds(inside: float, outside: float) -> bool:
+            near = hold(records, optimum, index, inside)
+            fall = height(optimum) - height(hold(records, near, index, outside))
+            return bool(np.sqrt(2 * max(fall, 0.0)) > reach)
+
+        ends.append(_crossing(root, holds, best, best + side * reach * error, bound, reach))
     return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
 
 
-def _crossing(root: Callable[[float], float], best: float, guess: float, bound: float, reach: float) -> float | None:
+def _crossing(
+    root: Callable[[float], float],
+    holds: Callable[[float, float], bool],
+    best: float,
+    guess: float,
+    bound: float,
+    reach: float,
+) -> float | None:
     """Where the root of the fall passes `reach` on the way from `best` to `bound`; None where it does not.
 
     The root is nearly linear where the likelihood is nearly quadratic, so the steps scale with it; a bracket keeps them
-    honest where it is not, and after twelve looks the outer end of the bracket is taken.
+    honest where it is not and is halved where they are slow, as where the root is flat beyond the end: a level that no
+    command reaches. After twelve looks the outer end of the bracket is taken, if the
+    fall holds there when it is reached from the inner end: a leap so far may have failed to come back to the top.
     """
     inside, outside, target = best, None, guess
     side = 1.0 if bound > best else -1.0
-    for _ in range(12):
+    for look in range(12):
         target = min(target, bound) if side > 0 else max(target, bound)
         value = root(target)
         if abs(value - reach) < 0.04:
@@ -130,6 +147,6 @@ def _crossing(root: Callable[[float], float], best: float, guess: float, bound: 
             inside = target
         share = float(np.clip(reach / max(value, 1e-6), 0.3, 4.0))
         target = best + (target - best) * share
-        if outside is not None and not min(inside, outside) < target < max(inside, outside):
+        if outside is not None and (look >= SCALED or not min(inside, outside) < target < max(inside, outside)):
             target = 0.5 * (inside + outside)
-    return outside
+    return outside if outside is not None and holds(inside, outside) else None

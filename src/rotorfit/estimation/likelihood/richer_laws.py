@@ -1,10 +1,10 @@
-"""Estimates of the default structure -> those of another: climbed from the optimum that the search believed.
+"""Estimates of the first-order law with a delay -> those of another: climbed from the optimum that the search believed.
 
-The search and its judgement are those of the default structure; the others start from where it ended, with some starts
-that trade the delay for what they add.
+The search and its judgement are those of the first-order law; the others start from where it ended, with some starts
+that trade the delay for what they add. A law with a lag has optima far from there: it starts from the best of a grid.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,22 +14,31 @@ from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Structure
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, free_of, maximise_restricted
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
+from rotorfit.estimation.likelihood.law_search import law_starts, swapped
 from rotorfit.estimation.likelihood.likelihood import segments
 from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.likelihood.prior import GaussianPrior
 
 SPEED_BLOCKS = 6
 """Blocks over which the speed is measured for the reference of the quadratic drag."""
 
-LEAST_LAG = 0.01
-"""Shortest lag of a start [s]."""
-
 Start = tuple[float, float, float, tuple[float, ...]]
 """What a start multiplies the gain and the damping by, its delay [s] and its further parameters."""
 
+PriorOf = Callable[[Sequence[str], Sequence[Structure]], GaussianPrior | None]
+"""Axes and their laws to what is believed of them before the flight."""
+
+
+def nothing_believed(_axes: Sequence[str], _structures: Sequence[Structure]) -> None:
+    """No prior."""
+
 
 def estimate_laws(
-    serving: Sequence[Flight], estimates: Mapping[str, Estimate], structures: Mapping[str, Structure]
+    serving: Sequence[Flight],
+    estimates: Mapping[str, Estimate],
+    structures: Mapping[str, Structure],
+    prior_of: PriorOf = nothing_believed,
 ) -> dict[str, Estimate]:
     """The axes of one group under other structures.
 
@@ -37,6 +46,7 @@ def estimate_laws(
         serving: The flights of the group.
         estimates: Of the default structure, by axis.
         structures: Wanted, by axis; an axis that was not excited keeps the default.
+        prior_of: What is believed of the laws.
     """
     group = tuple(estimates)
     wanted = {
@@ -47,8 +57,8 @@ def estimate_laws(
         return dict(estimates)
     crossed = any(structure.kicks >= 2 for structure in wanted.values())
     if len(group) == 2 and (crossed or estimates[group[0]].optimum.point.gain.size == 2):
-        return _together(serving, group, estimates, wanted)
-    out = {axis: _alone(estimates[axis], wanted[axis]) for axis in group}
+        return _together(serving, group, estimates, wanted, prior_of)
+    out = {axis: under_law(estimates[axis], axis, wanted[axis], prior_of) for axis in group}
     if len(group) == 2:
         joint = _records(serving, group)
         plain = [replace(out[axis], records=_records(serving, (axis,))) for axis in group]
@@ -67,7 +77,7 @@ def single(
     """
     before = estimates[axis]
     if before.optimum.point.gain.size == 1 and structure.kicks < 2:
-        return before, _alone(before, structure)
+        return before, under_law(before, axis, structure)
     plain = dict.fromkeys(estimates, FIRST_ORDER_DELAY)
     group = tuple(estimates)
     if before.optimum.point.gain.size == 1:
@@ -86,29 +96,53 @@ def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
     return [rec for flight in serving if (rec := record(flight, axes))]
 
 
-def _alone(estimate: Estimate, structure: Structure) -> Estimate:
-    """One axis by itself."""
+def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: PriorOf = nothing_believed) -> Estimate:
+    """One axis by itself under a law."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
+    prior = prior_of((axis,), (structure,))
     found = [
-        _begun(estimate.records, point, [True])
-        for point in starts(estimate.records, estimate.optimum.point, 0, structure)
+        _begun(estimate.records, point, [True], prior)
+        for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
     ]
-    return replace(
-        estimate, optimum=maximise_restricted(estimate.records, max(found, key=lambda one: one[0])[1], [True])
-    )
+    best = max(found, key=lambda one: one[0])[1]
+    return replace(estimate, optimum=_finished(estimate.records, best, [True], prior))
 
 
-def _begun(records: Sequence[Record], point: Point, moving: Sequence[bool]) -> tuple[float, Point]:
-    """A short climb at the levels of the start: its likelihood and where it got."""
+def _finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+    """The top; where it took the lag for the damping, the same top with the two in their places."""
+    optimum = maximise_restricted(records, point, moving, prior)
+    for k in range(point.gain.size):
+        if other := swapped(optimum.point, k):
+            optimum = maximise_restricted(records, other, moving, prior)
+    return optimum
+
+
+def _starts(
+    records: Sequence[Record], point: Point, k: int, structure: Structure, prior: GaussianPrior | None
+) -> list[Point]:
+    """Where to climb from: near the first-order law, or from the best of a grid where there is a lag."""
+    if structure.order:
+        return law_starts(records, point, k, structure, prior)
+    return starts(records, point, k, structure)
+
+
+def _begun(
+    records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None
+) -> tuple[float, Point]:
+    """A short climb at the levels of the start: its objective and where it got."""
     free = free_of(records, moving, point.structures)
     free[point.n :] = False
-    optimum = maximise(records, point, free, tolerance=0.3, most=25)
-    return optimum.score.log_likelihood, optimum.point
+    optimum = maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
+    return optimum.score.objective, optimum.point
 
 
 def _together(
-    serving: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], wanted: Mapping[str, Structure]
+    serving: Sequence[Flight],
+    group: Sequence[str],
+    estimates: Mapping[str, Estimate],
+    wanted: Mapping[str, Structure],
+    prior_of: PriorOf = nothing_believed,
 ) -> dict[str, Estimate]:
     """x and y by one likelihood: each axis in turn takes the best of its starts, then both climb."""
     first = estimates[group[0]]
@@ -121,9 +155,11 @@ def _together(
     point = replace(point, structures=(FIRST_ORDER_DELAY,) * 2, extra=np.zeros((0, 2)))
     for k, axis in enumerate(group):
         if wanted[axis] != FIRST_ORDER_DELAY:
-            found = [_begun(records, start, moving) for start in starts(records, point, k, wanted[axis])]
+            laws = (*point.structures[:k], wanted[axis], *point.structures[k + 1 :])
+            prior = prior_of(group, laws)
+            found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, wanted[axis], prior)]
             point = max(found, key=lambda one: one[0])[1]
-    optimum = maximise_restricted(records, point, moving)
+    optimum = _finished(records, point, moving, prior_of(group, point.structures))
     return {axis: replace(estimates[axis], records=records, optimum=optimum, place=k) for k, axis in enumerate(group)}
 
 
@@ -146,9 +182,9 @@ def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> P
 
 def starts(records: Sequence[Record], point: Point, k: int, structure: Structure) -> list[Point]:
     """Points of a structure on axis k from which to climb, made from a point of the default structure there."""
-    delay, damping = float(point.delay[k]), float(np.exp(point.log_damping[k]))
+    delay = float(point.delay[k])
     out = []
-    for gain_by, damping_by, tau, values in _start_values(records, k, structure, delay, damping):
+    for gain_by, damping_by, tau, values in _start_values(records, k, structure, delay):
         gain, log_damping, delays = point.gain.copy(), point.log_damping.copy(), point.delay.copy()
         gain[k] *= gain_by
         log_damping[k] += np.log(damping_by)
@@ -171,20 +207,12 @@ def starts(records: Sequence[Record], point: Point, k: int, structure: Structure
     return out
 
 
-def _start_values(records: Sequence[Record], k: int, structure: Structure, delay: float, damping: float) -> list[Start]:
+def _start_values(records: Sequence[Record], k: int, structure: Structure, delay: float) -> list[Start]:
     """Starts of a structure next to the default's optimum."""
     largest = max(float(np.abs(rec.command[:, k]).max()) for rec in records)
-    late = max(delay, LEAST_LAG)
     match structure.name:
         case "first_order":
             return [(1.0, 1.0, 0.0, ()), (0.7, 0.4, 0.0, ())]
-        case "first_order_lag":
-            return [(1.0, 1.0, 0.0, (late,)), (1.0, 1.0, 0.0, (2 * late,))]
-        case "first_order_delay_lag":
-            return [(1.0, 1.0, (1 - share) * delay, (max(share * late, LEAST_LAG),)) for share in (0.3, 0.6, 0.9)]
-        case "second_order":
-            loop = 1 / (4 * damping)
-            return [(1.0, 1.0, 0.7 * delay, (max(0.3 * late, LEAST_LAG),)), (1.0, 1.0, 0.5 * delay, (loop,))]
         case "quadratic_drag":
             speed = reference_speed(records, k)
             return [(1.0, 1.0, delay, (share, speed)) for share in (0.1, 0.7)]

@@ -104,16 +104,20 @@ def moved(seen: GriddedMotion, axes: tuple[str, ...], world: bool) -> list[Witne
         axes: The commanded ones.
         world: Whether commands are along the axes of the world.
     """
-    column = {"x": _VX, "y": _VY} if world else {"x": _FORWARD, "y": _LEFT}
-    column |= {"z": _VZ, "yaw": _RATE}
     time: Array = seen.start + seen.step * np.arange(seen.valid.size, dtype=np.float64)
     found = []
     for axis in axes:
         k = AXES.index(axis) * len(DAMPINGS)
         each = tuple((k + j,) for j in range(len(DAMPINGS)))
-        values = seen.value[seen.valid, column[axis]]
+        values = seen.value[seen.valid, motion_column(axis, world)]
         found.append(Witness(f"answer of {axis}", time[seen.valid], values, each[0], by_rate=True, instead=each[1:]))
     return [one for one in found if one.time.size >= FEWEST and np.ptp(one.value) > 0]
+
+
+def motion_column(axis: str, world: bool) -> int:
+    """Which column of `seen_by` is the velocity that commands of an axis move, along the world or the heading."""
+    column = {"x": _VX, "y": _VY} if world else {"x": _FORWARD, "y": _LEFT}
+    return (column | {"z": _VZ, "yaw": _RATE})[axis]
 
 
 def answers(commands: Stream) -> GriddedMotion:

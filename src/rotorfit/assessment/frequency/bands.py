@@ -1,0 +1,269 @@
+"""Spectra -> bands: a few unknown values of the response each, what else moves the vehicle being left free.
+
+In a band, with the command U, the velocity V and s = i w,
+
+    V(w) = G(w) U(w) + K D(w) + T(w) + N(w)
+
+G is a straight line of w from knot to knot once a delay is taken off. D is what the other horizontal axis adds where
+the vehicle turns, K free. T is what the ends of the window cut off, the sum of a few real multiples of powers of s and
+of slow and fast decays 1 / (s + a), for each window its own. N is noise of unknown power and of the shape that the
+whole flight shows. Where an instrument Z is not the command itself, what follows it counts and nothing else. Bands
+share no frequency, so what they say is independent, and N of each has its own degrees of freedom. All are equations
+between real numbers: a complex one is two.
+
+Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, chapter 7 (local
+polynomial method, its variance and degrees of freedom); section 7.2.7 for the loop (instrument: the reference).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from rotorfit.assessment.frequency.spectra import Spectra
+from rotorfit.core.frames import Array, Mask
+from rotorfit.core.frequency_response import Spectrum
+
+KNOT_EVERY = 4.0
+"""Bins from knot to knot where the command has no lines."""
+
+KNOT_SHARE = 0.15
+"""The same as a share of the frequency, where that is more."""
+
+BINS = 12
+"""Bins of a band, about."""
+
+DECAYS = (0.2, 0.6, 2.0)
+"""Of T [1/s], beside a constant, s and s^2: a decay at any rate from 0.2 1/s on is matched to 1 %."""
+
+LEAST_FREEDOM = 6
+"""Degrees of freedom of the noise below which a band is left out."""
+
+DELAYS = np.arange(0.0, 0.91, 0.1)
+"""Delays that are tried for what is taken off [s]."""
+
+TURNED_LATER = np.arange(0.0, 0.41, 0.05)
+"""Times that are tried by which the vehicle turns a command later than it is stamped [s]."""
+
+NOISE_POWERS = (-4.0, -2.0, 0.0, 2.0)
+"""Powers of the frequency that noise of the velocity is made of: wind that drifts, wind, gusts, error of the pose."""
+
+POWER = 0.99
+"""Share of the power of the instrument up to which bands reach."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Equations of one band, N complex ones, their noise of equal power, T and D taken off; real parts, then imaginary.
+
+    Attributes:
+        knots: Frequencies at which the response is unknown, shape (J,) [rad/s].
+        frequency: Of the equations, shape (N,) [rad/s].
+        duration: Of the window of each, shape (N,) [s].
+        scale: By which each was multiplied, shape (N,).
+        command: As integrated and scaled, shape (N,).
+        motion: Shape (2 N,).
+        share: Of the real parts of the response at the knots, then of the imaginary ones, shape (2 N, 2 J).
+        instrument: Orthonormal columns of what moves the command from outside, shape (2 N, 2 J).
+        others: Orthonormal columns of T and D, shape (2 N, Q).
+    """
+
+    knots: Array
+    frequency: Array
+    duration: Array
+    scale: Array
+    command: Spectrum
+    motion: Array
+    share: Array
+    instrument: Array
+    others: Array
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the noise."""
+        return int(self.motion.size - self.others.shape[1] - self.share.shape[1])
+
+    def free_of_others(self, rows: Array) -> Array:
+        """Rows less what T and D may be, shape (2 N,) or (2 N, ...)."""
+        return np.asarray(rows - self.others @ (self.others.T @ rows))
+
+    def moved_by(self, response: Spectrum) -> Array:
+        """The motion that a response at the band's frequencies, shape (N,), gives, T and D taken off, shape (2 N,)."""
+        return self.free_of_others(_real(response * self.command))
+
+    @property
+    def parts(self) -> Array:
+        """Real parts, then imaginary ones, of the response at the knots, shape (2 J,)."""
+        return np.asarray(np.linalg.solve(self.instrument.T @ self.share, self.instrument.T @ self.motion), np.float64)
+
+    @property
+    def response(self) -> Spectrum:
+        """The response at the knots, shape (J,)."""
+        return np.asarray(self.parts[: self.knots.size] + 1j * self.parts[self.knots.size :])
+
+    @property
+    def noise(self) -> float:
+        """Mean square of what the response leaves."""
+        rest = self.motion - self.share @ self.parts
+        return float(rest @ rest) / self.freedom
+
+    @property
+    def left_over(self) -> Array:
+        """Power of what the response leaves of each equation, made up for what was fitted to it, shape (2 N,)."""
+        basis = np.linalg.qr(np.hstack([self.others, self.share]))[0]
+        free = 1 - np.sum(basis**2, axis=1)
+        power = (self.motion - self.share @ self.parts) ** 2
+        return np.asarray(np.where(free > 0.05, power / np.maximum(free, 0.05), self.noise))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the real and imaginary parts of the response, shape (2 J, 2 J)."""
+        slope = np.linalg.inv(self.instrument.T @ self.share)
+        return np.asarray(self.noise * slope @ slope.T)
+
+
+def bands_of(spectra: Sequence[Spectra], lines: Array | None = None) -> tuple[Band, ...]:
+    """The bands of some windows, from low to high frequencies.
+
+    Args:
+        spectra: Of one or more windows.
+        lines: Frequencies of the lines of the command, shape (K,) [rad/s]; None where it has a spectrum all over.
+    """
+    knots = _knots(spectra) if lines is None else lines
+    groups = _groups(knots, _bin(spectra))
+    shapes = [np.full(part.frequency.size, part.duration**0.5) for part in spectra]
+    trials = [(_made(spectra, shapes, groups, tau), tau) for tau in DELAYS.tolist()]
+    bands, delay = min(trials, key=lambda each: _misfit(each[0]))
+    if any(part.turning.any() for part in spectra):
+        late = [[part.turned_later(tau) for part in spectra] for tau in TURNED_LATER.tolist()]
+        spectra = min(late, key=lambda each: _misfit(_made(each, shapes, groups, delay)))
+        bands = _made(spectra, shapes, groups, delay)
+    for _ in range(2):
+        shapes = _shapes(spectra, bands, shapes)
+        bands = _made(spectra, shapes, groups, delay)
+    return bands
+
+
+def _misfit(bands: Sequence[Band]) -> float:
+    """Of bands with the same equations: what their noise says against them, as -2 times a log-likelihood."""
+    return float(sum(np.log(max(band.noise, 1e-300)) * band.freedom for band in bands))
+
+
+def _bin(spectra: Sequence[Spectra]) -> float:
+    """The finest distance of frequencies [rad/s]."""
+    return min((float(part.frequency[0]) for part in spectra), default=np.inf)
+
+
+def _knots(spectra: Sequence[Spectra]) -> Array:
+    """Knots over the frequencies at which the instrument has power, shape (K,) [rad/s]."""
+    step, top = _bin(spectra), 0.0
+    for part in spectra:
+        power = np.cumsum(np.abs(part.instrument) ** 2)
+        if power.size and power[-1] > 0:
+            top = max(top, float(part.frequency[np.searchsorted(power, POWER * power[-1])]))
+    knots = [2.5 * step]
+    while (following := knots[-1] + max(KNOT_EVERY * step, KNOT_SHARE * knots[-1])) <= top:
+        knots.append(following)
+    return np.array(knots)
+
+
+def _groups(knots: Array, step: float) -> list[tuple[Array, float, float]]:
+    """Knots of each band with its ends; neighbours meet in the middle."""
+    if not knots.size:
+        return []
+    spacing = float(np.median(np.diff(knots))) if knots.size > 1 else BINS * step
+    size = int(np.clip(round(BINS * step / spacing), 1, 4))
+    parts = np.array_split(knots, max(1, knots.size // size))
+    inner = [(a[-1] + b[0]) / 2 for a, b in pairwise(parts)]
+    reach = [max(0.5 * spacing, BINS * step / 2 / max(part.size, 1)) for part in (parts[0], parts[-1])]
+    ends = [knots[0] - reach[0], *inner, knots[-1] + reach[1]]
+    return list(zip(parts, ends[:-1], ends[1:], strict=True))
+
+
+def _made(
+    spectra: Sequence[Spectra], shapes: Sequence[Array], groups: Sequence[tuple[Array, float, float]], delay: float
+) -> tuple[Band, ...]:
+    """The bands that have equations enough, their noise being of a given shape."""
+    return tuple(
+        band for knots, low, high in groups if (band := _band(spectra, shapes, knots, (low, high), delay)) is not None
+    )
+
+
+def _band(
+    spectra: Sequence[Spectra], shapes: Sequence[Array], knots: Array, ends: tuple[float, float], delay: float
+) -> Band | None:
+    rows: list[Mask] = [(part.frequency >= ends[0]) & (part.frequency < ends[1]) for part in spectra]
+    kept = [k for k, row in enumerate(rows) if row.sum() > 4]
+    if not kept:
+        return None
+    scaled = [spectra[k].at(rows[k]).scaled(1 / shapes[k][rows[k]]) for k in kept]
+    omega, V, U, R, D = (
+        np.concatenate([getattr(part, name) for part in scaled])
+        for name in ("frequency", "motion", "command", "instrument", "turned")
+    )
+    owner = np.repeat(np.arange(len(kept)), [part.frequency.size for part in scaled])
+    scale = np.concatenate([1 / shapes[k][rows[k]] for k in kept])
+    ends_of = [_transients(omega, knots[0], scale * (owner == j)) for j in range(len(kept))]
+    turn = (np.exp(-1j * omega * delay) * D)[:, None][:, : int(D.any())]
+    others = np.linalg.qr(np.hstack([*ends_of, _real(turn), _real(1j * turn)]))[0]
+    hats = _hats(omega, knots) * np.exp(-1j * np.subtract.outer(omega, knots) * delay)
+    share, outside = (np.hstack([_real(hats * W[:, None]), _real(1j * hats * W[:, None])]) for W in (U, R))
+    duration = np.repeat([part.duration for part in scaled], [part.frequency.size for part in scaled])
+    band = Band(knots, omega, duration, scale, U, _real(V), share, outside, others)
+    if band.freedom < LEAST_FREEDOM:
+        return None
+    basis, triangle = np.linalg.qr(band.free_of_others(outside))
+    if not (np.abs(np.diag(triangle)) > 1e-6 * np.linalg.norm(outside, axis=0)).all():
+        return None
+    return replace(band, motion=band.free_of_others(band.motion), share=band.free_of_others(share), instrument=basis)
+
+
+def _real(rows: Spectrum) -> Array:
+    """Real parts, then imaginary ones, along the first axis."""
+    return np.concatenate([rows.real, rows.imag])
+
+
+def _transients(omega: Array, unit: float, scale: Array) -> Array:
+    """Columns of T of one window, shape (2 N, 6)."""
+    s = 1j * omega
+    terms = [np.ones_like(s), s / unit, (s / unit) ** 2, *(1 / (s + a) for a in DECAYS)]
+    return _real(np.asarray(np.column_stack(terms) * scale[:, None], np.complex128))
+
+
+def _hats(omega: Array, knots: Array) -> Array:
+    """Share of each knot in straight lines between neighbours that go on beyond the ends, shape (N, J)."""
+    if knots.size == 1:
+        return np.ones((omega.size, 1))
+    left = np.clip(np.searchsorted(knots, omega, side="right") - 1, 0, knots.size - 2)
+    along = (omega - knots[left]) / (knots[left + 1] - knots[left])
+    unit = np.eye(knots.size)
+    return np.asarray(unit[left] * (1 - along)[:, None] + unit[left + 1] * along[:, None])
+
+
+def _shapes(spectra: Sequence[Spectra], bands: Sequence[Band], before: Sequence[Array]) -> list[Array]:
+    """Amplitude of the noise over the frequency for each window: a sum of powers, fitted to what the bands leave.
+
+    Source: P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 8 (a gamma distribution with
+    an identity link, by scoring), the sum being kept positive.
+    """
+    from scipy.optimize import nnls
+
+    if not bands:
+        return list(before)
+    omega = np.concatenate([np.tile(band.frequency, 2) for band in bands])
+    scale = np.concatenate([np.tile(band.scale, 2) for band in bands])
+    power = np.concatenate([band.left_over for band in bands]) / scale**2
+    duration = np.concatenate([np.tile(band.duration, 2) for band in bands])
+    unit = float(np.exp(np.mean(np.log(omega))))
+    terms = (omega[:, None] / unit) ** np.array(NOISE_POWERS) * duration[:, None]
+    level = np.full(omega.size, power.mean())
+    for _ in range(10):
+        if not (level > 0).all():
+            return list(before)
+        level = terms @ nnls(terms / level[:, None], power / level)[0]
+    weights = nnls(terms / level[:, None], power / level)[0]
+    return [
+        np.sqrt(part.duration * (part.frequency[:, None] / unit) ** np.array(NOISE_POWERS) @ weights)
+        for part in spectra
+    ]

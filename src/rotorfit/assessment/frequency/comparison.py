@@ -1,0 +1,165 @@
+"""Model + flights -> the frequency response of each flight beside the model's, and whether its law can have it.
+
+Source: R. A. Fisher, Statistical Methods for Research Workers, 4th ed., 1932 (several flights).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc
+
+from rotorfit.assessment.frequency.law_test import SLOWEST, coordinates, law_test, point_at
+from rotorfit.assessment.frequency.response import response_bands, response_of_bands
+from rotorfit.assessment.whiteness import FINDING_LEVEL
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frequency_response import LawTest, ResponseComparison
+from rotorfit.core.laws import Structure, structure_named
+from rotorfit.core.model import COEFFICIENTS, Axis, Model
+from rotorfit.dynamics.transfer_function import has_transfer_function, law_response
+
+
+def response_test(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, ResponseComparison], ...]:
+    """Responses of the axes that a flight commands and the model knows, beside the model's, flight by flight."""
+    return tuple(
+        {
+            axis: compared(model, flight, axis)
+            for axis in AXES
+            if model.axes[axis].predictor is not None
+            and axis in flight.axes
+            and np.ptp(flight.command[:, AXES.index(axis)]) > 0
+        }
+        for flight in flights
+    )
+
+
+def compared(model: Model, flight: Flight, axis: str) -> ResponseComparison:
+    """The response of one axis on one flight beside that of a model that knows the axis."""
+    bands, instrument, why = response_bands(flight, axis)
+    measured, known = response_of_bands(axis, bands, instrument, why), model.axes[axis]
+    structure, point = structure_named(known.structure), known.predictor
+    if point is None or not has_transfer_function(structure) or not measured.frequency.size:
+        return ResponseComparison(measured)
+    modelled = law_response(structure, point, measured.frequency)
+    gain, delay = model_bands(model, axis, measured.frequency)
+    return ResponseComparison(measured, modelled, gain, delay, law_test(bands, structure, point))
+
+
+# The model's own band
+
+
+def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
+    """95 % bands of a model's gain and delay at some frequencies, by its covariance, each (K, 2); NaN without one."""
+    known = model.axes[axis]
+    structure, point = structure_named(known.structure), known.predictor
+    assert point is not None
+    covariance = _covariance(model, axis, structure, known)
+    if covariance is None:
+        return np.full((omega.size, 2), np.nan), np.full((omega.size, 2), np.nan)
+    at = coordinates(structure, point)
+    step = 1e-5 * np.eye(at.size)
+    moved = [
+        np.log(law_response(structure, point_at(structure, point, at + d), omega)
+               / law_response(structure, point_at(structure, point, at - d), omega)) / 2e-5
+        for d in step
+    ]  # fmt: skip
+    slope = np.stack(moved, axis=1)
+    middle = law_response(structure, point, omega)
+    half = 1.96 * np.sqrt(np.einsum("kp,pq,kq->k", slope.real, covariance, slope.real))
+    late = 1.96 * np.sqrt(np.einsum("kp,pq,kq->k", slope.imag, covariance, slope.imag)) / omega
+    delay = -np.unwrap(np.angle(middle)) / omega
+    gain = np.abs(middle)
+    return (
+        np.stack([gain * np.exp(-half), gain * np.exp(half)], axis=1),
+        np.stack([delay - late, delay + late], axis=1),
+    )
+
+
+def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> Array | None:
+    """Of the coordinates; parameters that are not in the model's covariance enter by their standard errors."""
+    point, names = known.predictor, list(model.covariance_names)
+    assert point is not None
+    wanted = [*COEFFICIENTS[: 2 + structure.delayed], *(one.name for one in structure.extras if one.estimated)]
+    logs = {one.name: one.logarithmic for one in structure.extras}
+    values = {"input": point.input, "damping": max(point.damping, SLOWEST), "delay": 1.0, **point.extra}
+    scale = np.array([1 / abs(values[n]) if logs.get(n, n in ("input", "damping")) else 1.0 for n in wanted])
+    out = np.zeros((len(wanted),) * 2)
+    for i, first in enumerate(wanted):
+        for j, second in enumerate(wanted):
+            if f"{axis}.{first}" in names and f"{axis}.{second}" in names:
+                out[i, j] = model.covariance[names.index(f"{axis}.{first}"), names.index(f"{axis}.{second}")]
+        if f"{axis}.{first}" not in names:
+            error = known.stderr.get(first)
+            if error is None:
+                return None
+            out[i, i] = error**2
+    return out * np.outer(scale, scale)
+
+
+# What is said about it
+
+
+def combined(tests: Sequence[LawTest]) -> float:
+    """p-value of several flights together, by Fisher."""
+    return float(chdtrc(2 * len(tests), -2 * sum(np.log(max(test.p, 1e-300)) for test in tests)))
+
+
+def refuted(tests: Sequence[LawTest]) -> bool:
+    """Whether the law of an axis is refuted beyond chance by its flights together."""
+    return bool(tests) and combined(tests) < FINDING_LEVEL
+
+
+def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]]) -> Iterator[Finding]:
+    """What the responses of some flights mean to a user, one finding an axis at most."""
+    for axis in AXES:
+        mine = [each[axis] for each in comparisons if axis in each]
+        tests = [each.law for each in mine if each.law]
+        if not refuted(tests):
+            continue
+        each = max((one for one in mine if one.law), key=lambda one: one.law.worst_sigmas if one.law else 0.0)
+        assert each.law is not None
+        where = int(np.argmin(np.abs(each.flight.frequency - each.law.worst)))
+        low, high = each.flight.gain_band[where]
+        early, late = each.flight.delay_band[where]
+        yield Finding(
+            "response_refutes_law",
+            "warning",
+            f"no coefficients give the law of {axis} the frequency response of "
+            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {combined(tests):.1g}); most off at "
+            f"{each.law.worst:.2g} rad/s, where the flight has gain {low:.3g} to {high:.3g} and delay "
+            f"{1e3 * early:.0f} to {1e3 * late:.0f} ms, the model {each.model_gain[where]:.3g} and "
+            f"{1e3 * each.model_delay[where]:.0f} ms",
+            f"gain and delay of {axis} depend on the frequencies that were flown, and its coefficients with them",
+            "fit with a structure that has more to it, or use the model for motion like that of its flights only",
+            axis,
+        )
+
+
+def response_mapping(comparison: ResponseComparison) -> dict[str, Any]:
+    """One axis of one flight in plain types; numbers that are not known are None."""
+    flight, law = comparison.flight, comparison.law
+    return {
+        "instrument": flight.instrument,
+        "why_none": flight.why_none or None,
+        "frequency": flight.frequency.tolist(),
+        "gain": flight.gain.tolist(),
+        "gain_ci95": _pairs(flight.gain_band),
+        "delay": flight.delay.tolist(),
+        "delay_ci95": _pairs(flight.delay_band),
+        "coherence": flight.coherence.tolist(),
+        "model_gain": comparison.model_gain.tolist() or None,
+        "model_gain_ci95": _pairs(comparison.gain_band) or None,
+        "model_delay": comparison.model_delay.tolist() or None,
+        "model_delay_ci95": _pairs(comparison.delay_band) or None,
+        "law_p": None if law is None else law.p,
+        "law_statistic": None if law is None else law.statistic,
+        "law_freedom": None if law is None else law.freedom,
+        "law_worst_frequency": None if law is None else law.worst,
+        "law_worst_sigmas": None if law is None else law.worst_sigmas,
+    }
+
+
+def _pairs(band: Array) -> list[list[float | None]]:
+    return [[float(end) if np.isfinite(end) else None for end in pair] for pair in band]

@@ -1,0 +1,122 @@
+"""The frequency response of an axis as the flight itself shows it: no law of the vehicle is assumed.
+
+At the tones of the command, else at knots over the frequencies at which it has power: velocity (of yaw its rate) per
+command, with 95 % bands of gain and delay and the share of the motion that the command explains. What moved the command
+from outside any loop is the instrument: its own tones, the recorded reference, or, where nothing answers the motion,
+the command itself.
+
+Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, chapters 2 and 7;
+M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., 2012, for the use of it.
+"""
+
+import numpy as np
+from scipy.special import stdtrit
+
+from rotorfit.assessment.frequency.bands import Band, bands_of
+from rotorfit.assessment.frequency.loop import answers_motion
+from rotorfit.assessment.frequency.spectra import SHORTEST, TURNED, Window, spectra_of, window_tones, windows_of
+from rotorfit.assessment.frequency.tones import Tones
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frequency_response import FrequencyResponse, Instrument
+from rotorfit.diagnosis.position_loop import restoring_law
+
+ALL_TONES = 0.9
+"""Share of a command's variance in its tones from which on it is judged at these alone, loop or no loop."""
+
+SOME_TONES = 0.6
+"""The same from which on they serve as the instrument in a feedback loop."""
+
+VAGUE = 0.4
+"""Standard error over gain beyond which a value says nothing."""
+
+
+def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
+    """The frequency response of an axis, from the flight alone.
+
+    Args:
+        flight: Any flight.
+        axis: `x`, `y`, `z` or `yaw`.
+    """
+    bands, instrument, why = response_bands(flight, axis)
+    return response_of_bands(axis, bands, instrument, why)
+
+
+def response_bands(flight: Flight, axis: str) -> tuple[tuple[Band, ...], Instrument, str]:
+    """The bands of an axis, what their instrument is, and, where there are none, why."""
+    k = AXES.index(axis)
+    if axis not in flight.axes or not np.ptp(flight.command[:, k]) > 0:
+        return (), "none", f"{axis} is not commanded"
+    windows = windows_of(flight, axis)
+    if not windows:
+        turned = f", or the heading turns by more than {np.degrees(TURNED):.0f} deg" if k < 2 else ""
+        return (), "none", f"no {SHORTEST:g} s without a hole in commands or poses{turned}"
+    if restoring_law(flight, axis) is not None:
+        return (), "none", f"the command of {axis} is a controller's answer to the motion, and nothing else"
+    every = [window_tones(window) for window in windows]
+    share = min(tones.share for tones in every)
+    loop = share < ALL_TONES and answers_motion(windows)
+    if not loop and share < ALL_TONES:
+        return bands_of([spectra_of(window) for window in windows]), "command", ""
+    if share > SOME_TONES and all(tones.frequency.size for tones in every):
+        parts = [spectra_of(window, tones) for window, tones in zip(windows, every, strict=True)]
+        return bands_of(parts, _common(every, windows)), "tones", ""
+    told = [window.reference for window in windows]
+    if all(each is not None and np.ptp(each) > 0 for each in told):
+        return bands_of([spectra_of(w, each) for w, each in zip(windows, told, strict=True)]), "reference", ""
+    return (
+        (),
+        "none",
+        f"the command of {axis} answers its motion, and nothing that moves it from outside is known: no tones, no "
+        "recorded reference",
+    )
+
+
+def _common(every: list[Tones], windows: tuple[Window, ...]) -> Array:
+    """Lines of all windows, those that are closer than a bin taken as one, shape (K,) [rad/s]."""
+    lines = np.sort(np.concatenate([tones.frequency for tones in every]))
+    bin_ = 2 * np.pi / max(window.duration for window in windows)
+    parts = np.split(lines, np.flatnonzero(np.diff(lines) > bin_) + 1)
+    return np.array([part.mean() for part in parts if part.size])
+
+
+def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument, why: str) -> FrequencyResponse:
+    """What bands say, at the knots at which they say anything."""
+    if not bands:
+        nothing = np.zeros(0)
+        return FrequencyResponse(
+            axis,
+            nothing,
+            np.zeros(0, np.complex128),
+            np.zeros((0, 2)),
+            nothing,
+            nothing,
+            "none",
+            why or "the command has no power",
+        )
+    frequency, response = (np.concatenate([getattr(band, name) for band in bands]) for name in ("knots", "response"))
+    stderr = np.concatenate([_stderr(band) for band in bands])
+    quantile = np.concatenate([np.full(band.knots.size, stdtrit(band.freedom, 0.975)) for band in bands])
+    coherence = np.concatenate([_coherence(band) for band in bands])
+    clear = stderr.max(axis=1) < VAGUE * np.abs(response)
+    if not clear.any():
+        return response_of_bands(axis, (), "none", "the motion is too noisy at every frequency")
+    return FrequencyResponse(
+        axis, frequency[clear], response[clear], stderr[clear], quantile[clear], coherence[clear], instrument
+    )
+
+
+def _stderr(band: Band) -> Array:
+    """Standard errors along the response at each knot, and across it, shape (J, 2)."""
+    J, turn = band.knots.size, np.angle(band.response)
+    along = np.hstack([np.diag(np.cos(turn)), np.diag(np.sin(turn))])
+    across = np.hstack([-np.diag(np.sin(turn)), np.diag(np.cos(turn))])
+    variances = [np.diag(rows @ band.covariance @ rows.T) for rows in (along, across)]
+    return np.asarray(np.sqrt(np.reshape(variances, (2, J))).T)
+
+
+def _coherence(band: Band) -> Array:
+    """Share of the power around each knot that follows the command, shape (J,)."""
+    J = band.knots.size
+    signal = np.abs(band.response) ** 2 * np.sum(band.share[:, :J] ** 2, axis=0)
+    return np.asarray(signal / (signal + band.noise * band.motion.size / J))

@@ -1,0 +1,168 @@
+"""Fit -> findings: what speaks against the law of an axis, and which flights stand out from the others."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.assessment.uncertainty import serving_flights
+from rotorfit.core.finding import Finding
+from rotorfit.core.frames import Array
+from rotorfit.core.model import Axis, Spread
+from rotorfit.core.results import Fit
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.blocks import Record
+
+DISAGREE = 0.01
+"""How often flights that agree may be said to disagree, over all axes of a fit."""
+
+STANDS_OUT = 2.5
+"""Distance from the others, in standard deviations of such a distance, from which on a flight is named."""
+
+UNLIKE = 1.5
+"""Ratio to the middle of the other flights from which on a condition is another one."""
+
+QUANTITIES = 4
+"""How many of the quantities of an axis are independent, for the level of a test of the worst of them."""
+
+
+def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
+    """What the tests of the law of an axis found: it is in the intervals, or has refuted them."""
+    if not axis.evidence:
+        return
+    told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
+    refuted = [part for part, status in axis.status.items() if status == "refuted"]
+    if refuted:
+        yield Finding(
+            "law_refuted",
+            "warning",
+            f"{name} does not obey {axis.structure}: {told}",
+            f"{', '.join(refuted)} of {name} would be other numbers on another flight, by more than an interval says",
+            "fit with --structure auto, or fly commands of the size and speed that the model is wanted for; "
+            "predictions of like motion may still be good: see validate",
+            name,
+        )
+        return
+    yield Finding(
+        "law_doubted",
+        "info",
+        f"{name} does not quite obey {axis.structure}: {told}",
+        f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
+        "fit with --structure auto; flights of several sizes and speeds tell what is missing",
+        name,
+    )
+
+
+def disagreement_findings(fit: Fit) -> Iterator[Finding]:
+    """Axes whose flights say different things, and the flights that stand out, the furthest first."""
+    found = {name: worst for name in fit.estimates if (worst := _most_unlike(fit.model.axes[name].spread))}
+    for name, quantity in found.items():
+        spread = fit.model.axes[name].spread[quantity]
+        if spread.p_value is None or spread.p_value * QUANTITIES > DISAGREE / len(found):
+            continue
+        values = ", ".join("-" if one is None else f"{_plain(one[0], spread):.3g}" for one in spread.each)
+        lines = _standing_out(fit, name, spread)
+        yield Finding(
+            "flights_disagree",
+            "warning" if spread.flights_sd and spread.flights_sd > spread.prior_sd else "info",
+            f"the {spread.flights} flights that tell {name} apart differ by more than their own errors, most in "
+            f"{quantity.replace('_', ' ')}: {values} (p = {spread.p_value:.1g})"
+            + "".join(f"; {line}" for line in lines),
+            f"the intervals of {name} hold the vehicle over such flights; on the next one "
+            f"{quantity.replace('_', ' ')} lies in {_ends(spread)}",
+            "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
+            "is in the intervals",
+            name,
+        )
+
+
+def _most_unlike(spreads: Mapping[str, Spread]) -> str | None:
+    told = {name: one.p_value for name, one in spreads.items() if one.p_value is not None}
+    return min(told, key=lambda name: told[name]) if told else None
+
+
+def _plain(value: float, spread: Spread) -> float:
+    return float(np.exp(value)) if spread.logarithmic else value
+
+
+def _ends(spread: Spread) -> str:
+    low, high = spread.next_flight
+    return f"{'-inf' if low is None else f'{low:.3g}'} to {'inf' if high is None else f'{high:.3g}'}"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a flight was flown with, as far as its log tells: of one axis.
+
+    Attributes:
+        size: Root mean square of the command about its median.
+        quickness: Command events of equal size a second.
+        disturbance: Root mean square of the innovations at the levels of all flights: wind and noise.
+    """
+
+    size: float
+    quickness: float
+    disturbance: float
+
+
+def conditions(rec: Record, innovation: Array, k: int) -> Conditions:
+    """Of one flight and axis; `innovation` (B,) at the levels of all flights."""
+    command = rec.command[:, k]
+    change = np.abs(np.diff(command))
+    jumps = float(change.sum() ** 2 / np.sum(change**2)) if change.any() else 0.0
+    return Conditions(
+        size=float(np.sqrt(np.mean((command - np.median(command)) ** 2))),
+        quickness=jumps / float(np.ptp(rec.command_time)),
+        disturbance=float(np.sqrt(np.mean(innovation**2))),
+    )
+
+
+def _standing_out(fit: Fit, name: str, spread: Spread) -> list[str]:
+    """A line for each flight far from the others, the furthest first, with what is unlike them."""
+    estimate, each = fit.estimates[name], spread.each
+    told = [i for i, one in enumerate(each) if one is not None]
+    if len(told) < 3:
+        return []
+    known = np.array([each[i] for i in told])
+    flown = _all_conditions(estimate)
+    places = serving_flights(fit, estimate)
+    lines = []
+    for row, i in enumerate(told):
+        others = np.delete(known, row, axis=0)
+        middle = float(np.median(others[:, 0]))
+        apart = float(np.median(np.abs(others[:, 0] - middle))) * 1.4826
+        distance = abs(known[row, 0] - middle) / float(
+            np.sqrt(known[row, 1] ** 2 + apart**2 + np.median(others[:, 1]) ** 2)
+        )
+        if distance > STANDS_OUT:
+            path = fit.flights[places[i]].path.rsplit("/", 1)[-1]
+            unlike = _unlike(flown[i], [one for j, one in enumerate(flown) if j != i])
+            lines.append((distance, f"{path} stands out ({_plain(known[row, 0], spread):.3g}): {unlike}"))
+    return [line for _, line in sorted(lines, reverse=True)]
+
+
+def _all_conditions(estimate: Estimate) -> list[Conditions]:
+    pairs = zip(estimate.records, estimate.optimum.score.innovations, strict=True)
+    return [conditions(rec, innovation[:, estimate.place], estimate.place) for rec, innovation in pairs]
+
+
+_WORDS = {
+    "size": ("larger commands", "smaller commands"),
+    "quickness": ("smoother commands", "fewer and larger steps"),
+    "disturbance": ("more wind or noise", "less wind or noise"),
+}
+
+
+def _unlike(one: Conditions, others: list[Conditions]) -> str:
+    """What a flight was flown with that the others were not, the most unlike first."""
+    ratios = {}
+    for part in _WORDS:
+        middle = float(np.median([getattr(other, part) for other in others]))
+        ratios[part] = getattr(one, part) / middle if middle > 0 else 1.0
+    ranked = sorted(ratios, key=lambda part: -abs(np.log(max(ratios[part], 1e-9))))
+    said = [
+        f"{_WORDS[part][ratios[part] < 1]} ({ratios[part]:.1f} times)"
+        for part in ranked
+        if not 1 / UNLIKE < ratios[part] < UNLIKE
+    ]
+    return ", ".join(said) or "commands and wind like those of the others: look at settings, payload, battery"

@@ -1,0 +1,138 @@
+"""How far off is a prediction? Error bands of every start, stated before what comes is seen, and how often they held.
+
+A band starts from the variance that the filter itself predicts: the disturbance as it will go on, and trim and start
+velocity as far as they are unknown. What the filter cannot know, such as a law that is a little wrong, is learned from
+the flight: the squared errors of its own earlier predictions over the same horizon, over what was predicted for them,
+give a factor. Few of them are independent, so that factor is drawn to 1 and the band is one of Student's t.
+
+Source: A. Gelman et al., Bayesian Data Analysis (2013), ch. 2.6, for the scaled inverse chi-squared that draws to 1;
+I. Gibbs, E. Candes, NeurIPS 34 (2021), for bands that follow their own past errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.error_bands import BandScore, Coverage
+from rotorfit.core.frames import AXES, Array
+from rotorfit.dynamics.kinematics import REFERENCE_HALF_WIDTH, REFERENCE_LEAST
+from rotorfit.dynamics.protocol import LEAST_SCORES, START_EVERY, Predictions, end_errors
+
+NOMINAL = (0.5, 0.95)
+"""Shares of the errors that the bands are to hold."""
+
+MEMORY = 60.0
+"""Time after which a past error counts 1/e [s]."""
+
+SMOOTH_VALUE, SMOOTH_SLOPE = 9 / 4, 75 / 4
+"""Variance of the value, and of the slope times the square of the half width, that a cubic through n points has at
+their middle, times n over the variance of a point: the velocity of reference errs too."""
+
+DRAWN = 6.0
+"""Independent errors that the filter's own variance counts for."""
+
+MOST_FREEDOM = 12.0
+"""Degrees of freedom at the most: the errors of real flights have heavier tails than a Gaussian."""
+
+
+@dataclass(frozen=True)
+class Bands:
+    """At one horizon, S starts; quantities are position and velocity, axes x, y, z, yaw in the heading frame.
+
+    Attributes:
+        start: Shape (S,) [s].
+        error: What the predictions were off by, shape (S, 2, 4); NaN where that is not measured.
+        deviation: Predicted standard error, from the past alone, shape (S, 2, 4); NaN for axes without a prediction.
+        freedom: Degrees of freedom of Student's t, shape (S, 2, 4).
+    """
+
+    start: Array
+    error: Array
+    deviation: Array
+    freedom: Array
+
+    def half_width(self, nominal: float) -> Array:
+        """Half the width of the bands that are to hold a share of the errors, shape (S, 2, 4)."""
+        from scipy.special import stdtrit
+
+        return np.asarray(stdtrit(self.freedom, 0.5 + nominal / 2) * self.deviation)
+
+
+def error_bands(parts: Sequence[Predictions], horizon: float) -> Bands:
+    """Bands of all predictions of a flight at one horizon.
+
+    Args:
+        parts: Segment by segment, with their states.
+        horizon: [s].
+    """
+    start = np.concatenate([part.start for part in parts] or [np.empty(0)])
+    none = [np.empty((0, 2, 4))]
+    error = np.concatenate([end_errors(part, part.predicted, horizon) for part in parts] or none)
+    variance = np.concatenate([_variance(part, horizon) for part in parts] or none)
+    factor, freedom = _learned(start, error**2 / variance, horizon)
+    return Bands(start, error, np.sqrt(variance * factor), freedom)
+
+
+def _variance(part: Predictions, horizon: float) -> Array:
+    """What the filters predict for what will be measured, in the heading at the horizon, (S, 2, 4)."""
+    out = np.full((part.start.size, 2, 4), np.nan)
+    half = max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * float(np.median(np.diff(part.time))))
+    count = max(REFERENCE_LEAST, 2 * half * part.time.size / (part.time[-1] - part.time[0]))
+    for first, state in zip((0, 2), part.states, strict=True):
+        if state is not None:
+            out[:, :, first : first + 2] = state.variance(horizon)
+            for k in range(2):
+                if AXES[first + k] in part.alone:
+                    out[:, 1, first + k] += SMOOTH_VALUE / count * state.noise[:, k]
+                else:
+                    out[:, 0, first + k] += state.noise[:, k]
+                    out[:, 1, first + k] += SMOOTH_SLOPE / (count * half**2) * state.noise[:, k]
+    step = np.searchsorted(part.time, part.start + horizon, side="right") - 1 - part.first
+    turned = part.heading[np.arange(part.start.size), np.clip(step, 0, part.heading.shape[1] - 1)]
+    along = np.cos(turned - part.pose[part.first - 1, 3])[:, None] ** 2
+    x, y = out[..., 0].copy(), out[..., 1].copy()
+    out[..., 0], out[..., 1] = along * x + (1 - along) * y, along * y + (1 - along) * x
+    return out
+
+
+def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]:
+    """Factor on the variance and degrees of freedom at every start, from errors that were seen by then; (S, 2, 4).
+
+    Args:
+        start: Shape (S,) [s].
+        square: Squared errors over their predicted variances, shape (S, 2, 4); NaN where there is none.
+        horizon: [s]; predictions that overlap share their errors.
+    """
+    factor, freedom = np.ones(square.shape), np.full(square.shape, DRAWN)
+    known, seen = np.nan_to_num(square), np.isfinite(square)
+    share = min(1.0, START_EVERY / horizon)
+    for s in range(start.size):
+        past = start + horizon + REFERENCE_HALF_WIDTH <= start[s]
+        weight = (np.exp((start[past] - start[s]) / MEMORY))[:, None, None]
+        n = share * np.sum(weight * seen[past], axis=0)
+        factor[s] = (DRAWN + share * np.sum(weight * known[past], axis=0)) / (DRAWN + n)
+        freedom[s] = np.minimum(DRAWN + n, MOST_FREEDOM)
+    return factor, freedom
+
+
+def band_scores(parts: Sequence[Predictions], horizons: Sequence[float]) -> dict[str, dict[str, BandScore]]:
+    """How often the bands of a flight held: axis name to horizon [s] as `%g` to the score."""
+    found = {f"{h:g}": error_bands(parts, h) for h in horizons}
+    return {axis: {key: _score(bands, k) for key, bands in found.items()} for k, axis in enumerate(AXES)}
+
+
+def _score(bands: Bands, k: int) -> BandScore:
+    velocity = np.isfinite(bands.error[:, 1, k])
+    return BandScore(int(velocity.sum()), _coverage(bands, 1, k), _coverage(bands, 0, k))
+
+
+def _coverage(bands: Bands, what: int, k: int) -> tuple[Coverage, ...]:
+    good = np.isfinite(bands.error[:, what, k]) & np.isfinite(bands.deviation[:, what, k])
+    if good.sum() < LEAST_SCORES:
+        return ()
+    error, out = np.abs(bands.error[good, what, k]), []
+    for nominal in NOMINAL:
+        half = bands.half_width(nominal)[good, what, k]
+        out.append(Coverage(nominal, float(np.mean(error <= half)), float(np.mean(half))))
+    return tuple(out)

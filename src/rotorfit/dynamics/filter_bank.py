@@ -1,0 +1,428 @@
+"""A bank of disturbance filters that learns the levels of the flight that it filters, causally.
+
+The levels of a calm flight mislead in a gusty one: the filter follows the gusts too slowly. So filters with other
+levels, the members, run beside the one with the model's own, and what they say is averaged, axis by axis, by weights
+from the past alone:
+
+    log w = log w_0 + eta log L - n / 2 log E
+
+E is the mean square of the errors that a member made 0.5 s ahead, over n such stretches; L is the likelihood of its
+innovations; the past is forgotten with `MEMORY`. E is the judge: what counts is the prediction, and a law that is a
+little wrong, or pose noise that is not white, make the likelihood of one step prefer levels that predict worse. The
+likelihood counts little (eta), but knows at once where the levels are far off, and where an error is one false pose.
+
+A member knows its levels up to one scale sigma^2 an axis, which it learns from its innovations. It serves the
+likelihood and the predicted error, not the prediction. `start_bank`, then for each stamp `move`, `judge`, `take` and
+`probe`: a state that only ever goes forwards.
+
+Source: D. T. Magill, IEEE Trans. Automatic Control 10 (1965), pp. 434-439, for the bank; A. E. Raftery, M. Karny,
+P. Ettler, Technometrics 52 (2010), pp. 52-66, for forgetting; J. Geweke, G. Amisano, J. Econometrics 164 (2011), pp.
+130-141, for weights by past predictions where every member is wrong; M. West, J. Harrison, Bayesian Forecasting and
+Dynamic Models (1997), ch. 10.8, for the scale.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array, Mask
+from rotorfit.dynamics.disturbance import (
+    discretize,
+    predict_covariance,
+    propagate,
+    rotate,
+    start_covariance,
+    step_tables,
+    update_covariance,
+    update_rate,
+)
+
+POWERS = 8.0 ** np.array([0, -1, 1, -2, 2, -3, 3, -4, 4])
+"""Factors on the power of the wind at equal pose noise."""
+
+RATES = np.array([1.0, 0.4, 2.5])
+"""Factors on the damping of the wind; the power goes with their square, as it does over recorded flights."""
+
+MEMORY = 20.0
+"""Time after which the past counts 1/e [s]."""
+
+OWN_SHARE = 0.5
+"""Prior weight of the model's own levels."""
+
+AHEAD = 0.5
+"""How far ahead members are judged [s]; further ahead errors are too few to learn from in a minute."""
+
+EVERY = 0.1
+"""Time between the predictions that are judged [s]."""
+
+PENDING = 8
+"""Predictions that wait for their judgement at the most."""
+
+SHARPNESS = 2.0
+"""Independent errors that a stretch of `AHEAD` counts for: members err alike, so that their differences are surer."""
+
+TEMPER = 0.02
+"""eta."""
+
+SCALE_FREEDOM = 30.0
+"""Innovations that the scale of the model's own levels counts for."""
+
+
+class Bank(NamedTuple):
+    """M members before the next stamp; arrays are changed in place.
+
+    Attributes:
+        covariance: Of the disturbance, at the member's levels, shape (M, 3, 3, 3).
+        state: Of the data less the driven response, of two unit trims, of two unit start velocities, shape (M, 5, 6).
+        known: Trims (heading frame) and start velocities (world), as far as the data tell, shape (M, 4).
+        spread: Their covariance, at the member's levels, shape (M, 4, 4).
+        squares: Sum of squares behind the scale of each axis, shape (M, 2).
+        freedom: How many they are, shape (M, 2).
+        likelihood: Logarithm of L, of each axis, shape (M, 2).
+        error: Sum of the squared errors behind E, shape (M, 2).
+        errors: How many they are, shape (2,).
+        waiting: Disturbance as predicted for now by what waits for its judgement, shape (PENDING, M, 6).
+        believed: `known` when it was predicted, shape (PENDING, M, 4).
+        due: When it is judged, shape (PENDING,) [s].
+        judged: Whether it has been, on each axis, shape (PENDING, 2).
+        probed: When something was last predicted, shape (1,) [s].
+    """
+
+    covariance: Array
+    state: Array
+    known: Array
+    spread: Array
+    squares: Array
+    freedom: Array
+    likelihood: Array
+    error: Array
+    errors: Array
+    waiting: Array
+    believed: Array
+    due: Array
+    judged: Mask
+    probed: Array
+
+
+def bank_levels(levels: Array, adapt: bool) -> Array:
+    """Levels of the members, class by class of equal wind damping, the model's own first.
+
+    Args:
+        levels: q, r, alpha, kappa of two axes, shape (2, 4).
+        adapt: False for the model's own only.
+
+    Returns:
+        Shape (A, G, 2, 4): A classes of G members.
+    """
+    if not adapt:
+        return levels[None, None].copy()
+    out: Array = np.tile(levels, (RATES.size, POWERS.size, 1, 1))
+    out[..., 0] *= POWERS[None, :, None] * RATES[:, None, None] ** 2
+    out[..., 2] *= RATES[:, None, None]
+    return out
+
+
+@numba.njit(cache=True)
+def start_bank(levels: Array, prior: Array) -> Any:
+    """A bank before the first stamp.
+
+    Args:
+        levels: From `bank_levels`, shape (A, G, 2, 4).
+        prior: Variances of two trims and two start velocities, shape (4,).
+    """
+    G = levels.shape[1]
+    M = levels.shape[0] * G
+    covariance, spread = np.zeros((M, 3, 3, 3)), np.zeros((M, 4, 4))
+    for m in range(M):
+        start_covariance(covariance[m], levels[m // G, m % G])
+        for j in range(4):
+            spread[m, j, j] = prior[j]
+    return Bank(
+        covariance, np.zeros((M, 5, 6)), np.zeros((M, 4)), spread,
+        np.full((M, 2), SCALE_FREEDOM), np.full((M, 2), SCALE_FREEDOM), np.zeros((M, 2)), np.zeros((M, 2)), np.zeros(2),
+        np.zeros((PENDING, M, 6)), np.zeros((PENDING, M, 4)), np.zeros(PENDING), np.ones((PENDING, 2), np.bool_),
+        np.full(1, -np.inf),
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def bank_tables(steps: Array, levels: Array) -> Any:
+    """Transitions and unit covariances of every class, axis and distinct step: twice (A, 2, U, 3, 3)."""
+    A = levels.shape[0]
+    F, Q = np.zeros((A, 2, steps.size, 3, 3)), np.zeros((A, 2, steps.size, 3, 3))
+    for g in range(A):
+        for a in range(2):
+            F[g, a], Q[g, a] = step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3])
+    return F, Q
+
+
+@numba.njit(cache=True)
+def _fade(z: Array, F: Array, k: int, c: float, s: float) -> None:
+    """Moves the disturbance z (6,) of one class F (2, U, 3, 3) by step k; c and s belong to half the turn."""
+    if s == 0.0:
+        propagate(z, F[0, k], F[1, k])
+    else:
+        rotate(z, c, s)
+        propagate(z, F[0, k], F[1, k])
+        rotate(z, c, s)
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: float) -> None:
+    """Moves a bank by one step, number k of the tables, of dt [s] while the heading turns by `turn` [rad]."""
+    G = levels.shape[1]
+    M = levels.shape[0] * G
+    c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
+    kept = np.exp(-dt / MEMORY)
+    for m in range(M):
+        g = m // G
+        predict_covariance(bank.covariance[m], F[g, 0, k], F[g, 1, k], Q[g, 0, k], Q[g, 1, k], levels[g, m % G], c, s)
+        for j in range(5):
+            _fade(bank.state[m, j], F[g], k, c, s)
+        for i in range(PENDING):
+            if not bank.judged[i].all():
+                _fade(bank.waiting[i, m], F[g], k, c, s)
+        for a in range(2):
+            bank.squares[m, a] = SCALE_FREEDOM + kept * (bank.squares[m, a] - SCALE_FREEDOM)
+            bank.freedom[m, a] = SCALE_FREEDOM + kept * (bank.freedom[m, a] - SCALE_FREEDOM)
+            bank.likelihood[m, a] *= kept
+            bank.error[m, a] *= kept
+    bank.errors[:] *= kept
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
+    """Compares what was predicted for now, t [s], with what `take` will take; see there."""
+    at = 3 * axis + (1 if rate else 0)
+    for i in range(PENDING):
+        if bank.judged[i, axis] or t < bank.due[i]:
+            continue
+        bank.judged[i, axis] = True
+        bank.errors[axis] += 1.0
+        for m in range(bank.known.shape[0]):
+            e = measured[0] - bank.waiting[i, m, at]
+            for j in range(4):
+                e -= bank.believed[i, m, j] * measured[1 + j]
+            bank.error[m, axis] += e * e
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> None:
+    """Takes a measurement of one axis into all members.
+
+    Args:
+        bank: Changed in place.
+        levels: Shape (A, G, 2, 4).
+        axis: 0 or 1.
+        rate: Whether a velocity was measured, else a position.
+        measured: Along the axis: data less the driven response, then the response to two unit trims and two unit start
+            velocities, shape (5,).
+    """
+    G = levels.shape[1]
+    at = 3 * axis + (1 if rate else 0)
+    gain, e, along = np.empty(6), np.empty(5), np.empty(4)
+    for m in range(bank.known.shape[0]):
+        P, noise = bank.covariance[m], levels[m // G, m % G, axis, 1]
+        variance = update_rate(P, axis, noise, gain) if rate else update_covariance(P, axis, noise, gain)
+        for j in range(5):
+            e[j] = measured[j] - bank.state[m, j, at]
+            for i in range(6):
+                bank.state[m, j, i] += gain[i] * e[j]
+        innovation = e[0]
+        for j in range(4):
+            innovation -= bank.known[m, j] * e[1 + j]
+            along[j] = 0.0
+            for i in range(4):
+                along[j] += bank.spread[m, j, i] * e[1 + i]
+            variance += along[j] * e[1 + j]
+        for j in range(4):
+            bank.known[m, j] += along[j] * innovation / variance
+            for i in range(4):
+                bank.spread[m, j, i] -= along[j] * along[i] / variance
+        square, n = innovation * innovation / variance, bank.freedom[m, axis]
+        scale = bank.squares[m, axis] / n
+        # Student's t with n degrees of freedom; what its normalisation lacks of a Gaussian's is the same for all.
+        bank.likelihood[m, axis] -= 0.5 * np.log(variance * scale) + 0.5 * (n + 1) * np.log1p(square / (n * scale))
+        bank.squares[m, axis] += square
+        bank.freedom[m, axis] += 1.0
+
+
+@numba.njit(cache=True)
+def probe(bank: Any, t: float) -> None:
+    """Sets down what every member predicts, so that it is judged `AHEAD`; not where there is only one."""
+    if bank.known.shape[0] == 1 or t < bank.probed[0] + EVERY:
+        return
+    oldest = 0
+    for i in range(PENDING):
+        if bank.judged[i].all():
+            oldest = i
+            break
+        if bank.due[i] < bank.due[oldest]:
+            oldest = i
+    bank.probed[0] = t
+    bank.due[oldest] = t + AHEAD
+    bank.judged[oldest] = False
+    for m in range(bank.known.shape[0]):
+        bank.believed[oldest, m] = bank.known[m]
+        bank.waiting[oldest, m] = disturbance(bank, m)
+
+
+@numba.njit(cache=True)
+def disturbance(bank: Any, m: int) -> Any:
+    """Of one member, less what it takes for trims and start velocities, shape (6,)."""
+    z = bank.state[m, 0].copy()
+    for j in range(4):
+        z -= bank.known[m, j] * bank.state[m, 1 + j]
+    return z
+
+
+@numba.njit(cache=True)
+def weights(bank: Any) -> Array:
+    """Weights of the members, of each axis, shape (M, 2)."""
+    M = bank.known.shape[0]
+    out = np.zeros((M, 2))
+    for a in range(2):
+        out[:, a] = TEMPER * bank.likelihood[:, a]
+        if bank.errors[a] > 0 and bank.error[:, a].min() > 0:
+            out[:, a] -= 0.5 * SHARPNESS * bank.errors[a] * (EVERY / AHEAD) * np.log(bank.error[:, a])
+        if M > 1:
+            out[0, a] += np.log((M - 1) * OWN_SHARE / (1 - OWN_SHARE))
+        out[:, a] = np.exp(out[:, a] - out[:, a].max())
+        out[:, a] /= out[:, a].sum()
+    return out
+
+
+STRAIGHT = 1e-6
+"""Damping below which the motion is taken as undamped [1/s]."""
+
+
+@dataclass(frozen=True)
+class StartState:
+    """At S starts, about K axes, each along itself as the heading then is, in A classes of equal wind damping.
+
+    A state has six numbers: what trims and start velocities add to the position and to the velocity of the axis, its
+    trim, and n, s, s' of the disturbance.
+
+    Attributes:
+        share: Weight of each class, shape (S, A, K).
+        mean: Its mean state, shape (S, A, K, 6).
+        covariance: Its covariance, shape (S, A, K, 6, 6).
+        power: Its power of the wind q, shape (S, A, K).
+        noise: Variance of one measurement, shape (S, K).
+        rates: Damping alpha and overlap kappa of each class, shape (A, K, 2).
+        damping: b, shape (K,) [1/s].
+    """
+
+    share: Array
+    mean: Array
+    covariance: Array
+    power: Array
+    noise: Array
+    rates: Array
+    damping: Array
+
+    def variance(self, ahead: float) -> Array:
+        """Predicted variance of position and velocity, shape (S, 2, K), as if the law and its coefficients were known.
+
+        Args:
+            ahead: How long after the start [s].
+        """
+        A, K = self.share.shape[1:]
+        ways, Q = np.empty((A, K, 2, 6)), np.empty((A, K, 3, 3))
+        b = np.where(np.abs(self.damping) < STRAIGHT, STRAIGHT, self.damping)
+        decay, reach = np.exp(-b * ahead), -np.expm1(-b * ahead) / b
+        ways[..., :3] = np.stack([
+            np.stack([np.ones(K), reach, (ahead - reach) / b], axis=-1),
+            np.stack([np.zeros(K), decay, reach], axis=-1),
+        ], axis=1)  # fmt: skip
+        for g, k in np.ndindex(A, K):
+            (alpha, kappa), F = self.rates[g, k], np.empty((3, 3))
+            discretize(alpha, 0.25 * kappa * alpha**2, ahead, F, Q[g, k])
+            ways[g, k, :, 3:] = F[:2]
+        moved = np.einsum("gkij,sgkj->sgki", ways, self.mean)
+        spread = np.einsum("gkij,sgkjl,gkil->sgki", ways, self.covariance, ways)
+        spread += self.power[..., None] * np.einsum("gkii->gki", Q)[..., :2]
+        mean = np.einsum("sgk,sgki->ski", self.share, moved)
+        variance: Array = np.einsum("sgk,sgki->sik", self.share, spread + (moved - mean[:, None]) ** 2)
+        return variance
+
+
+def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartState:
+    """The states at S starts.
+
+    Args:
+        rows: Of `state_of_bank`, shape (S, `row_size(A)`).
+        levels: Of the members, shape (A, G, 2, 4).
+        damping: b, shape (2,) [1/s].
+    """
+    A = levels.shape[0]
+    shapes = ((A, 2), (A, 2, 6), (A, 2, 6, 6), (A, 2), (2,))
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
+    parts = zip(np.split(rows, ends, axis=1), shapes, strict=True)
+    share, mean, covariance, power, noise = (part.reshape(len(rows), *shape) for part, shape in parts)
+    return StartState(share, mean, covariance, power, noise, levels[:, 0, :, 2:], damping)
+
+
+@numba.njit(cache=True)
+def row_size(A: int) -> int:
+    """Numbers of a row: share, mean, covariance and power of A classes, and the noise."""
+    return 2 * A * (1 + 6 + 36 + 1) + 2
+
+
+@numba.njit(cache=True)
+def state_of_bank(bank: Any, levels: Array, p: Array, v: Array, c: float, s: float) -> Any:
+    """What the members of a bank know together, each axis of the heading frame by its own weights.
+
+    Args:
+        bank: The bank.
+        levels: Of its members, shape (A, G, 2, 4).
+        p: Driven world position, and those of two unit trims and two unit start velocities, shape (5, 2).
+        v: Their velocities.
+        c: Cosine of the heading.
+        s: Its sine.
+
+    Returns:
+        Trims and start velocities as each axis has them (2, 4); what they add to the world position and velocity (4,);
+        the disturbance, in shares of the classes that add up (A, 6); and a row for `start_state_from_rows`.
+    """
+    A, G = levels.shape[:2]
+    weight = weights(bank)
+    known, add, z = np.zeros((2, 4)), np.zeros(4), np.zeros((A, 6))
+    share, power, noise = np.zeros((A, 2)), np.zeros((A, 2)), np.zeros(2)
+    mean, covariance = np.zeros((A, 2, 6)), np.zeros((A, 2, 6, 6))
+    for a in range(2):
+        low, high = 3 * a, 3 * a + 3
+        effect = np.zeros((4, 6))  # of a unit trim or start velocity on the six numbers
+        effect[a, 2] = 1.0
+        for j in range(4):
+            for i, moved in enumerate((p[1 + j], v[1 + j])):
+                effect[j, i] = c * moved[0] + s * moved[1] if a == 0 else c * moved[1] - s * moved[0]
+        for m in range(A * G):
+            w, g = weight[m, a], m // G
+            share[g, a] += w
+            known[a] += w * bank.known[m]
+            for i in range(3):
+                mean[g, a, i] += w * np.sum(bank.known[m] * effect[:, i])
+            mean[g, a, 3:] += w * disturbance(bank, m)[low:high]
+        z[:, low:high] = mean[:, a, 3:]
+        for i in range(2):
+            along = mean[:, a, i].sum()
+            add[2 * i] += along * (c if a == 0 else -s)
+            add[2 * i + 1] += along * (s if a == 0 else c)
+        for g in range(A):
+            mean[g, a] /= max(share[g, a], 1e-300)
+        for m in range(A * G):
+            w, g, scale = weight[m, a], m // G, bank.squares[m, a] / bank.freedom[m, a]
+            part, off = w / max(share[g, a], 1e-300), -mean[g, a]
+            effect[:, 3:] = -bank.state[m, 1:, low:high]
+            for i in range(3):
+                off[i] += np.sum(bank.known[m] * effect[:, i])
+            off[3:] += disturbance(bank, m)[low:high]
+            covariance[g, a] += part * (scale * (effect.T @ (bank.spread[m] @ effect)) + np.outer(off, off))
+            covariance[g, a, 3:, 3:] += part * scale * bank.covariance[m, a]
+            power[g, a] += part * scale * levels[g, m % G, a, 0]
+            noise[a] += w * scale * levels[g, m % G, a, 1]
+    told = (share.ravel(), mean.ravel(), covariance.ravel(), power.ravel(), noise)
+    return known, add, z, np.concatenate(told)

@@ -1,0 +1,33 @@
+"""The variance of the mean of an autocorrelated series, from its lowest frequencies, and the t that goes with it.
+
+Source: E. Lazarus, D. J. Lewis, J. H. Stock, M. W. Watson, J. Bus. Econ. Stat. 36 (2018), pp. 541-559.
+"""
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+
+
+def frequencies(n: int) -> int:
+    """How many low frequencies of a series of n values serve the variance of its mean: Lazarus et al., 0.4 n^(2/3)."""
+    return int(0.4 * n ** (2 / 3) + 1e-9)
+
+
+def variance_of_mean(series: Array, count: int) -> Array:
+    """Covariance (m, m) of the mean of an autocorrelated series (n, m), from so many of its lowest frequencies.
+
+    It is positive by construction, and a t-ratio with it has Student's distribution with `count` degrees of freedom.
+
+    Source: Lazarus et al. 2018, section 3: the mean square of the first terms of the cosine transform.
+    """
+    n = len(series)
+    cosines = np.cos(np.pi * np.outer(np.arange(1, count + 1), np.arange(n) + 0.5) / n)
+    terms = np.sqrt(2 / n) * cosines @ series
+    return np.asarray(terms.T @ terms / count / n)
+
+
+def two_sided(t: float, freedom: float) -> float:
+    """p-value of a t-ratio."""
+    from scipy.special import stdtr
+
+    return float(2 * stdtr(freedom, -abs(t)))

@@ -1,0 +1,81 @@
+"""Estimate -> what a method that errs differently says of the same flight: instrumental variables with other filters.
+
+The sensitivities of the simulated response are instruments: where commands do not answer the motion they are free of
+wind and noise under whatever filter, and sum Z'(y - response) = 0 has the same root. The likelihood takes the filter
+that is best if wind and law are right. Under a slower and a faster one other frequencies decide, so a law that is wrong
+gives other numbers. One step from the likelihood's root tells them.
+
+In a feedback loop only the right filter makes innovations free of what the commands knew: there nothing is compared.
+
+Source: T. Soderstrom, P. Stoica, System Identification (1989), chapter 8 (instrumental variables with prefilters);
+J. A. Hausman, Econometrica 46 (1978), pp. 1251-1271 (the test by two estimators); W. K. Newey, K. D. West,
+Econometrica 55 (1987), pp. 703-708 (the variance of their difference).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.estimation.judgement.estimand import Estimand
+from rotorfit.estimation.judgement.refutation import Homogeneity, homogeneity_of
+from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
+from rotorfit.estimation.judgement.spread_prior import spread_scale
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, answers_motion
+from rotorfit.estimation.likelihood.likelihood import score
+from rotorfit.estimation.regression.paper import newey_west
+
+OTHER_FILTERS = (10.0, 0.1)
+"""Factors on the pose noise that the filter believes: it follows slow motion more, or fast motion."""
+
+MEMORY = 2.0
+"""How long what the estimates differ by is correlated [s]."""
+
+
+def between_filters(
+    estimate: Estimate, weighted: Sequence[Weighted], wanted: Mapping[str, Estimand], errors: Mapping[str, float]
+) -> dict[str, Homogeneity]:
+    """How the likelihood and instrumental variables agree, by quantity; nothing in a feedback loop.
+
+    Args:
+        estimate: By the likelihood.
+        weighted: Its innovations and weights, in the order of `wanted`.
+        wanted: Quantities.
+        errors: Their standard errors.
+    """
+    if answers_motion(estimate.records, estimate.optimum, estimate.place):
+        return {}
+    found: dict[str, Homogeneity] = {}
+    for factor in OTHER_FILTERS:
+        other = _contributions(estimate, list(wanted.values()), factor)
+        apart = [theirs - _own(ours) for theirs, ours in zip(other, weighted, strict=True)]
+        total = np.sum([part.sum(axis=0) for part in apart], axis=0)
+        parts = zip(weighted, apart, strict=True)
+        spread = np.sum([newey_west(one.time, part, MEMORY) for one, part in parts], axis=0)
+        for q, name in enumerate(wanted):
+            half = float(np.sqrt(max(spread[q, q], 0.0) / 2)) / errors[name]
+            if not (np.isfinite(total[q]) and half > 0):
+                continue
+            pair = np.array([0.0, float(total[q]) / errors[name]])
+            one = homogeneity_of(pair, np.array([half, half]), spread_scale(name))
+            if name not in found or one.sd > found[name].sd:
+                found[name] = one
+    return found
+
+
+def _own(one: Weighted) -> Array:
+    """What each block adds to the estimates, shape (B, Q)."""
+    return np.asarray(np.einsum("bk,bkq->bq", one.innovation, one.weight))
+
+
+def _contributions(estimate: Estimate, wanted: Sequence[Estimand], factor: float) -> list[Array]:
+    """What each block adds to the step to the root under another filter, per flight (B, Q)."""
+    point = estimate.optimum.point
+    levels = point.levels.copy()
+    levels[:, 1] += np.log(factor)
+    moved = replace(point, levels=levels)
+    there = score(estimate.records, moved)
+    optimum = replace(estimate.optimum, point=moved, score=there)
+    seen = weighted_innovations(replace(estimate, optimum=optimum), wanted)
+    return [_own(one) for one in seen]

@@ -1,0 +1,103 @@
+"""What intervals are of: coefficients and combinations, on the scales on which flights of a vehicle are compared."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.model import Interval
+from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, structure_at
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.likelihood import inverted
+
+LOGARITHMIC = ("input", "damping", "steady_gain")
+"""What is compared by its logarithm besides further parameters that are estimated by theirs."""
+
+
+@dataclass(frozen=True)
+class Estimand:
+    """A coefficient, a further parameter or a combination of an axis at an optimum.
+
+    Attributes:
+        name: As in the model file.
+        value: As it is published.
+        logarithmic: Whether its scale is its logarithm; else it is taken as it is.
+        slope: Of its scale by the parameters of the estimator, shape (n,).
+    """
+
+    name: str
+    value: float
+    logarithmic: bool
+    slope: Array
+
+    def error(self, optimum: Optimum) -> float:
+        """Standard error on its scale, by the expected information."""
+        covariance = inverted(optimum.score.information, optimum.free)[: self.slope.size, : self.slope.size]
+        return float(np.sqrt(max(float(self.slope @ covariance @ self.slope), 0.0)))
+
+    def scaled(self) -> float:
+        """The value on its scale."""
+        return math.log(abs(self.value)) if self.logarithmic else self.value
+
+
+def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
+    """Everything of axis k that is published with an interval and compares between flights, by name."""
+    point, structure = optimum.point, structure_at(optimum, k)
+    g, b, tau = float(point.gain[k]), float(np.exp(point.log_damping[k])), float(point.delay[k])
+    extra = point.extra_values(k)
+
+    def along(**slopes: float) -> Array:
+        out = np.zeros(point.n)
+        for name, slope in slopes.items():
+            out[point.place(name, k)] = slope
+        return out
+
+    # of a second order the lag is in the velocity itself: it is not late, it is slow
+    late: dict[str, float] = {"lag": extra["lag"]} if structure.order == 1 else {}
+    out = [
+        Estimand("input", g, True, along(input=1 / g)),
+        Estimand("damping", b, True, along(damping=1.0)),
+        Estimand("delay", tau, False, along(delay=1.0)),
+        Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
+        Estimand("total_lag", tau + 1 / b + sum(late.values()), False, along(delay=1.0, damping=-1 / b, **late)),
+    ]
+    out += [
+        Estimand(e.name, extra[e.name], e.logarithmic, along(**{e.name: 1.0})) for e in estimated_extras(optimum, k)
+    ]
+    if late:
+        out.append(Estimand("delay_plus_lag", tau + late["lag"], False, along(delay=1.0, **late)))
+    return {one.name: one for one in out if structure.delayed or one.name != "delay"}
+
+
+def half_widths(estimand: Estimand, ends: Interval) -> Interval:
+    """How far the ends of an interval lie below and above the value, on its scale; None for an open end.
+
+    A logarithm is that of the size: of a negative value the upper end of the interval is below on the scale.
+    """
+    low, high = ends
+    if not estimand.logarithmic:
+        return (None if low is None else estimand.value - low, None if high is None else high - estimand.value)
+    if estimand.value < 0:
+        low, high = (None if high is None else -high), (None if low is None else -low)
+    size = abs(estimand.value)
+    return (
+        None if low is None or low <= 0 else float(np.log(size / low)),
+        None if high is None or high <= 0 else float(np.log(high / size)),
+    )
+
+
+def interval(estimand: Estimand, shift: float, half: Interval) -> Interval:
+    """The interval with these half widths below and above the value moved by a shift, all on its scale."""
+    below, above = half
+    center = moved(estimand, shift)
+    if not estimand.logarithmic:
+        return (None if below is None else center - below, None if above is None else center + above)
+    near = None if below is None else center * float(np.exp(-below))
+    far = None if above is None else center * float(np.exp(above))
+    return (near, far) if estimand.value > 0 else (far, near)
+
+
+def moved(estimand: Estimand, shift: float) -> float:
+    """The value moved by a shift on its scale."""
+    return estimand.value * float(np.exp(shift)) if estimand.logarithmic else estimand.value + shift

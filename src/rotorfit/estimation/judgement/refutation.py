@@ -1,0 +1,298 @@
+"""Estimate -> what speaks against its law: do parts of the flights say the same, whatever was flown in them?
+
+An estimate is a weighted sum of innovations, so parts of the data, however they are cut, each have a say: part m moves
+the estimate to theta + V sum_m w e / sum_m w^2, known to V / share_m, share_m being its share of the information. If
+the law is right, the parts differ by chance; if it is not, the coefficient depends on what was flown, and parts cut by
+what was flown show it:
+
+- time: stretches of the flights; what changes in an hour often changes in a minute;
+- size: the command of the last second small or large; limits of acceleration, braking, dead zones;
+- speed: slow or fast changes of the command; dynamics that the law lacks.
+
+Cut by what lay before an innovation, the parts are independent in a feedback loop, too.
+
+And what the law leaves out of the response stays in the innovations: they follow the commands of the second before. How
+many times more than by chance is how many times the variance of what the commands tell must grow: lack of fit in place
+of pure error.
+
+Source: W. G. Cochran, Biometrics 10 (1954), pp. 101-129; R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986),
+pp. 177-188; N. R. Draper, H. Smith, Applied Regression Analysis, 3rd ed. (1998), section 2.2 (lack of fit).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array, Indices
+from rotorfit.core.model import Evidence
+from rotorfit.estimation.judgement.random_effects import excess_spread
+from rotorfit.estimation.judgement.residual_variance import Ratio, Weighted, orthonormal
+from rotorfit.estimation.judgement.spread_prior import spread_scale
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.regression.paper import newey_west
+
+STRETCH = 12.0
+"""Length of the stretches of time [s]: longer than wind remembers, short enough that a minute has five."""
+
+MEMORY = 1.0
+"""How far back the command is looked at [s]."""
+
+LEAST_SHARE = 0.02
+"""Share of the information below which a part says nothing."""
+
+EVERY = 0.1
+"""Steps between the past commands that are looked at together [s]."""
+
+DISTINCT = 1e-3
+"""Share of the largest variance below which a combination of past commands is a copy of the others."""
+
+
+@dataclass(frozen=True)
+class Homogeneity:
+    """How parts of the data agree about one estimate.
+
+    Attributes:
+        statistic: Cochran's Q.
+        freedom: Parts that say something, less one.
+        p_value: Of parts that do not differ giving more.
+        sd: Standard deviation between them beyond chance and prior, in standard errors of the estimate.
+    """
+
+    statistic: float
+    freedom: int
+    p_value: float
+    sd: float
+
+
+def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Mapping[str, list[Indices]]:
+    """Parts of each flight, a label a block, by what they are cut by."""
+    memory = [_before(rec, one.time, k) for rec, one in zip(records, weighted, strict=True)]
+    sizes = np.concatenate([size for size, _ in memory])
+    speeds = np.concatenate([speed for _, speed in memory])
+    stretches, offset = [], 0
+    for one in weighted:
+        elapsed = one.time - one.time[0]
+        count = max(1, round(float(elapsed[-1]) / STRETCH))
+        stretches.append(offset + np.minimum((count * elapsed / (elapsed[-1] + 1e-9)).astype(int), count - 1))
+        offset += count
+    return {
+        "time": stretches,
+        "size": [_thirds(size, sizes) for size, _ in memory],
+        "speed": [_thirds(speed, speeds) for _, speed in memory],
+    }
+
+
+def _before(rec: Record, time: Array, k: int) -> tuple[Array, Array]:
+    """Mean size of the command in the second before each block, and how much it changed in it, less its own mean."""
+    grid = np.arange(0.0, MEMORY, 0.1)[:, None]
+    place = np.searchsorted(rec.command_time, time - grid, side="right") - 1
+    command = rec.command[np.maximum(place, 0), k]
+    command = command - np.median(rec.command[:, k])
+    return np.sqrt(np.mean(command**2, axis=0)), np.std(command, axis=0)
+
+
+def _thirds(values: Array, everywhere: Array) -> Indices:
+    return np.searchsorted(np.quantile(everywhere, [1 / 3, 2 / 3]), values)
+
+
+def homogeneity(
+    weighted: Sequence[Weighted], labels: Sequence[Indices], q: int, wider: float, scale: float
+) -> Homogeneity | None:
+    """How parts agree about estimate q; None where fewer than two say anything.
+
+    Args:
+        weighted: Innovations and weights of each flight.
+        labels: Part of each block of each flight.
+        q: Which estimate.
+        wider: Factor of its standard error for the colour of the innovations.
+        scale: Of the prior on the spread, in its standard errors.
+    """
+    count = 1 + max(int(part.max()) for part in labels)
+    pull, power = np.zeros(count), np.zeros(count)
+    for one, part in zip(weighted, labels, strict=True):
+        pull += np.bincount(part, np.sum(one.weight[:, :, q] * one.innovation, axis=1), count)
+        power += np.bincount(part, np.sum(one.weight[:, :, q] ** 2, axis=1), count)
+    total = power.sum()
+    told = power > LEAST_SHARE * total
+    if total <= 0 or told.sum() < 2:
+        return None
+    share, pull = power[told] / power[told].sum(), pull[told]
+    apart = pull / (share * np.sqrt(total)) / wider  # in standard errors of the estimate
+    return homogeneity_of(apart, share**-0.5, scale)
+
+
+def homogeneity_of(apart: Array, error: Array, scale: float) -> Homogeneity:
+    """How some estimates of one thing agree.
+
+    Args:
+        apart: Of each, in standard errors of the estimate that is published, shape (M,).
+        error: Their standard errors, likewise, shape (M,).
+        scale: Of the prior on their spread, likewise.
+    """
+    from scipy.special import chdtrc
+
+    weight, freedom = error**-2.0, len(apart) - 1
+    mean = weight @ apart / weight.sum()
+    statistic = float(weight @ (apart - mean) ** 2)
+    return Homogeneity(statistic, freedom, float(chdtrc(freedom, statistic)), excess_spread(apart, error, scale))
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """How far innovations follow the commands before them.
+
+    Attributes:
+        statistic: Chi-squared with `freedom` degrees of freedom if they do not.
+        freedom: Independent past commands.
+        p_value: Of more by chance.
+        factor: By which the variance of what the commands tell must grow, at least 1.
+    """
+
+    statistic: float
+    freedom: int
+    p_value: float
+    factor: float
+
+
+def lack_of_fit(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> LackOfFit | None:
+    """Whether the innovations of axis k follow its commands of up to a second before, all flights together.
+
+    What the fit itself took from the innovations is taken from the commands, too. None where no command changes.
+
+    Source: L. Ljung, System Identification, 2nd ed. (1999), section 16.6; W. K. Newey, K. D. West, Econometrica 55
+    (1987), pp. 703-708, and Rev. Econ. Stud. 61 (1994), pp. 631-653 (lags of the kernel).
+    """
+    from scipy.special import chdtrc
+
+    past = [_past(rec, one, k) for rec, one in zip(records, weighted, strict=True)]
+    size, directions = np.linalg.eigh(sum(u.T @ u for u in past))
+    if size[-1] <= 0:
+        return None
+    distinct = directions[:, size > DISTINCT * size[-1]]
+    total, spread = np.zeros(distinct.shape[1]), np.zeros((distinct.shape[1],) * 2)
+    for u, one in zip(past, weighted, strict=True):
+        scores = (u @ distinct) * one.innovation[:, k][:, None]
+        lag = (int(4 * (len(scores) / 100) ** (2 / 9)) + 1) * float(np.median(np.diff(one.time)))
+        total += scores.sum(axis=0)
+        spread += newey_west(one.time, scores - scores.mean(axis=0), lag)
+    statistic = float(total @ np.linalg.solve(spread, total))
+    freedom = total.size
+    ratio = Ratio(statistic / freedom, 2 / freedom)
+    return LackOfFit(statistic, freedom, float(chdtrc(freedom, statistic)), ratio.beyond_chance)
+
+
+def _past(rec: Record, one: Weighted, k: int) -> Array:
+    """Commands of up to a second before each block, free of what was fitted, shape (B, L)."""
+    grid = np.arange(EVERY, MEMORY + 0.5 * EVERY, EVERY)
+    place = np.searchsorted(rec.command_time, one.time[:, None] - grid, side="right") - 1
+    u = rec.command[np.maximum(place, 0), k]
+    basis = orthonormal(np.column_stack([np.ones(len(u)), one.span[:, k]]))
+    return np.asarray(u - basis @ (basis.T @ u))
+
+
+REJECTED = 0.001
+"""p-value below which a test is said to speak against the law: a fit has four axes and four tests of each."""
+
+CERTAIN = 1e-5
+"""p-value below which a test may refute a number."""
+
+REFUTED = 3.0
+"""Factor on the standard error beyond which no widening expresses what is wrong: the law is not that of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What the tests of an axis make of its errors.
+
+    Attributes:
+        factor: On the standard error, by coefficient or combination, at least 1.
+        evidence: Tests that speak against the law, the strongest first.
+    """
+
+    factor: Mapping[str, float]
+    evidence: tuple[Evidence, ...]
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """What no widening expresses."""
+        certain = any(one.refutes for one in self.evidence)
+        return tuple(name for name, factor in self.factor.items() if certain and factor > REFUTED)
+
+
+def doubt(
+    records: Sequence[Record],
+    weighted: Sequence[Weighted],
+    k: int,
+    errors: Mapping[str, float],
+    wider: Mapping[str, float],
+    method: Mapping[str, Homogeneity],
+) -> Doubt:
+    """All tests of axis k.
+
+    Args:
+        records: Its flights.
+        weighted: Their innovations and weights, in the order of `errors`.
+        k: Which axis of the likelihood.
+        errors: Standard errors by name, those that the colour of the innovations leaves.
+        wider: What that colour has widened them by.
+        method: How another method agrees, by name.
+    """
+    names = list(errors)
+    labels = cuts(records, weighted, k)
+    parts = {
+        cut: {
+            n: found
+            for q, n in enumerate(names)
+            if (found := homogeneity(weighted, label, q, wider[n], spread_scale(n)))
+        }
+        for cut, label in labels.items()
+    }
+    parts["method"] = dict(method)
+    rest = lack_of_fit(records, weighted, k)
+    unfit = rest.factor if rest else 1.0
+    apart = {n: max((found[n].sd for found in parts.values() if n in found), default=0.0) for n in names}
+    factor = {n: float(np.sqrt(unfit) * np.hypot(1.0, apart[n])) for n in names}
+    evidence = [_between_parts(cut, found, errors) for cut, found in parts.items() if found]
+    if rest:
+        evidence.append(_following(rest, errors))
+    told = sorted((one for one in evidence if one.p_value < REJECTED), key=lambda one: one.p_value)
+    return Doubt(factor, tuple(replace(one, refutes=_refutes(one, factor)) for one in told))
+
+
+def _refutes(one: Evidence, factor: Mapping[str, float]) -> bool:
+    return one.p_value < CERTAIN and any(factor[name] > REFUTED for name in one.sd)
+
+
+_CUTS = {
+    "time": "stretches of 12 s do not agree",
+    "size": "small and large commands do not agree",
+    "speed": "slow and fast commands do not agree",
+    "method": "likelihood and instrumental variables do not agree",
+}
+
+
+def _between_parts(cut: str, found: Mapping[str, Homogeneity], errors: Mapping[str, float]) -> Evidence:
+    """The cut's worst quantity; with as many tries as quantities, of which about three are independent."""
+    worst = min(found, key=lambda name: found[name].p_value)
+    one = found[worst]
+    return Evidence(
+        cut,
+        f"{_CUTS[cut]}, most about the {worst.replace('_', ' ')}: chi-square {one.statistic:.0f} of {one.freedom}",
+        min(1.0, INDEPENDENT * one.p_value),
+        {name: part.sd * errors[name] for name, part in found.items() if part.sd > 0},
+    )
+
+
+INDEPENDENT = 3
+"""How many of the quantities of an axis are independent."""
+
+
+def _following(rest: LackOfFit, errors: Mapping[str, float]) -> Evidence:
+    return Evidence(
+        "follows_command",
+        f"what the law leaves follows the commands of the second before: chi-square {rest.statistic:.0f} of "
+        f"{rest.freedom}",
+        rest.p_value,
+        {name: float(np.sqrt(rest.factor - 1)) * error for name, error in errors.items()} if rest.factor > 1 else {},
+    )

@@ -1,0 +1,294 @@
+"""The default laws: delay and lag with a weak prior of the lag, or second order with a zero where the data ask for it.
+
+Between command and acceleration of x and y stands the attitude loop: a lag beside the delay. A velocity loop, on every
+axis that has one, overshoots: its integral part makes a second order, its feed-forward a zero. A fast attitude loop is
+no more than delay. Which of the three laws it is, the data say by the evidence for each; where they do not say, what is
+published of an axis holds what all of them say.
+
+Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averaging over models).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Prior
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.laws import LAG, STRUCTURES, Extra, Structure, level_range
+from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, Weighed, weighed
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, maximise_restricted
+from rotorfit.estimation.likelihood.coefficients import covariances, statuses, unfinished
+from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, extra_status, structure_at
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum
+from rotorfit.estimation.likelihood.law_selection import effective_samples
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.optima import ALIKE, prediction_error
+from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
+from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
+
+LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
+"""The laws of the family."""
+
+WITH_LOOP = ("z", "yaw")
+"""Axes whose commands a velocity loop answers."""
+
+FAST = np.log([100.0, 0.05])
+"""Logarithms of damping [1/s] and overlap of a fast disturbance."""
+
+ZERO_MEAN = 0.3
+"""Mean of the exponential density of the zero before the flight [s]; it weighs laws and moves no estimate."""
+
+NO_ZERO = 0.005
+"""A zero below this is none [s]: there it and the delay do the same."""
+
+LEAST_WEIGHT = 0.1
+"""Weight below which a law is left out: the data speak strongly against it (Kass and Raftery, odds of 10)."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of the family on one axis, and its weight."""
+
+    estimate: Estimate
+    weight: float
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the default family says of one axis.
+
+    Attributes:
+        plain: The first-order law with a delay, at disturbance levels no worse than the others'.
+        laws: Those that the data do not rule out, the likeliest first.
+    """
+
+    plain: Estimate
+    laws: tuple[Law, ...]
+
+
+def families(
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
+) -> dict[str, Family]:
+    """The default laws of the axes of one group.
+
+    Args:
+        serving: The flights of the group.
+        estimates: Of the first-order law with a delay, by axis.
+        priors: Of the card, where they are wanted.
+    """
+
+    def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
+        return lag_prior(structures, gaussian_prior(priors, axes))
+
+    group = tuple(estimates)
+    estimates = _relevelled(estimates)
+    lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of)
+    out = {}
+    for axis in group:
+        if not estimates[axis].excited:
+            out[axis] = Family(estimates[axis], (Law(estimates[axis], 1.0),))
+            continue
+        tried = [lagged[axis]]
+        if axis in WITH_LOOP and (led := _led(serving, axis, lagged[axis], estimates[axis], prior_of)):
+            tried.append(led)
+        out[axis] = _weighed(estimates[axis], tried)
+    return out
+
+
+def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """The estimates climbed again from a fast disturbance, where that is likelier: its levels have two maxima, too.
+
+    Where commands are known and poses clean, what is left is what the law cannot say: soft at first, then nothing.
+    """
+    found: dict[int, Optimum] = {}
+    for estimate in estimates.values():
+        optimum = estimate.optimum
+        levels = optimum.point.levels.copy()
+        velocity = levels[:, 0] - levels[:, 3] - 3 * levels[:, 2]  # logarithm of half its variance
+        levels[:, 2], levels[:, 3] = FAST
+        levels[:, 0] = velocity + levels[:, 3] + 3 * levels[:, 2]
+        levels = np.clip(levels, *level_range(optimum.point.measured).T)
+        start = replace(optimum.point, levels=levels)
+        K = optimum.point.gain.size
+        moving = [bool(optimum.free[k]) for k in range(K)]
+        if id(optimum) not in found:
+            again = maximise_restricted(estimate.records, start, moving, optimum.prior)
+            better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0
+            found[id(optimum)] = again if better else optimum
+    return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
+
+
+def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate | None:
+    """The law with a zero, from the levels of the better of two others; None where it adds nothing to a lag.
+
+    That is where it moves as the lagged law does, or predicts worse.
+    """
+    better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
+    levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
+    led = under_law(replace(plain, optimum=levels), axis, LED, prior_of)
+    if _moves_as_lagged(led):
+        return None
+    errors = [prediction_error(serving, (axis,), one.optimum)[0][0] for one in (led, lagged)]
+    return None if np.isfinite(errors).all() and errors[0] > (1 + ALIKE) * errors[1] else led
+
+
+def _moves_as_lagged(led: Estimate) -> bool:
+    """Whether the zero is none and the poles are real: then damping and lag do the same in a row."""
+    value, k = led.optimum.point.extra_values(led.place), led.place
+    overdamped = 4 * value["lag"] * float(np.exp(led.optimum.point.log_damping[k])) <= 1
+    return overdamped and value["zero"] < NO_ZERO
+
+
+def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
+    """The laws with their weights: each has the same chance before the flight, and its evidence after it."""
+    ended = [one for one in tried if not unfinished(one.optimum, one.place)]
+    plain = _no_worse(plain, ended)
+    if not ended:
+        return Family(plain, (Law(plain, 1.0),))
+    laws = [plain, *ended]
+    share = effective_samples(max(laws, key=lambda one: one.optimum.score.log_likelihood))[1]
+    evidence = np.array([_evidence(one, share) for one in laws])
+    weight = np.exp(evidence - evidence.max())
+    weight[weight < LEAST_WEIGHT * weight.sum()] = 0.0
+    weight /= weight.sum()
+    order = np.argsort(-weight, kind="stable")
+    return Family(plain, tuple(Law(laws[i], float(weight[i])) for i in order if weight[i] > 0))
+
+
+def _evidence(estimate: Estimate, share: float) -> float:
+    """Logarithm of the mean likelihood over what a law's lag and zero may be, by Laplace, one after the other.
+
+    Input, damping and delay belong to every law and are taken at the top. The likelihood counts as that of as many
+    innovations as are independent. A mean is no larger than the top: where a zero and the delay do the same, their
+    spread says nothing.
+
+    Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 4.1.
+    """
+    optimum, k = estimate.optimum, estimate.place
+    extras, values = estimated_extras(optimum, k), optimum.point.extra_values(k)
+    variance = np.diag(inverted(optimum.score.information, optimum.free)) / share
+    spent = 0.0
+    for extra in extras:
+        spread = 0.5 * float(np.log(2 * np.pi * variance[optimum.point.place(extra.name, k)]))
+        spent += min(_log_prior(extra, values[extra.name]) + spread, 0.0)
+    return share * optimum.score.log_likelihood + spent
+
+
+def _log_prior(extra: Extra, value: float) -> float:
+    """Logarithm of the density of a further parameter, in the coordinate of the estimator, before the flight."""
+    if extra.place == LAG:
+        off = np.log(value / LAG_MEDIAN) / LAG_SPREAD
+        return float(-0.5 * off**2 - np.log(LAG_SPREAD * np.sqrt(2 * np.pi)))
+    return -value / ZERO_MEAN - float(np.log(ZERO_MEAN))
+
+
+def _no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
+    """The first-order law climbed again from the levels of a likelier law, where that is higher."""
+    best = max((plain, *others), key=lambda one: one.optimum.score.log_likelihood)
+    if best is plain or plain.optimum.point.gain.size > 1:
+        return plain
+    start = replace(plain.optimum.point, levels=best.optimum.point.levels)
+    again = maximise_restricted(plain.records, start, [True])
+    if again.score.log_likelihood <= plain.optimum.score.log_likelihood:
+        return plain
+    return replace(plain, optimum=again)
+
+
+def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
+    """What is said of an axis where several laws hold: the likeliest, with intervals that hold what all of them say.
+
+    Args:
+        axes: What each law of the family says, in its order.
+        family: The laws.
+        name: Of the axis.
+    """
+    first, *others = axes
+    laws = tuple(told(law, family.plain, name) for law in family.laws)
+    share = _lag_share(family.laws[0].estimate)
+    if not others:
+        return replace(first, laws=laws, lag_prior=share)
+    ci95 = {
+        key: _union([ends, *(other.ci95[key] for other in others if key in other.ci95)])
+        for key, ends in first.ci95.items()
+    }
+    extras = estimated_extras(family.laws[0].estimate.optimum, family.laws[0].estimate.place)
+    status = statuses(ci95) | {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras}
+    apart = {key for key in COEFFICIENTS if any(_apart(first.ci95[key], other.ci95[key]) for other in others)}
+    unknown = {key for key, said in status.items() if said != "ok"} | apart
+    combinations = {
+        key: Combination(
+            part.value,
+            _union([part.ci95, *(other.combinations[key].ci95 for other in others if key in other.combinations)]),
+        )
+        for key, part in first.combinations.items()
+    }
+    known = {key: None if key in unknown else getattr(first, key) for key in COEFFICIENTS}
+    return replace(
+        first,
+        input=known["input"],
+        damping=known["damping"],
+        delay=known["delay"],
+        ci95=ci95,
+        stderr={key: None if key in unknown else error for key, error in first.stderr.items()},
+        status={
+            key: "not_identifiable" if key in unknown and said == "ok" else said for key, said in first.status.items()
+        },
+        combinations=combinations,
+        extra={key: None if key in unknown else value for key, value in first.extra.items()},
+        laws=laws,
+        lag_prior=share,
+    )
+
+
+def _union(intervals: Sequence[Interval]) -> Interval:
+    """The smallest interval that holds all; an open end stays open."""
+    lows, highs = [low for low, _ in intervals], [high for _, high in intervals]
+    return (
+        None if None in lows else min(low for low in lows if low is not None),
+        None if None in highs else max(high for high in highs if high is not None),
+    )
+
+
+def _apart(one: Interval, other: Interval) -> bool:
+    """Whether two intervals have nothing in common: what is said depends on the law."""
+    (low, high), (least, most) = one, other
+    return (high is not None and least is not None and high < least) or (
+        low is not None and most is not None and low > most
+    )
+
+
+def told(law: Law, plain: Estimate, name: str) -> Weighed:
+    """A law of an axis as the model file tells it.
+
+    Args:
+        law: The law.
+        plain: The first-order law with a delay of the axis.
+        name: Of the axis.
+    """
+    optimum, k = law.estimate.optimum, law.estimate.place
+    found = Axis(None, None, None, {}, {}, {}, predictor=Predictor(0.0, 0.0, 0.0))
+    ((names, covariance),) = covariances((name,), [law.estimate], {name: found}).items()
+    return weighed(
+        structure_at(optimum, k).name,
+        Predictor(
+            input=float(optimum.point.gain[k]),
+            damping=float(np.exp(optimum.point.log_damping[k])),
+            delay=float(optimum.point.delay[k]),
+            extra=optimum.point.extra_values(k),
+        ),
+        [one.partition(".")[2] for one in names],
+        covariance,
+        law.weight,
+        optimum.score.log_likelihood - plain.optimum.score.log_likelihood,
+    )
+
+
+def _lag_share(estimate: Estimate) -> float | None:
+    """Share of the information about the logarithm of the lag that is its prior's."""
+    optimum, k = estimate.optimum, estimate.place
+    lag = next((extra.name for extra in estimated_extras(optimum, k) if extra.place == LAG), None)
+    if lag is None or optimum.prior is None:
+        return None
+    at = optimum.point.place(lag, k)
+    return float(inverted(optimum.score.information, optimum.free)[at, at] / LAG_SPREAD**2)

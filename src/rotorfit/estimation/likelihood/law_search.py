@@ -1,0 +1,196 @@
+"""Starts of a law with a lag: a grid over its delay, damping, lag and zero on thinned records, the best of it climbed.
+
+From the top of the default law alone a climb ends in what is nearest, not in what is best: a loop that overshoots and a
+long lag are both taken for more delay. At fixed delay, damping, lag and zero the motion is linear in all else, so one
+pass tells how good the best input, trim and start are there; records at a third of the rate tell it well enough.
+
+Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973), pp. 413-432 (linear parameters projected out).
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array, Indices
+from rotorfit.core.laws import FIRST_ORDER_DELAY, LAG, ZERO, Structure
+from rotorfit.dynamics.disturbance import distinct_steps
+from rotorfit.estimation.likelihood.axis_estimate import free_of
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.likelihood import inverted, score
+from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
+
+DELAYS = (0.0, 0.08, 0.18, 0.3, 0.45)
+
+DAMPINGS = (0.3, 1.2, 4.0, 12.0)
+
+LAGS = (0.03, 0.1, 0.25, 0.6)
+
+ZEROS = (0.0, 0.1, 0.3)
+"""Nodes of the grid [s, 1/s, s, s]."""
+
+EVERY = 3
+"""Every third block of a record is looked at, which is still ten a second."""
+
+COMMAND_TIME = 0.08
+"""Commands that come closer than this are averaged over it [s]."""
+
+CLIMBED = 4
+"""Nodes that are climbed: the best, but none near a better one."""
+
+APART = (0.06, 0.6, 0.8)
+"""Nodes are near each other within this of the delay [s] and of the logarithms of damping and lag."""
+
+KEPT = 2
+"""Of what they climbed to, so many are starts, but..."""
+
+REJECTED = 10.0
+"""... none whose log-likelihood on the thinned records is less than the best by more than this."""
+
+SHORT = 12
+"""Passes of such a climb."""
+
+
+def law_starts(
+    records: Sequence[Record], point: Point, k: int, structure: Structure, prior: GaussianPrior | None = None
+) -> list[Point]:
+    """Points of a law with a lag on axis k from which to climb, the best first.
+
+    Args:
+        records: The flights.
+        point: Any point of the axes; what it says of axis k gives the sign of the steady gain only.
+        k: Which axis.
+        structure: With a lag, and linear.
+        prior: Of the law's parameters.
+    """
+    coarse = [thinned_record(rec) for rec in records]
+    levels_held = free_of(coarse, [True] * point.gain.size, _at(point, k, structure, (0.1, 1.0, 0.1, 0.0)).structures)
+    levels_held[-point.levels.size :] = False
+    sign = np.sign(point.gain[k])
+    nodes = sorted(
+        (projected(coarse, _at(point, k, structure, node), k, prior) for node in _grid(structure)),
+        key=lambda one: -one[0],
+    )
+    climbed: list[tuple[float, Point]] = []
+    for node in _spread([there for _, there in nodes if np.sign(there.gain[k]) == sign or not sign], k)[:CLIMBED]:
+        top = maximise(coarse, node, levels_held, tolerance=0.3, most=SHORT, prior=prior)
+        climbed.append((top.score.objective, swapped(top.point, k) or top.point))
+    climbed.sort(key=lambda one: -one[0])
+    return _spread([there for value, there in climbed if value > climbed[0][0] - REJECTED], k)[:KEPT]
+
+
+def swapped(point: Point, k: int) -> Point | None:
+    """The same motion of axis k with the faster pole as its lag; None where it is already.
+
+    A lag on the input and the damping are two poles in a row: no motion tells which is which. The lag is the faster.
+    """
+    structure = point.structures[k] if point.structures else FIRST_ORDER_DELAY
+    if structure.order != 1:
+        return None
+    e = next(e for e, one in enumerate(structure.extras) if one.place == LAG)
+    if point.extra[e, k] + point.log_damping[k] <= 0:
+        return None
+    gain, log_damping, extra = point.gain.copy(), point.log_damping.copy(), point.extra.copy()
+    log_damping[k], extra[e, k] = -extra[e, k], -log_damping[k]
+    gain[k] *= np.exp(log_damping[k] + extra[e, k])
+    other = replace(point, gain=gain, log_damping=log_damping, extra=extra)
+    return other.with_flat(np.clip(other.flat(), *other.bounds()))
+
+
+def _grid(structure: Structure) -> Iterable[tuple[float, ...]]:
+    zeros = ZEROS if any(extra.place == ZERO for extra in structure.extras) else (0.0,)
+    nodes = itertools.product(DELAYS if structure.delayed else (0.0,), DAMPINGS, LAGS, zeros)
+    return (node for node in nodes if structure.order != 1 or node[1] * node[2] <= 1)
+
+
+def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Point:
+    """The point with axis k at a node of the grid: delay, damping, lag and zero."""
+    delay, damping, lag, zero = node
+    K = point.gain.size
+    gain, log_damping, delays = point.gain.copy(), point.log_damping.copy(), point.delay.copy()
+    log_damping[k], delays[k] = np.log(damping), delay
+    gain[k] *= damping / np.exp(point.log_damping[k])
+    extra = np.zeros((max(len(point.extra), len(structure.extras)), K))
+    extra[: len(point.extra)] = point.extra if point.extra.size else 0.0
+    for e, one in enumerate(structure.extras):
+        extra[e, k] = one.coordinate(lag if one.place == LAG else zero)
+    laws = list(point.structures or (FIRST_ORDER_DELAY,) * K)
+    laws[k] = structure
+    return replace(point, gain=gain, log_damping=log_damping, delay=delays, extra=extra, structures=tuple(laws))
+
+
+def projected(records: Sequence[Record], point: Point, k: int, prior: GaussianPrior | None) -> tuple[float, Point]:
+    """The best objective over the input of axis k, trims and starts, and the point with them."""
+    here = with_prior(score(records, point), point, prior)
+    linear = np.zeros(point.flat().size, bool)
+    linear[k] = True
+    linear[point.coefficients : point.n] = True
+    step = inverted(here.information, linear) @ here.gradient
+    return here.objective + 0.5 * float(step @ here.gradient), point.with_flat(point.flat() + step)
+
+
+def _spread(points: Sequence[Point], k: int) -> list[Point]:
+    """The points, without those that are near an earlier one on axis k."""
+    kept: list[Point] = []
+    for point in points:
+        here = _coordinates(point, k)
+        if all((np.abs(here - _coordinates(other, k)) > APART).any() for other in kept):
+            kept.append(point)
+    return kept
+
+
+def _coordinates(point: Point, k: int) -> Array:
+    lag = next(e for e, one in enumerate(point.structures[k].extras) if one.place == LAG)
+    return np.array([point.delay[k], point.log_damping[k], point.extra[lag, k]])
+
+
+def thinned_record(rec: Record) -> Record:
+    """Every third block, seen at its mean stamp, under commands averaged where they are dense.
+
+    A record of velocities is left as it is.
+    """
+    if rec.rate is not None:
+        return rec
+    segment = np.cumsum(rec.fresh) - 1
+    place = np.arange(rec.count.size) - np.flatnonzero(rec.fresh)[segment]
+    keep = np.flatnonzero(place % EVERY == 0)
+    sizes = np.bincount(segment[keep])
+    ends = np.cumsum(sizes)
+    time = rec.block_time[keep]
+    steps, step = distinct_steps(time)
+    command_time, command, command_range = _thinned_commands(rec)
+    return replace(
+        rec,
+        pose_range=np.column_stack([ends - sizes, ends]),
+        command_range=command_range,
+        pose_time=time,
+        yaw=rec.block_yaw[keep],
+        block=np.arange(keep.size),
+        count=rec.count[keep],
+        block_time=time,
+        steps=steps,
+        step=step,
+        block_yaw=rec.block_yaw[keep],
+        position=rec.position[keep],
+        fresh=rec.fresh[keep],
+        command_time=command_time,
+        command=command,
+        size=np.ones(keep.size),
+    )
+
+
+def _thinned_commands(rec: Record) -> tuple[Array, Array, Indices]:
+    """Stamps, commands and the range of each segment, the mean over `COMMAND_TIME` in place of what comes closer."""
+    times, values, ranges, n = [], [], [], 0
+    for first, last in rec.command_range:
+        time, value = rec.command_time[first:last], rec.command[first:last]
+        _, begin = np.unique(np.floor((time - time[0]) / COMMAND_TIME), return_index=True)
+        held = np.diff(time, append=time[-1:] + COMMAND_TIME)[:, None]
+        values.append(np.add.reduceat(value * held, begin) / np.add.reduceat(held, begin))
+        times.append(time[begin])
+        ranges.append((n, n + begin.size))
+        n += begin.size
+    return np.concatenate(times), np.ascontiguousarray(np.concatenate(values)), np.array(ranges, np.int64)

@@ -1,0 +1,215 @@
+"""Whether a vehicle obeys another law while its command is zero: it brakes, or holds its place, as many do.
+
+The innovations of the fit are asked for a damping that acts only while the command is zero. Its effect on the pose is
+simulated: the velocity that the commands alone would give, times minus one while the command is zero, is an
+acceleration, and the linear law makes a position of it. It goes through the filter of the likelihood as the pose does.
+What any linear law could do instead (every coefficient, trim, start, and the commands of the second before, each with a
+weight of its own) is taken off first, so a lag that the law leaves out does not pass for braking.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.finding import Finding
+from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
+from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.core.results import Braking
+from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.likelihood import response, segments, whiten
+
+ZERO = 0.02
+"""Share of the largest command up to which a command is zero."""
+
+SHORTEST = 0.2
+"""Time for which it must stay so [s]: sines pass through zero."""
+
+LEAST_SHARE = 0.03
+"""Share of the flight that commands of zero, and others, must take."""
+
+STEP = 0.01
+"""Step of the simulation [s]."""
+
+LAGS = tuple(0.1 * j for j in range(11))
+"""Ages of the commands that a linear law may weigh as it likes [s]."""
+
+TOLD_APART = 1e-6
+"""Share of the largest singular value below which what a linear law could do is a copy of the rest."""
+
+
+def braking(estimate: Estimate) -> Braking | None:
+    """Tests whether an axis is damped otherwise while its command is zero.
+
+    Args:
+        estimate: Of the axis, alone or x with y.
+
+    Returns:
+        The test; None where the command is hardly ever, or hardly ever not, zero, or a linear law can do the same.
+
+    Source: the score test of an added parameter, C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948), pp. 50-57; the variance
+    of the score as in `long_run`.
+    """
+    k, optimum = estimate.place, estimate.optimum
+    if not estimate.excited:
+        return None
+    zero = np.concatenate([_at_zero(rec, k, rec.block_time - optimum.point.delay[k]) for rec in estimate.records])
+    share = float(np.mean(zero))
+    if not LEAST_SHARE < share < 1 - LEAST_SHARE:
+        return None
+    parts = [
+        _freed(rec, estimate, flight, rows)
+        for flight, (rec, rows) in enumerate(zip(estimate.records, segments(estimate.records), strict=True))
+    ]
+    column, left = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    power = float(column @ column)
+    if not power > 0:
+        return None
+    scores = column * left
+    count = frequencies(scores.size)
+    spread = float(np.sqrt(variance_of_mean(scores[:, None], count)[0, 0]))
+    if not spread > 0:
+        return None
+    ratio = float(np.mean(scores)) / spread
+    further = float(scores.sum()) / power
+    damping, delay = float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
+    error = abs(further / ratio) if ratio else np.inf
+    return Braking(further, error, two_sided(ratio, count), share, damping, delay)
+
+
+def _at_zero(rec: Record, k: int, time: Array) -> Mask:
+    """Whether the command of axis k is zero, and stays so for a while about each of some times."""
+    zero = _zero(rec.command_time, rec.command[:, k])
+    return np.asarray(zero[np.maximum(np.searchsorted(rec.command_time, time, side="right") - 1, 0)])
+
+
+def _zero(stamps: Array, command: Array) -> Mask:
+    """Which commands are zero, and stay so for a while, shape (M,)."""
+    zero = np.abs(command) <= ZERO * np.max(np.abs(command), initial=0.0)
+    edges = np.flatnonzero(np.diff(zero.astype(np.int8))) + 1
+    for first, last in zip([0, *edges], [*edges, zero.size], strict=True):
+        end = stamps[last] if last < zero.size else stamps[-1]
+        if zero[first] and end - stamps[first] < SHORTEST:
+            zero[first:last] = False
+    return np.asarray(zero)
+
+
+def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[Array, Array]:
+    """What braking adds to the innovations of one flight, and the innovations, both less what a linear law explains."""
+    k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
+    start = point.start[rows]
+    known = response(rec, point, flight, start)[1]
+    columns = np.concatenate([known, _positions(rec, estimate, start)], axis=1)
+    white = whiten(rec, np.ascontiguousarray(columns), point.levels)[0][:, :, k]
+    segment, places = np.cumsum(rec.fresh), np.arange(known.shape[1] - K, known.shape[1])
+    starts = [white[:, places] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
+    nuisance = np.hstack([np.delete(white, [*places, -1], axis=1), *starts])
+    size = np.sqrt(np.sum(nuisance**2, axis=0))
+    basis = np.linalg.svd(nuisance[:, size > 0] / size[size > 0], full_matrices=False)
+    free = basis[0][:, basis[1] > TOLD_APART * basis[1][0]]
+    own, e = white[:, -1], estimate.optimum.score.innovations[flight][:, k]
+    return own - free @ (free.T @ own), e - free @ (free.T @ e)
+
+
+def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
+    """Positions of the blocks under accelerations of axis k: its past commands, damping, braking; (B, C, K), world."""
+    k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
+    samples = np.zeros((rec.pose_time.size, len(LAGS) + 2, K))
+    for number, (first, last) in enumerate(rec.pose_range):
+        c0, c1 = rec.command_range[number]
+        stamps, command = rec.command_time[c0:c1], rec.command[c0:c1]
+        time = np.arange(rec.starts[number], rec.pose_time[last - 1] + 2 * STEP, STEP)
+        held = [command[np.maximum(np.searchsorted(stamps, time - age, side="right") - 1, 0), k] for age in LAGS]
+        yaw = np.interp(time, rec.pose_time[first:last], rec.yaw[first:last]) if K == 2 else np.zeros(time.size)
+        delayed = [np.maximum(np.searchsorted(stamps, time - tau, side="right") - 1, 0) for tau in point.delay]
+        pull = np.stack([point.gain[j] * command[delayed[j], j] for j in range(K)], axis=1)
+        velocity = _moved(pull[:, None], np.exp(point.log_damping), yaw, start[number])[1][:, 0]
+        along = heading_from_world(velocity, yaw)[:, k] if K == 2 else velocity[:, 0]
+        braked = -along * _at_zero(rec, k, time - point.delay[k])
+        each = np.zeros((time.size, len(LAGS) + 2, K))
+        each[:, :, k] = np.stack([*held, -along, braked], axis=1)
+        position = _moved(each, np.exp(point.log_damping), yaw, np.zeros(K))[0]
+        at = (rec.pose_time[first:last] - time[0]) / STEP
+        before = np.minimum(at.astype(np.int64), time.size - 2)
+        part = (at - before)[:, None, None]
+        samples[first:last] = position[before] * (1 - part) + position[before + 1] * part
+    flat = samples.reshape(len(samples), -1)
+    groups = np.stack([np.bincount(rec.block, column) for column in flat.T], axis=1) * rec.weight[:, None]
+    return np.ascontiguousarray(rec.observed(groups).reshape(-1, len(LAGS) + 2, K))
+
+
+def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array, Array]:
+    """World positions and velocities under accelerations in the heading frame (T, C, K) and linear damping.
+
+    Second order in the step: the position by the trapezoid, the velocity by damping that is exact where yaw is held.
+    """
+    T, C, K = pull.shape
+    velocity, v = np.empty((T, C, K)), np.tile(start, (C, 1))
+    kept = np.exp(-damping * STEP)
+    gained = -np.expm1(-damping * STEP) / damping
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2) if K == 2 else None
+    for n in range(T):
+        velocity[n] = v
+        along = v if turn is None else v @ turn[n]
+        v = along * kept + pull[n] * gained
+        v = v if turn is None else v @ turn[n].T
+    position = np.zeros_like(velocity)
+    position[1:] = np.cumsum(0.5 * STEP * (velocity[1:] + velocity[:-1]), axis=0)
+    return position, velocity
+
+
+def commanded_parts(flight: Flight, axis: str, delay: float) -> Flight:
+    """The flight with those segments only in which an axis is commanded: where one law holds.
+
+    Each begins so long before the command leaves zero that the likelihood, which needs the commands of the longest
+    delay before it looks at a pose, sees the answer to that first command, and of the braking before it no more than
+    half of the delay; and it ends with the last command before zero.
+
+    Args:
+        flight: Any.
+        axis: Which.
+        delay: About how late the axis answers [s].
+    """
+    k = AXES.index(axis)
+    time, zero = flight.command_time, _zero(flight.command_time, flight.command[:, k])
+    parts: list[Segment] = []
+    for whole in flight.segments:
+        first, last = np.searchsorted(time, [whole.start, whole.end])
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], zero[first:last], [True]]).astype(np.int8))) + first
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            before = parts[-1].end if parts else whole.start
+            start = max(float(time[begin]) - DELAY_RANGE[1] + max(0.5 * delay, 0.0), before, whole.start)
+            stop = float(time[end]) if end < last else whole.end
+            if stop - start > DELAY_RANGE[1] + SHORTEST:
+                parts.append(Segment(start, stop))
+    return replace(flight, segments=tuple(parts))
+
+
+def findings_of_braking(axis: str, found: Braking, time: float, whole: float) -> Iterator[Finding]:
+    """The finding that an axis brakes while its command is zero.
+
+    Args:
+        axis: Name.
+        found: The test, on the whole flights.
+        time: Of the parts that the axis was fitted to [s]; the whole where these told nothing.
+        whole: Of the flights [s].
+    """
+    apart = time < whole
+    yield Finding(
+        "brakes_at_zero",
+        "warning" if apart else "error",
+        f"while the command of {axis} is zero, {100 * found.share:.0f} % of the time, a damping of {found.further:.2g} "
+        f"+- {1.96 * found.error:.1g} 1/s acts beside that of the law, by one linearised step "
+        f"(p = {found.probability:.1g}); no linear law does that",
+        f"{axis} was fitted to the {time:.0f} of {whole:.0f} s in which it is commanded, and the model is of these "
+        "only: where nothing is asked of it the vehicle brakes of itself"
+        if apart
+        else f"the coefficients of {axis} are a mean of two laws and fit neither, and the parts under commands are too "
+        "short to tell one of them",
+        f"fly {axis} with commands that do not rest at zero: sines, or steps from one speed to another",
+        axis,
+    )

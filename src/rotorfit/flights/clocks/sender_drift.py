@@ -1,0 +1,225 @@
+"""Log + Card -> the same log, its stamps freed from what their clock drifts and steps against the recorder's.
+
+A message that a sender stamped s arrives at a by the recorder's clock. It travels forward in time only, so
+
+    a - s = error of the clock + travel,    travel >= 0
+
+and the error lies on or below all of a - s: on their lower envelope, but for the time of the fastest messages. A clock
+runs at one rate, which a slow change of temperature bends a little: the envelope is the line below all points, lifted
+by what bends no faster than `BEND`, so that a stretch in which everything is late lifts it hardly. A step of the clock
+shows in the stamps, which jump, while the messages go on arriving as before; that of a route shows in the arrivals.
+
+What the clock is wrong by in the mean, arrivals tell only from one side: messages do not arrive before they are sent.
+So the clock is taken to be right where it is least behind the arrivals, and moved if even there it is ahead of them.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card, Channel
+from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import Array, Indices
+from rotorfit.core.log import Log
+from rotorfit.flights.clocks.motion_signals import attitude_clock, velocity_clock
+from rotorfit.flights.columns import table_of
+from rotorfit.flights.other_tables import sample_rows
+from rotorfit.flights.stamps import MISSING_STAMP, Stamps, stamps_of
+
+FEWEST = 100
+"""Messages below which nothing is told from their arrivals."""
+
+BLOCKS = 10
+"""Parts of the recording whose early arrivals are compared."""
+
+EARLY = 0.05
+"""Quantile of the travel that counts as early: one message alone may be an accident."""
+
+SIGMAS = 8.0
+"""Standard errors by which the early arrivals must drift, part by part: a route that becomes slower once reaches 5."""
+
+LEAST_GROWTH = 0.002
+"""Growth over the recording that is left alone [s]: in the mean it is half of it, below the error of most delays."""
+
+LEAST_STEP = 0.02
+"""Step of a clock that is looked for [s]; daemons slew what is smaller."""
+
+AROUND = 2.0
+"""Time before and after a step in which its size is measured [s]."""
+
+BEND = 1e-4
+"""Change of a clock's rate that is believed, as that of a crystal which warms up."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a clock was wrong by against the recorder's.
+
+    Attributes:
+        error: To be added to each stamp, shape (N,) [s].
+        drift: Growth of the error a second, between the steps.
+        steps: Sizes of the steps in order [s].
+        half_width: Half of the 95 % interval of what stays unknown [s].
+    """
+
+    error: Array
+    drift: float
+    steps: tuple[float, ...]
+    half_width: float
+
+
+def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...], float]:
+    """Takes drift and steps off the stamps of commands, poses and the vehicle's own motion.
+
+    Only stamps of senders (`header.stamp`) with arrivals (`log_time`) beside them are looked at, of one file.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+
+    Returns:
+        The log, its clocks `retimed` where one was wrong; what was done; and half of the 95 % interval that stays
+        unknown between commands and poses [s], 0 where nothing was done.
+
+    Raises:
+        CardError: A column is not there.
+    """
+    if log.file_of:
+        return log, (), 0.0
+    filled = set(log.retimed)
+    notes: list[Note] = []
+    unknown = 0.0
+    for what, time, channels in _streams(card):
+        table, name = table_of(log, str(time.source))
+        if name != "header.stamp" or "log_time" not in table.columns or (table.name, name) in filled:
+            continue
+        stamps = stamps_of(log, time)
+        arrivals = stamps_of(log, Channel(f"{str(time.source).removesuffix(name)}log_time"))
+        rows = np.flatnonzero(
+            (stamps != MISSING_STAMP) & (arrivals != MISSING_STAMP) & sample_rows(log, time, channels)
+        )
+        found = correction(stamps[rows], arrivals[rows])
+        if found is None:
+            continue
+        moved = stamps.copy()
+        moved[rows] += np.round(found.error * 1e9).astype(np.int64)
+        log = replace(log, retimed={**log.retimed, (table.name, name): moved})
+        notes.append(Note(f"{what}_clock_corrected", _told(what, found), int(rows.size)))
+        if what in ("command", "pose"):
+            unknown = float(np.hypot(unknown, found.half_width))
+    return log, tuple(notes), unknown
+
+
+def correction(stamps: Stamps, arrivals: Stamps) -> Correction | None:
+    """What a sender's clock is wrong by against the recorder's.
+
+    Args:
+        stamps: By the sender, shape (N,) [ns].
+        arrivals: By the recorder, shape (N,) [ns].
+
+    Returns:
+        The correction; None where the clock neither drifts nor steps beyond what late messages feign.
+
+    Source: the envelope as a line: S. B. Moon, P. Skelly, D. Towsley, Estimation and removal of clock skew from network
+    delay measurements, INFOCOM 1999, pp. 227-234.
+    """
+    if stamps.size < FEWEST or np.any(np.diff(arrivals) < 0):
+        return None
+    time, late = (arrivals - arrivals[0]) / 1e9, (arrivals - stamps) / 1e9
+    if not time[-1] > 2 * AROUND:
+        return None
+    base, late = float(np.median(late)), late - float(np.median(late))  # small numbers beside a clock of another epoch
+    at, sizes = _steps(time, stamps, arrivals, late)
+    stepped = np.concatenate([[0.0], np.cumsum(sizes)])[np.searchsorted(at, np.arange(late.size), side="right")]
+    start, drift = _line_below(time, late - stepped)
+    if not _drifts(time, late - stepped, drift):
+        if not sizes.size:
+            return None
+        drift = 0.0
+        start = float(np.min(late - stepped))
+    line = start + drift * time
+    bend = _bent_below(time, late - stepped - line)
+    error = stepped + line + bend
+    travel = late - error
+    fastest = np.array([part.min() for part in np.array_split(travel, BLOCKS)])
+    half_width = float(np.hypot(np.quantile(fastest, 0.95), np.median(travel)))
+    right = max(base + float(np.min(error)), 0.0) - base
+    return Correction(error - right, drift, tuple(sizes.tolist()), half_width)
+
+
+def _streams(card: Card) -> Iterator[tuple[str, Channel, Mapping[str, Channel]]]:
+    """The streams of a card with clocks that senders may have stamped."""
+    yield "command", card.command_time, card.command
+    yield "pose", card.pose_time, card.pose
+    if any(isinstance(channel.source, str) for channel in card.velocity.values()):
+        yield "velocity", velocity_clock(card), card.velocity
+    if card.attitude:
+        yield "attitude", attitude_clock(card), card.attitude
+
+
+def _steps(time: Array, stamps: Stamps, arrivals: Stamps, late: Array) -> tuple[Indices, Array]:
+    """Steps of the sender's clock: the first message after each, and their sizes [s].
+
+    The stamps jump, the arrivals do not, and the difference stays.
+    """
+    sent, came = np.diff(stamps) / 1e9, np.diff(arrivals) / 1e9
+    jump, jolt = np.abs(sent - np.median(sent)), np.abs(came - np.median(came))
+    found: list[tuple[int, float]] = []
+    for i in (np.flatnonzero((jump > LEAST_STEP) & (jolt < 0.5 * jump)) + 1).tolist():
+        before = late[(time >= time[i - 1] - AROUND) & (np.arange(time.size) < i)]
+        after = late[(time <= time[i] + AROUND) & (np.arange(time.size) >= i)]
+        size = float(np.quantile(after, EARLY) - np.quantile(before, EARLY))
+        if min(before.size, after.size) > 4 and abs(size) > LEAST_STEP and abs(size + sent[i - 1]) < 0.5 * abs(size):
+            found.append((i, size))
+    return np.array([i for i, _ in found], dtype=np.int64), np.array([size for _, size in found])
+
+
+def _line_below(time: Array, late: Array) -> tuple[float, float]:
+    """Height at 0 and slope of the line below all points that is nearest to them in the mean.
+
+    It is the edge of the lower convex hull above the mean time.
+    """
+    hull: list[int] = []
+    for k in range(time.size):
+        while len(hull) > 1:
+            i, j = hull[-2:]
+            if (late[j] - late[i]) * (time[k] - time[i]) < (late[k] - late[i]) * (time[j] - time[i]):
+                break
+            hull.pop()
+        hull.append(k)
+    right = min(max(1, int(np.searchsorted(time[hull], np.mean(time)))), len(hull) - 1)
+    i, j = hull[right - 1], hull[right]
+    slope = float((late[j] - late[i]) / (time[j] - time[i]))
+    return float(late[i]) - slope * float(time[i]), slope
+
+
+def _drifts(time: Array, late: Array, drift: float) -> bool:
+    """Whether the early messages of the parts of a recording drift, too: chance moves the ends of an envelope."""
+    early = np.array([np.quantile(part, EARLY) for part in np.array_split(late, BLOCKS)])
+    middle = np.array([np.mean(part) for part in np.array_split(time, BLOCKS)])
+    x = middle - middle.mean()
+    slope = float(x @ early / (x @ x))
+    rest = early - early.mean() - slope * x
+    error = float(np.sqrt(rest @ rest / (BLOCKS - 2) / (x @ x)))
+    length = float(time[-1])
+    return min(slope * np.sign(drift), abs(drift)) * length > LEAST_GROWTH and abs(slope) > SIGMAS * error
+
+
+def _bent_below(time: Array, late: Array) -> Array:
+    """The highest function below all points that changes by no more than `BEND` a second, shape (N,)."""
+    forward = np.minimum.accumulate(late - BEND * time) + BEND * time
+    backward = np.minimum.accumulate((late + BEND * time)[::-1])[::-1] - BEND * time
+    return np.asarray(np.minimum(forward, backward))
+
+
+def _told(what: str, found: Correction) -> str:
+    """What was done, in a sentence."""
+    parts = [f"drifts by {1e6 * found.drift:+.0f} us/s"] if found.drift else []
+    parts += [f"{'steps' if n == 0 else 'and'} by {1e3 * size:+.0f} ms" for n, size in enumerate(found.steps)]
+    mean, most = 1e3 * float(np.mean(found.error)), 1e3 * float(np.ptp(found.error))
+    return (
+        f"the clock of {found.error.size} {what}s {', '.join(parts)} against the recorder's, by the earliest arrivals: "
+        f"taken off, {mean:+.1f} ms in the mean and {most:.1f} ms from least to most, known to +-"
+        f"{1e3 * found.half_width:.1f} ms"
+    )

@@ -1,0 +1,232 @@
+"""How long a command acts when none follows: told by the motion of the vehicle through the gaps of its commands.
+
+A stream with gaps leaves open what acted in them: the last command (the vehicle keeps it, or the loop sent what nobody
+logged), or none (its time-out brought it to hover). The answer of a first-order vehicle to the one is that to the other
+and a share of what only the kept commands do, a share of 1 or 0, and regression of the motion on both gives it:
+
+    velocity = g (answer to the ended commands + share (answer to the kept ones - answer to the ended ones)) + slow rest
+
+Gaps are judged from the short to the long. A long gap is bridged only if the motion speaks for it, a short one unless
+it speaks against it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.display import counted
+from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.log import Log
+from rotorfit.flights.clocks.lag_search import GriddedMotion
+from rotorfit.flights.clocks.motion_signals import ANSWER_STEP, DAMPINGS, HALF_WIDTH, answers, motion_column, seen_by
+from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, Mask, median_period
+from rotorfit.flights.streams import Stream, commands_of
+
+SHORT = 0.25
+"""Gaps up to this are bridged unless the motion speaks against it [s]: time-outs of autopilots are longer (Crazyflie
+and PX4 0.5 s, ArduPilot 3 s, Parrot and Tello none to speak of), and a segment costs 0.6 s at its start."""
+
+LONGEST = 10.0
+"""Gaps beyond this are not asked about [s]: what happened in them is another flight."""
+
+SIGMAS = 1.96
+"""Standard errors by which the share must pass a half."""
+
+WORST = 0.3
+"""Standard error beyond which the motion says nothing."""
+
+DELAYS = (-0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
+"""How late the answer may be [s]."""
+
+EVERY = 0.1
+"""Steps over which the velocity is compared [s]: gusts change it little meanwhile, and commands much."""
+
+FILLED = 0.6
+"""Share of the usual poses that the window of a velocity must hold: in a hole of the poses it is made up."""
+
+TOGETHER = 1.0
+"""Errors within this time may go together [s]."""
+
+FASTEST = 1e3
+"""Velocities beyond this are no motion [m/s or rad/s]."""
+
+MEANINGLESS = 1e100
+"""Answers beyond this are of commands that are no commands."""
+
+ENDLESS = 1e9
+"""A hold [s] that nothing outlasts but what closes the commands."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """How much of the held command the vehicle followed through some gaps: 1 if it was kept, 0 if it ended."""
+
+    value: float
+    error: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it tells the one from the other."""
+        return self.error < WORST and abs(self.value - 0.5) > SIGMAS * self.error
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Gaps of about one length: which of the commands they follow (N,), the longest [s], what the motion says."""
+
+    gap: Mask
+    longest: float
+    share: Share | None
+    kept: bool
+
+
+def with_judged_hold(log: Log, card: Card, commands: Stream, axes: tuple[str, ...], poses: Stream) -> Stream:
+    """The commands with the hold that the motion of the vehicle tells, and a note that says why.
+
+    Where the card states a hold, or no step between the commands is longer than three median periods, nothing changes.
+
+    Args:
+        log: As recorded.
+        card: Which column is what.
+        commands: With the default hold of three median periods.
+        axes: The commanded ones.
+        poses: Fresh, in order.
+    """
+    period = median_period(commands.stamps)
+    if card.hold is not None or period is None:
+        return commands
+    endless = commands_of(log, replace(card, hold=ENDLESS))[0]
+    steps = np.diff(endless.stamps)
+    timed_out = endless.until[:-1] >= endless.stamps[1:]  # nothing but time has ended the command
+    gaps = np.append(timed_out & (steps > (GAP_PERIODS + GAP_TOLERANCE) * period) & (steps <= LONGEST * 1e9), False)
+    if not np.any(gaps):
+        return commands
+    levels = _judged(endless, gaps, GAP_PERIODS * period, axes, card.command_frame == "world", poses)
+    longest = max((level.longest for level in levels if level.kept), default=0.0)
+    hold = max(GAP_PERIODS * period / 1e9, longest)
+    held = commands_of(log, replace(card, hold=hold))[0] if longest else commands
+    count = int(np.sum(gaps))
+    note = Note("hold_judged", _told(levels, hold, f"{counted(count, 'gap')} longer than three median periods"), count)
+    return replace(held, notes=(*held.notes, note))
+
+
+def _judged(commands: Stream, gaps: Mask, hold: int, axes: tuple[str, ...], world: bool, poses: Stream) -> list[_Level]:
+    """The gaps by length, the short ones first, until some are not kept."""
+    length = np.append(np.diff(commands.stamps), 0) / 1e9
+    seen, base = well_seen(poses), (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9
+    moving = tuple(axis for axis in axes if np.ptp(commands.values[:, AXES.index(axis)]) > 0)
+    levels: list[_Level] = []
+    kept, limit = np.zeros_like(gaps), SHORT
+    while np.any(gaps & ~kept):
+        new = gaps & ~kept & (length <= limit)
+        if np.any(new):
+            ended, followed = (answers(_ended(commands, gaps & ~some, hold)) for some in (kept, kept | new))
+            share = _share(seen, base, ended, followed, moving, world)
+            told = share is not None and share.known
+            good = bool(share and share.value > 0.5) if told else limit == SHORT
+            levels.append(_Level(new, float(length[new].max()), share, good))
+            if not good:
+                break
+            kept = kept | new
+        limit *= 2
+    return levels
+
+
+def well_seen(poses: Stream) -> GriddedMotion:
+    """The motion, known where its poses have no hole."""
+    seen, time = seen_by(poses), (poses.stamps - poses.stamps[0]) / 1e9
+    grid = seen.start + seen.step * np.arange(seen.valid.size)
+    count = np.diff(np.searchsorted(time, [grid - HALF_WIDTH, grid + HALF_WIDTH]), axis=0)[0]
+    usual = 2 * HALF_WIDTH / float(np.median(np.diff(time)))
+    return replace(seen, valid=seen.valid & (count >= FILLED * usual))
+
+
+def _ended(commands: Stream, gaps: Mask, hold: int) -> Stream:
+    """The commands with a command of zero where each of these gaps begins, every one acting until the next."""
+    stamps = np.concatenate([commands.stamps, commands.stamps[gaps] + hold])
+    values: Array = np.concatenate([commands.values, np.zeros((int(np.sum(gaps)), len(AXES)))])
+    order = np.argsort(stamps, kind="stable")
+    stamps = stamps[order]
+    return replace(commands, stamps=stamps, values=values[order], until=np.append(stamps[1:], stamps[-1] + hold))
+
+
+def _share(
+    seen: GriddedMotion, base: float, ended: GriddedMotion, followed: GriddedMotion, axes: tuple[str, ...], world: bool
+) -> Share | None:
+    """The share of all axes together; None where the motion does not tell any.
+
+    Args:
+        seen: The motion.
+        base: First pose after the first command [s].
+        ended: Answers to the commands with the gaps ended.
+        followed: Answers with them kept.
+        axes: That move.
+        world: Whether commands are along the axes of the world.
+    """
+    row = np.flatnonzero(seen.valid)
+    every = max(1, round(EVERY / seen.step))
+    if row.size <= 2 * every:
+        return None
+    row = row[::every]
+    time: Array = base + seen.step * row.astype(np.float64)
+    found = []
+    for axis in axes:
+        velocity = seen.value[row, motion_column(axis, world)]
+        if not np.ptp(velocity):
+            continue
+        fits = [
+            _regressed(time, velocity, ended.value[:, k], followed.value[: len(ended.value), k], delay)
+            for k in AXES.index(axis) * len(DAMPINGS) + np.arange(len(DAMPINGS))
+            for delay in DELAYS
+        ]
+        left = [fit for fit in fits if fit is not None]
+        if left:
+            found.append(min(left, key=lambda fit: fit[0])[1])
+    weights = np.array([1 / share.error**2 for share in found])
+    if not found:
+        return None
+    value = float(weights @ [share.value for share in found] / weights.sum())
+    return Share(value, float(1 / np.sqrt(weights.sum())))
+
+
+def _regressed(time: Array, velocity: Array, ended: Array, followed: Array, delay: float) -> tuple[float, Share] | None:
+    """Changes of a velocity on those of two answers: the sum of squares left, and the share; None where it has none.
+
+    Source: standard errors clustered by time, K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), pp. 13-22.
+    """
+    if not np.abs(velocity).max() < FASTEST:
+        return None
+    clock = ANSWER_STEP * np.arange(len(ended))
+    both = [np.interp(time - delay, clock, part) for part in (ended, followed - ended)]
+    X = np.column_stack([np.ones(time.size - 1), *(np.diff(part) for part in both)])
+    y = np.diff(velocity)
+    if not np.abs(X).max() < MEANINGLESS:
+        return None
+    gram = X.T @ X
+    if not np.all(np.isfinite(gram)) or np.linalg.matrix_rank(gram) < 3:
+        return None
+    theta = np.linalg.solve(gram, X.T @ y)
+    rest = y - X @ theta
+    group = np.floor((time[1:] - time[0]) / TOGETHER).astype(np.int64)
+    scores = np.column_stack([np.bincount(group, column) for column in (X * rest[:, None]).T])
+    inverse = np.linalg.inv(gram)
+    _, whole, part = theta
+    slope = inverse @ [0.0, -part / whole**2, 1 / whole]
+    alike = float(rest @ rest) / max(y.size - 3, 1)  # few gaps are few clusters: then the variance of all is asked
+    error = float(np.sqrt(max(slope @ (scores.T @ scores) @ slope, alike * (slope @ gram @ slope))))
+    return (float(rest @ rest), Share(float(part / whole), error)) if np.isfinite(error) and error > 0 else None
+
+
+def _told(levels: list[_Level], hold: float, found: str) -> str:
+    """Which gaps were bridged, and why, in a sentence."""
+    parts = []
+    for level in levels:
+        what = f"{counted(int(np.sum(level.gap)), 'gap')} of up to {level.longest:.3f} s"
+        if level.share and level.share.known:
+            why = f"the vehicle followed {level.share.value:.2f} +- {SIGMAS * level.share.error:.2f} of it"
+        else:
+            why = f"the motion does not tell{', and vehicles do not give up so soon' if level.kept else ''}"
+        parts.append(f"through {what} the last command {'acts on' if level.kept else 'is not taken to act'}: {why}")
+    return f"{found}: a command is held for {hold:.3f} s at most; {'; '.join(parts)}"

@@ -1,0 +1,57 @@
+"""Whether flights are different flights: the same poses twice would count as twice the evidence."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorfit.core.errors import FlightError
+from rotorfit.core.flight_data import Flight
+
+RUN = 20
+"""Poses in a row that no two flights share by chance, all their digits."""
+
+CHANGES = 10
+"""How many of them must differ from each other: a vehicle that stands still looks like another."""
+
+LEAST = 1.0
+"""Time that two flights must share to be refused [s]: parts of one log may touch."""
+
+
+def check_distinct(flights: Sequence[Flight]) -> None:
+    """Refuses flights that share a stretch of their poses, whatever their files are called.
+
+    Args:
+        flights: Read with one card.
+
+    Raises:
+        FlightError: Two of them are the same, or overlap.
+    """
+    seen: dict[bytes, int] = {}
+    for number, flight in enumerate(flights):
+        rows = np.ascontiguousarray(np.column_stack([flight.position, flight.yaw]))
+        if len(rows) <= RUN:
+            continue
+        moving = np.any(np.diff(rows, axis=0) != 0, axis=1)
+        changes = np.concatenate([[0], np.cumsum(moving)])
+        keys = [
+            rows[i : i + RUN].tobytes() if changes[i + RUN - 1] - changes[i] >= CHANGES - 1 else b""
+            for i in range(len(rows) - RUN + 1)
+        ]
+        steps = np.diff(flight.pose_time)
+        shared: dict[int, float] = {}
+        for i, key in enumerate(keys):
+            if key in seen:
+                shared[seen[key]] = shared.get(seen[key], 0.0) + float(steps[i])
+        for other, time in shared.items():
+            if time >= LEAST:
+                raise FlightError(_refusal(flights[other], flight, time))
+        seen |= {key: number for key in keys if key}
+
+
+def _refusal(one: Flight, other: Flight, time: float) -> str:
+    if one.sha256 == other.sha256 and one.path == other.path:
+        spans = " and ".join(f"{part.span[0]:.2f}:{part.span[1]:.2f}" for part in (one, other))
+        return (
+            f"{one.path}: its parts {spans} overlap: what is in both would count twice; give parts that do not overlap"
+        )
+    return f"{one.path} and {other.path} hold {time:.1f} s of the same poses, which would count twice; give each once"

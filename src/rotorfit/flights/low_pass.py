@@ -1,0 +1,148 @@
+"""Commands that a logger has smoothed: seen in their shape, undone where the motion followed what was sent.
+
+A logger that keeps a of the old value and takes 1 - a of the new one with every message turns a step into an
+exponential: the changes of the log shrink by a from message to message for as long as the command is held. Nothing else
+gives so many changes one and the same ratio. What was sent is then known exactly,
+
+    sent_k = (logged_k - a logged_(k-1)) / (1 - a)
+
+unless the sender smoothed it himself and the vehicle got what the log holds. The motion tells which: it follows the one
+or the other. A smoothed command that is never held has no such shape, and is not found.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Note
+from rotorfit.core.frames import AXES, Array
+from rotorfit.flights.clocks.lag_search import GriddedMotion
+from rotorfit.flights.clocks.motion_signals import ANSWER_STEP, DAMPINGS, answers, motion_column
+from rotorfit.flights.command_hold import DELAYS, EVERY, FASTEST, well_seen
+from rotorfit.flights.streams import Stream
+
+RATIOS = (0.3, 0.97)
+"""Shares of the old value that are looked for; ramps and slow sines have ratios near 1."""
+
+SHARP = 0.003
+"""Half the width of the peak of the ratios."""
+
+AROUND = 0.03
+"""Half the width of what the peak is compared with."""
+
+PEAK = 0.5
+"""Share of the ratios around it that the peak holds: without one it is the ratio of the widths, a tenth."""
+
+LEAST_SHARE = 0.2
+"""Share of all ratios that the peak holds."""
+
+FEWEST = 40
+"""Ratios in the peak below which nothing is said."""
+
+RATIO_NOISE = 1e-3
+"""Rounding of the log over the change beyond which a ratio is not asked about."""
+
+DECIDES = 5.0
+"""Difference of the log-likelihood that decides what the vehicle followed."""
+
+INDEPENDENT = 0.5
+"""Time after which changes of the velocity are counted as independent [s]."""
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Sum of squares that the answer to a command leaves of a velocity's changes, and how many there are."""
+
+    rest: float
+    count: int
+
+
+def kept_share(command: Array) -> float | None:
+    """What share of the old value a logger kept, told by the shape of a command, shape (M,); None where none shows.
+
+    Source: the ratio of successive changes of a first-order recursion with a held input is its pole.
+    """
+    value = command[np.concatenate([[True], np.diff(command) != 0])]
+    change = np.diff(value)
+    if change.size <= FEWEST:
+        return None
+    rounding = 4 * np.finfo(np.float64).eps * float(np.abs(value).max())
+    sizes = np.abs(change[:-1])
+    told = sizes * RATIO_NOISE > rounding
+    ratio = np.sort(change[1:][told] / change[:-1][told])
+    inside = ratio[(ratio > RATIOS[0]) & (ratio < RATIOS[1])]
+    if inside.size < FEWEST:
+        return None
+    count = np.searchsorted(inside, inside + SHARP) - np.searchsorted(inside, inside - SHARP)
+    best = float(inside[int(np.argmax(count))])
+    near = inside[np.abs(inside - best) < SHARP]
+    wide = int(np.sum(np.abs(ratio - best) < AROUND))
+    if near.size < max(FEWEST, LEAST_SHARE * ratio.size) or near.size < PEAK * wide:
+        return None
+    return float(np.median(near))
+
+
+def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, world: bool) -> Stream:
+    """The commands as they were sent, where the log smooths them and the motion followed what was sent.
+
+    Args:
+        commands: In order.
+        axes: The commanded ones.
+        poses: Fresh, in order.
+        world: Whether commands are along the axes of the world.
+
+    Returns:
+        The commands, with a note `commands_unfiltered`, `commands_filtered` (the vehicle got them so) or
+        `commands_low_pass` (nothing tells) where their shape is that of a smoothed command; else unchanged.
+    """
+    shares = {axis: share for axis in axes if (share := kept_share(commands.values[:, AXES.index(axis)])) is not None}
+    if not shares:
+        return commands
+    values = commands.values.copy()
+    for axis, share in shares.items():
+        k = AXES.index(axis)
+        values[1:, k] = (commands.values[1:, k] - share * commands.values[:-1, k]) / (1 - share)
+    sent = replace(commands, values=values)
+    seen, base = well_seen(poses), (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9
+    better = sum(_gain(seen, base, answers(commands), answers(sent), axis, world) for axis in shares)
+    what = ", ".join(f"{axis} {share:.3f}" for axis, share in shares.items())
+    shape = f"changes of {len(commands.stamps)} logged commands shrink as those of a log that keeps a share of the old "
+    shape += f"value ({what})"
+    if better > DECIDES:
+        told = f"{shape}, and the motion follows the commands before that by {better:.0f} log units: it was undone"
+        return replace(sent, notes=(*commands.notes, Note("commands_unfiltered", told, len(commands.stamps))))
+    if better < -DECIDES:
+        told = f"{shape}, but the motion follows them as logged by {-better:.0f} log units: the sender smooths them"
+        return replace(commands, notes=(*commands.notes, Note("commands_filtered", told, len(commands.stamps))))
+    told = f"{shape}, and the motion does not tell whether the vehicle got them so ({better:+.1f} log units)"
+    return replace(commands, notes=(*commands.notes, Note("commands_low_pass", told, len(commands.stamps))))
+
+
+def _gain(
+    seen: GriddedMotion, base: float, logged: GriddedMotion, sent: GriddedMotion, axis: str, world: bool
+) -> float:
+    """Log-likelihood of the motion of an axis by the answer to what was sent, less that by the answer to the log."""
+    fits = [_best(seen, base, some, axis, world) for some in (logged, sent)]
+    one, other = fits
+    if one is None or other is None or not min(one.rest, other.rest) > 0:
+        return 0.0
+    return 0.5 * one.count * EVERY / INDEPENDENT * float(np.log(one.rest / other.rest))
+
+
+def _best(seen: GriddedMotion, base: float, answer: GriddedMotion, axis: str, world: bool) -> _Fit | None:
+    """The best regression of the changes of a velocity on those of an answer, over dampings and delays."""
+    row = np.flatnonzero(seen.valid)[:: max(1, round(EVERY / seen.step))]
+    velocity = seen.value[row, motion_column(axis, world)]
+    if row.size < FEWEST or not 0 < np.ptp(velocity) < FASTEST:
+        return None
+    time: Array = base + seen.step * row.astype(np.float64)
+    clock, change = ANSWER_STEP * np.arange(len(answer.value)), np.diff(velocity)
+    left = np.inf
+    for k in AXES.index(axis) * len(DAMPINGS) + np.arange(len(DAMPINGS)):
+        for delay in DELAYS:
+            moved = np.diff(np.interp(time - delay, clock, answer.value[:, k]))
+            x = moved - moved.mean()
+            y = change - change.mean()
+            power = float(x @ x)
+            left = min(left, float(y @ y) - float(x @ y) ** 2 / power) if power > 0 else left
+    return _Fit(left, change.size) if np.isfinite(left) else None

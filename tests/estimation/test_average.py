@@ -1,0 +1,112 @@
+"""The default laws: the law that the vehicle has, intervals that hold it, and a lag that a gusty flight cannot lose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from other_laws import TRUTH, flown_by
+from rotorfit.core.laws import structure_named
+from rotorfit.core.model import Axis, Model, first_order
+from rotorfit.dynamics.trajectory import state_space
+from rotorfit.dynamics.transfer_function import law_response, sine_response
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.models import from_mapping, to_mapping
+
+LOOP, LAGGED, PLAIN = "second_order_zero", "first_order_delay_lag", "first_order_delay"
+
+
+def missed(axis: Axis, truth: dict[str, float]) -> list[str]:
+    """What of a truth lies outside of its interval."""
+    ends = dict(axis.ci95) | {name: part.ci95 for name, part in axis.combinations.items()}
+    return [
+        name
+        for name, value in truth.items()
+        if not ((ends[name][0] or -np.inf) <= value <= (np.inf if ends[name][1] is None else ends[name][1]))
+    ]
+
+
+@pytest.fixture(scope="module")
+def models() -> dict[str, Model]:
+    """z of three vehicles under the default laws."""
+    flights = {name: flown_by(name, duration=60.0, seed=4, wind=0.05, noise=0.001) for name in (PLAIN, LAGGED, LOOP)}
+    return {name: fit([flight], axes=("z",)).model for name, flight in flights.items()}
+
+
+@pytest.mark.parametrize("name", [PLAIN, LAGGED, LOOP])
+def test_the_law_of_the_vehicle_is_among_those_that_hold_and_its_numbers_inside(
+    name: str, models: dict[str, Model]
+) -> None:
+    axis = models[name].axes["z"]
+
+    assert name in [law.structure for law in axis.laws]
+    assert sum(law.weight for law in axis.laws) == pytest.approx(1.0)
+    assert missed(axis, TRUTH[name]) == []
+
+
+def test_a_loop_that_overshoots_is_taken_for_what_it_is_where_a_delay_alone_reads_the_peak_as_gain(
+    models: dict[str, Model],
+) -> None:
+    axis = models[LOOP].axes["z"]
+
+    assert axis.structure == LOOP
+    assert axis.plain is not None
+    assert axis.combinations["steady_gain"].value == pytest.approx(TRUTH[LOOP]["steady_gain"], rel=0.05)
+    assert axis.input is not None
+    assert axis.damping is not None
+    assert axis.input / axis.damping == pytest.approx(axis.combinations["steady_gain"].value)
+
+
+def test_a_law_that_is_asked_for_is_neither_averaged_nor_told_a_prior(models: dict[str, Model]) -> None:
+    flight = flown_by(PLAIN, duration=30.0, seed=4, wind=0.05, noise=0.001)
+    axis = fit([flight], axes=("z",), structure=PLAIN).model.axes["z"]
+
+    assert axis.structure == PLAIN
+    assert axis.laws == ()
+    assert axis.lag_prior is None
+    assert axis.plain is None
+    assert models[LAGGED].axes["z"].lag_prior is not None
+
+
+def test_in_gusts_the_prior_of_the_lag_keeps_the_input_finite() -> None:
+    flight = flown_by(LAGGED, duration=30.0, seed=2, wind=0.6, noise=0.005)
+    axis = fit([flight], axes=("z",)).model.axes["z"]
+    low, high = axis.ci95["input"]
+
+    assert low is not None
+    assert high is not None
+    assert low <= TRUTH[LAGGED]["input"] <= high
+    assert high < 3 * low
+
+
+def test_an_axis_faster_than_the_log_has_no_damping() -> None:
+    flight = flown_by(LAGGED, duration=30.0, seed=2, wind=0.02, noise=0.001)
+    sparse = replace(flight, pose_time=flight.pose_time[::100], position=flight.position[::100], yaw=flight.yaw[::100])
+    axis = fit([sparse], axes=("z",), structure=PLAIN).model.axes["z"]
+
+    assert axis.status["damping"] == axis.status["input"] == "not_identifiable"
+    assert axis.damping is None
+
+
+def test_the_model_file_keeps_the_laws(models: dict[str, Model]) -> None:
+    again = from_mapping(to_mapping(models[LOOP]), "here")
+
+    assert again.axes["z"].laws == models[LOOP].axes["z"].laws
+    assert again.axes["z"].plain == models[LOOP].axes["z"].plain
+    assert first_order(again, "z").structure == PLAIN
+
+
+@pytest.mark.parametrize("name", [PLAIN, LAGGED, LOOP])
+def test_the_response_to_a_sine_is_that_of_the_state_space(name: str) -> None:
+    model = fit([flown_by(name, duration=30.0, seed=1)], axes=("z",), structure=name).model
+    space, point = state_space(model), model.axes["z"].predictor
+    assert point is not None
+    for w in (0.5, 3.0, 9.0):
+        n = len(space.A)
+        direct = (space.C @ np.linalg.solve(1j * w * np.eye(n) - space.A, space.B))[0, 0] * 1j * w
+        direct *= np.exp(-1j * w * space.delay[0])
+        assert law_response(structure_named(name), point, np.array([w]))[0] == pytest.approx(direct, rel=1e-9)
+        told = sine_response(model, "z", w)
+        assert told.gain == pytest.approx(abs(direct))
+        assert told.gain_ci95[0] is not None
+        assert told.gain_ci95[0] <= told.gain

@@ -1,0 +1,159 @@
+"""Two intervals of every number, and what refutes it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from flights import flown, steps
+from other_laws import flown_by
+from rotorfit.assessment.advice import findings_of_fit
+from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.model import COEFFICIENTS, Axis
+from rotorfit.core.results import Fit
+from rotorfit.dynamics.other_limits import scaled
+from rotorfit.estimation.fitting import fit
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.simulation.flight_room import Conditions, fly_commands, log_of_room_flight
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
+from rotorfit.simulation.vehicle import builtin_vehicles
+
+
+@cache
+def of_law() -> Fit:
+    return fit([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",))
+
+
+@cache
+def of_vehicles(*gains: float) -> Fit:
+    truths = [Truth(gamma=(*GAMMA_B[:4], gain * GAMMA_B[4], *GAMMA_B[5:])) for gain in gains]
+    return fit([flown(truth, steps(("z",), seed=20 + i), 25.0, 20 + i) for i, truth in enumerate(truths)], axes=("z",))
+
+
+def width(ends: tuple[float | None, float | None]) -> float:
+    low, high = ends
+    assert low is not None
+    assert high is not None
+    return high - low
+
+
+def ratio(axis: Axis, name: str) -> float:
+    return width(axis.ci95[name]) / width(axis.ci95_flight[name])
+
+
+def test_a_vehicle_that_obeys_the_law_has_an_interval_hardly_wider_than_its_flight() -> None:
+    axis = of_law().model.axes["z"]
+
+    assert axis.status == dict.fromkeys(COEFFICIENTS, "ok")
+    assert axis.evidence == ()
+    for name in COEFFICIENTS:
+        assert 1.0 < ratio(axis, name) < 2.5
+        assert axis.spread[name].source == "prior"
+        assert axis.spread[name].flights_sd is None
+    assert axis.combinations["steady_gain"].ci95_flight is not None
+
+
+def test_covariance_and_standard_errors_are_those_of_the_vehicle() -> None:
+    model = of_law().model
+    axis = model.axes["z"]
+    place = model.covariance_names.index("z.input")
+
+    assert axis.stderr["input"] == pytest.approx(model.covariance[place, place] ** 0.5)
+    assert axis.input is not None
+    assert width(axis.ci95["input"]) == pytest.approx(2 * 1.96 * (axis.stderr["input"] or 0.0), rel=0.1)
+
+
+def test_flights_of_different_vehicles_widen_the_interval_by_what_they_differ() -> None:
+    axis = of_vehicles(1.0, 1.1, 0.9, 1.2).model.axes["z"]
+    spread = axis.spread["input"]
+
+    assert spread.source == "flights"
+    assert spread.flights == 4
+    assert spread.flights_sd == pytest.approx(np.std(np.log([1.0, 1.1, 0.9, 1.2]), ddof=1), rel=0.25)
+    assert ratio(axis, "input") > 3
+    assert width(spread.next_flight) > width(axis.ci95["input"])
+    assert spread.p_value is not None
+    assert spread.p_value < 1e-6
+
+
+def test_flights_that_agree_share_one_narrow_interval() -> None:
+    axis = of_vehicles(1.0, 1.0, 1.0, 1.0).model.axes["z"]
+
+    assert ratio(axis, "input") < 1.6
+    low, high = axis.ci95["input"]
+    assert low is not None
+    assert high is not None
+    assert low < GAMMA_B[4] < high
+
+
+def test_a_vehicle_of_another_law_is_refuted_with_the_evidence_and_what_to_do() -> None:
+    result = fit([flown_by("second_order", wind=0.05, noise=0.001)], axes=("z",))
+    axis = result.model.axes["z"]
+
+    assert "refuted" in axis.status.values()
+    assert axis.evidence[0].p_value < 1e-6
+    (told,) = [one for one in findings_of_fit(result) if one.code == "law_refuted"]
+    assert "does not obey first_order_delay" in told.evidence
+    assert "--structure auto" in told.remedy
+    said = summary_of_model(result.model, ("z",))
+    assert "refuted" in said
+    assert "Known: " not in said
+
+
+def test_the_right_law_of_the_same_flight_is_not() -> None:
+    flight = flown_by("second_order", wind=0.05, noise=0.001)
+    axis = fit([flight], axes=("z",), structure="second_order").model.axes["z"]
+
+    assert "refuted" not in axis.status.values()
+    assert not axis.evidence
+
+
+def test_the_model_file_keeps_both_intervals_and_reads_files_without() -> None:
+    model = of_vehicles(1.0, 1.1, 0.9, 1.2).model
+    raw = to_mapping(model)
+
+    assert from_mapping(raw, "here").axes["z"] == model.axes["z"]
+    for part in ("ci95_flight", "spread", "evidence"):
+        raw["axes"]["z"].pop(part, None)
+    for combination in raw["axes"]["z"]["combinations"].values():
+        combination.pop("ci95_flight", None)
+    old = from_mapping(raw, "here").axes["z"]
+    assert old.ci95 == model.axes["z"].ci95
+    assert old.ci95_flight == {}
+
+
+def test_other_limits_scale_both_intervals_and_leave_the_spread_of_logarithms() -> None:
+    axis = of_law().model.axes["z"]
+    twice = scaled(axis, 2.0)
+
+    assert twice.ci95_flight["input"] == pytest.approx([2 * end for end in axis.ci95_flight["input"] if end])
+    assert twice.spread["input"].sd == axis.spread["input"].sd
+    assert twice.spread["input"].next_flight[0] == pytest.approx(2 * (axis.spread["input"].next_flight[0] or 0.0))
+
+
+def test_several_flights_name_the_one_that_stands_out() -> None:
+    result = of_vehicles(1.0, 1.0, 1.0, 1.4)
+
+    (told,) = [one for one in findings_of_fit(result) if one.code == "flights_disagree"]
+    assert told.evidence.count("stands out") == 1
+
+
+def test_a_vehicle_that_brakes_at_command_zero_is_refuted() -> None:
+    """Drag alone lets it coast; its autopilot stops it: another law below a threshold."""
+    vehicle = builtin_vehicles()["bebop2"]
+    assert vehicle.autopilot.brakes_on_zero
+    t = np.arange(0.0, 60.0, 0.033)
+    level = np.array([0, 0.25, 0, -0.25, 0, 0.15, 0, -0.2, 0, 0.3, 0, -0.3])
+    command = np.zeros((t.size, 4))
+    command[:, 0] = level[(t / 2.5).astype(int) % level.size]
+    stamps = np.round(t * 1e9).astype(np.int64)
+    flown_in_the_room = fly_commands(vehicle, Conditions(), stamps, command, 60.0, 1, (0.0, 0.0, 30.0, 0.0))
+    flight = flight_from_log(log_of_room_flight(flown_in_the_room), card_from_mapping(vehicle.card(), vehicle.name))
+
+    result = fit([flight], axes=("x",))
+    axis = result.model.axes["x"]
+    assert axis.status["input"] == "refuted"
+    assert axis.status["damping"] != "ok"
+    assert "law_refuted" in {finding.code for finding in findings_of_fit(result)}
