@@ -29,8 +29,9 @@ from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.flight_plan import Plan
 from rotorfit.core.frames import AXES
+from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Log
-from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.core.model import Model
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Validation
 
@@ -104,7 +105,7 @@ def fit(
     axes: str | Sequence[str] = AXES,
     *,
     card: CardLike | None = None,
-    structure: str = STRUCTURE,
+    structure: str = AVERAGED,
     uncertainty: bool = False,
     prior: bool = False,
     leave_one_out: bool = False,

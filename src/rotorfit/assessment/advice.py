@@ -22,7 +22,7 @@ from rotorfit.diagnosis.command_response import TURNING
 from rotorfit.diagnosis.doctor import SHORT_TIME
 from rotorfit.diagnosis.frame_checks import OVER
 from rotorfit.diagnosis.position_loop import restored
-from rotorfit.estimation.likelihood.axis_estimate import LOOP_SIGMAS, Estimate, answer
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE
 from rotorfit.estimation.likelihood.outliers import outlier_findings
 from rotorfit.estimation.regression.axes_by_method import NOT_VALID
@@ -382,8 +382,8 @@ def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> 
 
 
 def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
-    found = answer(estimate.records, estimate.optimum, estimate.place)
-    if found.sigmas > LOOP_SIGMAS:
+    found = estimate.loop
+    if found.closed:
         yield Finding(
             "feedback",
             "info",

@@ -22,7 +22,7 @@ from rotorfit.estimation.judgement.estimand import Estimand
 from rotorfit.estimation.judgement.refutation import Homogeneity, homogeneity_of
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.judgement.spread_prior import spread_scale
-from rotorfit.estimation.likelihood.axis_estimate import Estimate, answers_motion
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.likelihood import score
 from rotorfit.estimation.regression.paper import newey_west
 
@@ -44,7 +44,7 @@ def between_filters(
         wanted: Quantities.
         errors: Their standard errors.
     """
-    if answers_motion(estimate.records, estimate.optimum, estimate.place):
+    if estimate.loop.closed:
         return {}
     found: dict[str, Homogeneity] = {}
     for factor in OTHER_FILTERS:

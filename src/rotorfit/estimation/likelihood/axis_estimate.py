@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,11 @@ class Estimate:
     place: int
     found: tuple[CandidateOptimum, ...]
     excited: bool
+
+    @cached_property
+    def loop(self) -> "LoopEvidence":
+        """Whether the command of the axis answers its motion."""
+        return answer(self.records, self.optimum, self.place)
 
 
 def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrior | None = None) -> Estimate:
@@ -196,10 +202,10 @@ class LoopEvidence:
     lag: int
     sigmas: float
 
-
-def answers_motion(records: Sequence[Record], optimum: Optimum, k: int) -> bool:
-    """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop."""
-    return answer(records, optimum, k).sigmas > LOOP_SIGMAS
+    @property
+    def closed(self) -> bool:
+        """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop."""
+        return self.sigmas > LOOP_SIGMAS
 
 
 def answer(records: Sequence[Record], optimum: Optimum, k: int) -> LoopEvidence:
@@ -273,7 +279,7 @@ def _explains(
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True
     idle, _ = prediction_error(serving, group, without_input(records, found.optimum, [k]))
-    limit = EXPLAINS if answers_motion(records, found.optimum, k) else HELPS
+    limit = EXPLAINS if answer(records, found.optimum, k).closed else HELPS
     return bool(error < limit * idle[k])
 
 

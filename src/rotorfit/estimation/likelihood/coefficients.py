@@ -9,7 +9,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Mode, Predictor, unknown_axis
 from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
-from rotorfit.estimation.likelihood.axis_estimate import Estimate, answers_motion
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import (
     estimated_extras,
@@ -65,7 +65,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     if holds_zero(ends["input"]):
         return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     status = statuses(ends) | _too_fast(records, optimum, k)
-    if status["delay"] != "ok" and (_at_bound(optimum, k) or answers_motion(records, optimum, k)):
+    if status["delay"] != "ok" and (_at_bound(optimum, k) or estimate.loop.closed):
         status = dict.fromkeys(COEFFICIENTS, "not_identifiable")
     point = Predictor(
         input=float(optimum.point.gain[k]),

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
-from rotorfit.core.laws import DAMPING, DELAY, GAIN, TRIM, Structure
+from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, Structure
 from rotorfit.dynamics.disturbance import whiten_axis, whiten_plane
 from rotorfit.dynamics.general_response import motion_response
 from rotorfit.dynamics.general_step import MEAN, NOTHING, START
+from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
 from rotorfit.estimation.likelihood.blocks import Record
@@ -64,6 +65,8 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
 def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start: Array) -> tuple[Array, Array]:
     """The same under the general law."""
     laws[:, TRIM] = trim
+    if len(laws) == 1 and point.structures[0].linear and point.structures[0].order:
+        return _lagged_response(rec, point, laws, start)
     what, whose, scale = _columns(point.structures, len(point.extra))
     out = motion_response(
         rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time, rec.command,
@@ -74,6 +77,24 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
     for j in np.flatnonzero(scale):
         values[j - 1] = laws[whose[j], what[j]]
     return out[:, 0], out[:, 1:] * values[:, None]
+
+
+def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tuple[Array, Array]:
+    """The same of one axis under a linear law with a lag."""
+    out = rec.observed(
+        lagged_axis_response(
+            rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time,
+            rec.command[:, 0], rec.weight, law, start[:, 0],
+        )
+    )  # fmt: skip
+    extras = [extra.place for extra in point.structures[0].extras]
+    columns = [_LAGGED_COLUMNS.index(place) for place in (GAIN, DAMPING, DELAY, *extras, TRIM, START)]
+    out[:, [_LAGGED_COLUMNS.index(DAMPING), _LAGGED_COLUMNS.index(LAG)]] *= law[0, [DAMPING, LAG]][:, None]
+    return out[:, 0], out[:, columns]
+
+
+_LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)
+"""What the columns of `lagged_axis_response` are by."""
 
 
 @functools.cache

@@ -102,9 +102,13 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     points = [(best, 0.0)]
     ends = []
     for side, bound in ((-1.0, low), (1.0, high)):
+        looks = [(best, optimum)]
 
-        def root(target: float) -> float:
-            fall = max(height(optimum) - height(hold(records, optimum, index, target)), 0.0)
+        def root(target: float, looks: list[tuple[float, Optimum]] = looks) -> float:
+            near = min(looks, key=lambda look: abs(look[0] - target))[1]
+            there = hold(records, near, index, target)
+            looks.append((target, there))
+            fall = max(height(optimum) - height(there), 0.0)
             points.append((target, -fall))
             return float(np.sqrt(2 * fall))
 

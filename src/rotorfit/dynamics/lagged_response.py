@@ -1,0 +1,198 @@
+"""The exact response of one axis under a linear law with a lag, with every sensitivity that the likelihood needs.
+
+`general_response` knows every law and two axes, `axis_response` the first-order law of one axis; this is between them,
+for a lag on the input, T q' = w - q, and for a second order with a zero, T v'' + v' + b v = w + Z w'. The motion of one
+axis under a linear law is the sum of what input, trim and start velocity do, so that few numbers need to be followed.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, ORDER, TRIM, ZERO
+from rotorfit.dynamics.general_response import WARM_UP, longest_step
+from rotorfit.dynamics.general_step import lag_series
+from rotorfit.dynamics.response import transition
+
+
+@numba.njit(cache=True)
+def lagged_axis_response(
+    starts: Array,
+    pose_range: Any,
+    command_range: Any,
+    pose_time: Array,
+    block: Any,
+    command_time: Array,
+    command: Array,
+    weight: Array,
+    law: Array,
+    velocity: Array,
+) -> Array:
+    """Block means of the position response of one axis with a lag, and its sensitivities.
+
+    Args:
+        starts: Start of each segment, shape (S,) [s].
+        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        command_range: The same for the commands, shape (S, 2).
+        pose_time: Shape (N,) [s].
+        block: Block of each pose, shape (N,).
+        command_time: Shape (M,) [s].
+        command: Shape (M,).
+        weight: One over the number of poses of each block, shape (B,).
+        law: Numbers of the law of the axis, shape (1, LAW_SIZE), linear and with a lag.
+        velocity: At the start of each segment, shape (S,) [unit/s].
+
+    Returns:
+        Shape (B, 8, 1): the position, and its derivatives by g, b, tau, T, Z, c and the velocity at the start of the
+        block's own segment.
+    """
+    gain, trim, damping, delay = law[0, GAIN], law[0, TRIM], law[0, DAMPING], law[0, DELAY]
+    rate, second, lead = 1.0 / law[0, LAG], law[0, ORDER] == 2, law[0, ZERO] / law[0, LAG]
+    series, longest = lag_series(law)[0], longest_step(law)
+    out = np.zeros((weight.size, 8, 1))
+    for s in range(starts.size):
+        t, begin = starts[s] - WARM_UP, starts[s]
+        k, last = command_range[s, 0], command_range[s, 1]
+        while k + 1 < last and command_time[k + 1] + delay <= t:
+            k += 1
+        u = command[k]
+        # position, velocity and third state (lagged demand; acceleration of a second order) of: a gain of one,
+        # a trim of one, a start velocity of one, and the derivatives by damping, delay, lag and zero
+        gp = gv = cp = cv = cq = sp = sv = sq = 0.0
+        bp = bv = bq = tp = tv = tq = lp = lv = lq = zp = zv = zq = 0.0
+        gq = u
+        i, end = pose_range[s, 0], pose_range[s, 1]
+        v0, c0 = 0.0, 0.0
+        warming = True
+        while i < end:
+            stop = begin if warming else pose_time[i]
+            while t < stop:
+                switch = k + 1 < last and command_time[k + 1] + delay <= stop
+                t_next = command_time[k + 1] + delay if switch else stop
+                while t < t_next:
+                    dt = min(t_next - t, longest)
+                    v = gain * gv + c0 * cv + v0 * sv
+                    q = gain * gq + c0 * cq + v0 * sq
+                    w = gain * u
+                    G, J, H, GA, JA, JB, HB = _impulse(series, rate, damping, second, dt)
+                    if second:
+                        B = rate * damping
+                        D, GB = 1.0 - rate * G - B * J, JA
+                        DA, DB, HA = -G - rate * GA - B * JA, GA, JB
+                        p_v, p_w, v_v, v_w, q_v, q_w = G + rate * J, rate * H, D + rate * G, rate * J, -B * G, rate * G
+                        # by the damping, and by the rate of the lag
+                        D1, G1, J1, H1 = rate * DB, rate * GB, rate * JB, rate * HB
+                        D2, G2, J2, H2 = DA + damping * DB, GA + damping * GB, JA + damping * JB, HA + damping * HB
+                        drive = w + c0
+                        bp += p_v * bv + J * bq + (G1 + rate * J1) * v + J1 * q + rate * H1 * drive
+                        bv, bq = (
+                            v_v * bv + G * bq + (D1 + rate * G1) * v + G1 * q + rate * J1 * drive,
+                            q_v * bv + D * bq - (B * G1 + rate * G) * v + D1 * q + rate * G1 * drive,
+                        )
+                        scale = -rate * rate
+                        lp += p_v * lv + J * lq + scale * ((G2 + rate * J2 + J) * v + J2 * q + (rate * H2 + H) * drive)
+                        lv, lq = (
+                            v_v * lv + G * lq + scale * ((D2 + rate * G2 + G) * v + G2 * q + (rate * J2 + J) * drive),
+                            q_v * lv + D * lq
+                            + scale * (-(B * G2 + damping * G) * v + D2 * q + (rate * G2 + G) * drive),
+                        )  # fmt: skip
+                        gp += p_v * gv + J * gq + p_w * u
+                        gv, gq = v_v * gv + G * gq + v_w * u, q_v * gv + D * gq + q_w * u
+                        cp += p_v * cv + J * cq + p_w
+                        cv, cq = v_v * cv + G * cq + v_w, q_v * cv + D * cq + q_w
+                        sp += p_v * sv + J * sq
+                        sv, sq = v_v * sv + G * sq, q_v * sv + D * sq
+                        tp += p_v * tv + J * tq
+                        tv, tq = v_v * tv + G * tq, q_v * tv + D * tq
+                        zp += p_v * zv + J * zq
+                        zv, zq = v_v * zv + G * zq, q_v * zv + D * zq
+                    else:
+                        f, kk, h, df, dk, dh = transition(damping, dt)
+                        fade = np.exp(-rate * dt)
+                        GB = JA
+                        over = q - w  # what the lag still has to give
+                        J1, G1 = JA + rate * JB, GA + rate * GB
+                        bp += kk * bv + dk * v + J1 * over + dh * (w + c0)
+                        bv = f * bv + df * v + G1 * over + dk * (w + c0)
+                        scale = -rate * rate * over
+                        lp += kk * lv + J * lq + scale * (JA + damping * JB)
+                        lv = f * lv + G * lq + scale * (GA + damping * GB)
+                        lq = fade * lq - scale * dt * fade
+                        gp += kk * gv + J * (gq - u) + h * u
+                        gv = f * gv + G * (gq - u) + kk * u
+                        gq = fade * (gq - u) + u
+                        cp += kk * cv + h
+                        cv = f * cv + kk
+                        sp += kk * sv
+                        sv = f * sv
+                        tp += kk * tv + J * tq
+                        tv = f * tv + G * tq
+                        tq = fade * tq
+                    t += dt
+                    if t_next - t < 1e-12:
+                        t = t_next
+                if switch:
+                    change = command[k + 1] - u
+                    if second:
+                        gq += lead * change
+                        lq -= lead * rate * gain * change
+                        zq += rate * gain * change
+                    tq -= (1.0 - lead) * rate * gain * change
+                    tv -= lead * gain * change
+                    k += 1
+                    u = command[k]
+            if warming:  # the velocity is a parameter from here on; an acceleration answers to the change of velocity
+                warming = False
+                v0, c0 = velocity[s], trim
+                if second:
+                    change = v0 - gain * gv
+                    gq += damping * gv
+                    bq += damping * bv - change
+                    tq += damping * tv
+                    lq += damping * lv
+                    zq += damping * zv
+                    cq, sq = 1.0, -damping
+                gp = bp = tp = lp = zp = cp = 0.0
+                gv = bv = tv = lv = zv = cv = 0.0
+                sp, sv = 0.0, 1.0
+                if not second:
+                    cq = sq = 0.0
+                continue
+            w_block, b = weight[block[i]], block[i]
+            out[b, 0, 0] += w_block * (gain * gp + trim * cp + v0 * sp)
+            out[b, 1, 0] += w_block * gp
+            out[b, 2, 0] += w_block * bp
+            out[b, 3, 0] += w_block * tp
+            out[b, 4, 0] += w_block * lp
+            out[b, 5, 0] += w_block * zp
+            out[b, 6, 0] += w_block * cp
+            out[b, 7, 0] += w_block * sp
+            i += 1
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float) -> Any:
+    """The answer G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
+
+    Returns:
+        G, J, H, dG/dA, dJ/dA (which is dG/dB), dJ/dB (which is dH/dA), dH/dB; see `general_step.linear_step`.
+    """
+    A, B = (rate if second else rate + damping), rate * damping
+    reach = dt * max(A, np.sqrt(B))
+    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else 12)  # what is left out is below 1e-12 of it
+    J = H = JB = HB = 0.0
+    for n in range(terms - 1, -1, -1):
+        J = J * dt + series[0, 0, n]
+        JB = JB * dt + series[0, 1, n]
+        H = H * dt + series[1, 0, n]
+        HB = HB * dt + series[1, 1, n]
+    square = dt * dt
+    J, JB = J * square, JB * square
+    H, HB = H * square * dt, HB * square * dt
+    G = dt - A * J - B * H
+    JA = -H - A * JB - B * HB
+    GA = -J - A * JA - B * JB
+    return G, J, H, GA, JA, JB, HB
