@@ -149,7 +149,7 @@ def card_of(path: str) -> str | None:
 
 def _key(log: str, structure: str) -> str:
     source = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].glob("src/rotorfit/*.py")):
+    for path in sorted(Path(__file__).parents[1].glob("src/rotorfit/**/*.py")):
         source.update(path.read_bytes())
     return hashlib.sha256(f"{log} {structure} {source.hexdigest()}".encode()).hexdigest()[:24]
 
@@ -225,7 +225,7 @@ def print_tables(tables: dict[str, dict[str, dict[str, float]]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--structure", default="first_order_delay")
+    parser.add_argument("--structure", default="averaged")
     parser.add_argument("--cache", type=Path)
     parser.add_argument("-o", dest="output", type=Path, default=Path(__file__).with_name("real_coverage.json"))
     options = parser.parse_args()

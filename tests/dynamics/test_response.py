@@ -7,6 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, law_of, structure_named
+from rotorfit.dynamics.general_response import motion_response
+from rotorfit.dynamics.general_step import MEAN, START
+from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response, plane_response, transition
 
 Array = np.ndarray
@@ -411,3 +415,34 @@ def test_at_the_ends_of_the_searched_damping_the_response_agrees_with_integratio
     c = case(damping=np.array([damping, damping]))
 
     np.testing.assert_allclose(axis_position(c), integrated(c, 2e-4, decoupled=True)[:, 0], rtol=0, atol=1e-10)
+
+
+# One axis with a lag: the same as the general law
+
+
+@pytest.mark.parametrize(
+    ("structure", "extra"),
+    [
+        ("first_order_delay_lag", {"lag": 0.13}),
+        ("first_order_lag", {"lag": 0.4}),
+        ("second_order", {"lag": 0.2}),
+        ("second_order_zero", {"lag": 0.2, "zero": 0.11}),
+        ("second_order_zero", {"lag": 0.006, "zero": 0.3}),
+    ],
+)
+def test_one_axis_with_a_lag_moves_and_answers_as_under_the_general_law(
+    structure: str, extra: Mapping[str, float]
+) -> None:
+    some = case()
+    wanted = structure_named(structure)
+    law = law_of(wanted, 3.7, 1.4, 0.137 if wanted.delayed else 0.0, extra, trim=0.05)[None]
+    velocity = PARAMETERS["velocity"][:, :1]
+    what, whose = np.array([MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START]), np.zeros(8, np.int64)
+
+    found = lagged_axis_response(*some.common, some.command[:, 0].copy(), some.weight, law, velocity[:, 0].copy())
+    general = motion_response(
+        *some.common, some.command[:, :1].copy(), some.weight, np.zeros(some.pose_time.size), law, what, whose, velocity
+    )
+
+    wanted_columns = [j for j, place in enumerate(what) if place != ZERO or wanted.order == 2]
+    np.testing.assert_allclose(found[:, wanted_columns], general[:, wanted_columns], rtol=1e-9, atol=1e-12)

@@ -53,20 +53,30 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
             out[point.place(name, k)] = slope
         return out
 
-    # of a second order the lag is in the velocity itself: it is not late, it is slow
-    late: dict[str, float] = {"lag": extra["lag"]} if structure.order == 1 else {}
+    # of a second order the lag is in the velocity itself: it is not late, it is slow; a zero leads
+    late, slopes = 0.0, dict[str, float]()
+    if structure.order == 1:
+        late, slopes = extra["lag"], {"lag": extra["lag"]}
+    elif "zero" in extra:
+        late, slopes = -extra["zero"], {"zero": -1.0}
     out = [
         Estimand("input", g, True, along(input=1 / g)),
         Estimand("damping", b, True, along(damping=1.0)),
         Estimand("delay", tau, False, along(delay=1.0)),
         Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
-        Estimand("total_lag", tau + 1 / b + sum(late.values()), False, along(delay=1.0, damping=-1 / b, **late)),
+        Estimand("total_lag", tau + 1 / b + late, False, along(delay=1.0, damping=-1 / b, **slopes)),
     ]
     out += [
         Estimand(e.name, extra[e.name], e.logarithmic, along(**{e.name: 1.0})) for e in estimated_extras(optimum, k)
     ]
-    if late:
-        out.append(Estimand("delay_plus_lag", tau + late["lag"], False, along(delay=1.0, **late)))
+    if structure.order == 1:
+        out.append(Estimand("delay_plus_lag", tau + late, False, along(delay=1.0, **slopes)))
+    if structure.order == 2:
+        T = extra["lag"]
+        out += [
+            Estimand("natural_frequency", math.sqrt(b / T), True, along(damping=0.5, lag=-0.5)),
+            Estimand("damping_ratio", 0.5 / math.sqrt(b * T), True, along(damping=-0.5, lag=-0.5)),
+        ]
     return {one.name: one for one in out if structure.delayed or one.name != "delay"}
 
 
