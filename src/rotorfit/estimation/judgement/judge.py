@@ -20,7 +20,7 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Evidence, Inter
 from rotorfit.estimation.judgement.cross_check import between_filters
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval, moved
-from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
+from rotorfit.estimation.judgement.random_effects import NORMAL, RandomEffects, random_effects
 from rotorfit.estimation.judgement.refutation import doubt
 from rotorfit.estimation.judgement.residual_variance import weighted_innovations, widening
 from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -33,6 +33,10 @@ Said = tuple[float, float] | None
 
 WIDEST_ERROR = {True: 1.0, False: 0.3}
 """Standard error of one flight, of a logarithm or else [s], beyond which it says nothing of how flights differ."""
+
+TOLERABLE = {True: 0.25, False: 0.05}
+"""Half width on the scale of a quantity, a logarithm or else [s], up to which a law that is wrong is near enough: what
+the tests find is in the interval, and the interval still says something."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,8 @@ def judged_axis(axis: Axis, estimate: Estimate) -> tuple[dict[str, Judged], tupl
         below, above = half_widths(one, ends)
         own = (_times(below, wider[part]), _times(above, wider[part]))
         told = _told(one, errors[part], alone.get(part, ()))
-        out[part] = _judged(one, own, told, wider[part], against.factor[part], part in against.refuted)
+        vague = NORMAL * errors[part] * against.factor[part] > TOLERABLE[one.logarithmic]
+        out[part] = _judged(one, own, told, wider[part], against.factor[part], vague and part in against.refuted)
     return out, against.evidence
 
 
