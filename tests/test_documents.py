@@ -23,6 +23,7 @@ from rotorfit.dynamics import protocol as forecast
 from rotorfit.estimation.identifiability import LEAST_TIME, WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.estimation.likelihood import axis_estimate as estimate
 from rotorfit.estimation.likelihood import blocks as record
+from rotorfit.estimation.likelihood import feedback
 from rotorfit.estimation.likelihood import optima as modes
 from rotorfit.estimation.likelihood import parameters as point
 from rotorfit.estimation.likelihood.coefficients import DIVERGED, WIDEST_DAMPING
@@ -257,7 +258,7 @@ def test_the_figures_of_the_method_are_those_of_the_code() -> None:
         f"a damping above {np.exp(modes.BACKWARDS):g} 1/s",
         f"that share is {estimate.HELPS:g}",
         f"feedback loop it is {estimate.EXPLAINS:g}",
-        f"more than {estimate.LOOP_SIGMAS:g} standard deviations",
+        f"more than {feedback.LOOP_SIGMAS:g} standard deviations",
         f"below {estimate.PLAINLY:g} of that of holding",
         f"wider than {WIDEST_DELAY:g} s",
         f"more than a factor of {WIDEST_DAMPING:g}, the input's a factor of {WIDEST_INPUT:g}",
@@ -303,7 +304,7 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"less than {100 * motion_checks.EXPLAINED:g} % of the acceleration",
         f"more than {motion_checks.LATCH_TIME:g} s and {motion_checks.LATCH_CHANGES:g} times the usual time",
         f"at least {100 * motion_checks.LATCH_MOTION:g} % as much",
-        f"more than {estimate.LOOP_SIGMAS:g} standard deviations of an open loop",
+        f"more than {feedback.LOOP_SIGMAS:g} standard deviations of an open loop",
         f"of more than {np.degrees(frame_checks.OFF):g} degrees and {frame_checks.TOLD:g} standard errors",
         f"more than {pose_checks.FASTEST:g} m/s or {pose_checks.HARDEST:g} m/s^2",
         f"no more than {100 * pose_checks.SMALLEST:g} cm of travel",

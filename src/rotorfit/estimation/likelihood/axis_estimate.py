@@ -12,6 +12,7 @@ from rotorfit.core.frames import Array, Mask, heading_from_world, world_from_hea
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, start_levels
 from rotorfit.diagnosis.position_loop import restored
 from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
+from rotorfit.estimation.likelihood.feedback import LoopEvidence, loop_evidence
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
 from rotorfit.estimation.likelihood.likelihood import response, segments
 from rotorfit.estimation.likelihood.optima import (
@@ -36,24 +37,6 @@ HELPS = 0.99
 PLAINLY = 0.5
 """Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
 
-LOOP_BLOCKS = 15
-"""Blocks after an innovation in which a feedback loop is looked for."""
-
-LOOP_MEMORY = 45
-"""Blocks of its past that may foretell a change of the command."""
-
-LOOP_STEP = 6.0
-"""A change of so many times the usual one is a step of the excitation, not the answer of a loop."""
-
-LOOP_SIGMAS = 4.5
-"""Standard deviations beyond which the answer is a feedback loop's."""
-
-LEAST_CHANCE = 1e-300
-"""Smallest probability that is told."""
-
-FORETOLD = 1e-12
-"""Share of the power of the changes below which the command's past tells all of them: the rest is rounding."""
-
 COUPLING_ROUNDS = 2
 """Rounds in which x and y under a held heading take each other into account."""
 
@@ -77,7 +60,7 @@ class Estimate:
     excited: bool
 
     @cached_property
-    def loop(self) -> "LoopEvidence":
+    def loop(self) -> LoopEvidence:
         """Whether the command of the axis answers its motion."""
         return answer(self.records, self.optimum, self.place)
 
@@ -186,81 +169,13 @@ def estimate_plane(
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
 
 
-@dataclass(frozen=True)
-class LoopEvidence:
-    """How far changes of a command follow what the model did not foresee.
-
-    Attributes:
-        correlation: Of an innovation with what the command's own past does not tell of its next change, where it is
-            largest; 0 where nothing can be told.
-        lag: Blocks by which the change comes later.
-        sigmas: How surprising the innovations of all lags together are in an open loop, as standard deviations of a
-            normal variable.
-    """
-
-    correlation: float
-    lag: int
-    sigmas: float
-
-    @property
-    def closed(self) -> bool:
-        """Whether changes of the command follow what the model did not foresee: the mark of a feedback loop."""
-        return self.sigmas > LOOP_SIGMAS
-
-
 def answer(records: Sequence[Record], optimum: Optimum, k: int) -> LoopEvidence:
-    """How far changes of the command follow what the model did not foresee, beyond what they follow of their own past.
-
-    Where the model leaves out part of the vehicle, its innovations hold some of the commands before. Of a command that
-    its own past foretells, as sines are, they then go with what comes after, in an open loop too. So the next change
-    of the command and the innovations are both freed from the command's past; in an open loop no more is left between
-    them than chance. The test allows for changes that are few or of unequal size, as steps are.
-
-    Source: C. W. J. Granger, Econometrica 37 (1969), pp. 424-438; P. E. Caines, C. W. Chan, IEEE Trans. Autom. Control
-    20 (1975), pp. 498-508; the variance after H. White, Econometrica 48 (1980), pp. 817-838.
-    """
-    from scipy.special import chdtrc, ndtri
-
+    """How far changes of the command of an axis follow the innovations of its likelihood."""
     parts = []
     for rec, innovation in zip(records, optimum.score.innovations, strict=True):
         place = np.searchsorted(rec.command_time, rec.block_time, side="right") - 1
-        parts += _unforeseen(rec.command[place, k], innovation[:, k])
-    if not parts:
-        return LoopEvidence(0.0, 0, 0.0)
-    change, before = np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
-    scores = before * change[:, None]
-    total = scores.sum(axis=0)
-    square = float(total @ np.linalg.pinv(scores.T @ scores, hermitian=True) @ total)
-    chance = max(float(chdtrc(LOOP_BLOCKS, square)), LEAST_CHANCE)
-    alike = total / np.sqrt(np.sum(change**2) * np.sum(before**2, axis=0))
-    at = int(np.argmax(np.abs(alike)))
-    return LoopEvidence(float(alike[at]), at + 1, float(-ndtri(chance / 2)))
-
-
-def _unforeseen(command: Array, innovation: Array) -> list[tuple[Array, Array]]:
-    """The next change of a command, shape (N,), and the innovations 0, 1, ... blocks before, (N, `LOOP_BLOCKS`).
-
-    Both less what the command's own past tells of them, and without the steps of an excitation, which hide the small
-    changes of a loop; empty where the command never changes in a way that it did not foretell, or the flight is short.
-    """
-    reach = min(LOOP_MEMORY, command.size // 8)
-    if not np.ptp(command) or reach < LOOP_BLOCKS:
-        return []
-    change = np.diff(command)[reach:]
-    size = np.abs(change)
-    quiet = size <= LOOP_STEP * np.median(size[size > 0]) if size.any() else size > 0
-    past = np.lib.stride_tricks.sliding_window_view(command, reach + 1)[:-1][quiet]
-    before = np.lib.stride_tricks.sliding_window_view(innovation, LOOP_BLOCKS)[reach + 1 - LOOP_BLOCKS : -1, ::-1][
-        quiet
-    ]
-    change = change[quiet]
-    if len(past) <= 2 * reach:
-        return []
-    known = np.linalg.qr(np.column_stack([np.ones(len(past)), past]))[0]
-    new = change - known @ (known.T @ change)
-    if float(new @ new) <= FORETOLD * float(change @ change):
-        return []
-    return [(new, before - known @ (known.T @ before))]
+        parts.append((rec.command[place, k], innovation[:, k]))
+    return loop_evidence(parts)
 
 
 def _explains(

@@ -42,6 +42,9 @@ ZERO_MEAN = 0.3
 NO_ZERO = 0.005
 """A zero below this is none [s]: there it and the delay do the same."""
 
+ROUNDING = 1e-9
+"""Share of a variance below which what others leave of it is rounding."""
+
 LEAST_WEIGHT = 0.1
 """Weight below which a law is left out: the data speak strongly against it (Kass and Raftery, odds of 10)."""
 
@@ -161,17 +164,20 @@ def _evidence(estimate: Estimate, share: float) -> float:
 
     Input, damping and delay belong to every law and are taken at the top. The likelihood counts as that of as many
     innovations as are independent. A mean is no larger than the top: where a zero and the delay do the same, their
-    spread says nothing.
+    spread says nothing. Where lag and zero only move together, as they do where they cancel each other, the second has
+    the spread that the first leaves it.
 
     Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 4.1.
     """
     optimum, k = estimate.optimum, estimate.place
     extras, values = estimated_extras(optimum, k), optimum.point.extra_values(k)
-    variance = np.diag(inverted(optimum.score.information, optimum.free)) / share
+    at = [optimum.point.place(extra.name, k) for extra in extras]
+    covariance = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)] / share
     spent = 0.0
-    for extra in extras:
-        spread = 0.5 * float(np.log(2 * np.pi * variance[optimum.point.place(extra.name, k)]))
-        spent += min(_log_prior(extra, values[extra.name]) + spread, 0.0)
+    for i, extra in enumerate(extras):
+        known = covariance[i, :i] @ np.linalg.pinv(covariance[:i, :i], hermitian=True) @ covariance[:i, i]
+        left = max(covariance[i, i] - known, ROUNDING * covariance[i, i])
+        spent += min(_log_prior(extra, values[extra.name]) + 0.5 * float(np.log(2 * np.pi * left)), 0.0)
     return share * optimum.score.log_likelihood + spent
 
 
