@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flights import flown, steps
 from other_laws import TRUTH, flown_by
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Model, first_order
@@ -12,6 +13,7 @@ from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.simulation.paper_vehicle import Truth
 
 LOOP, LAGGED, PLAIN = "second_order_zero", "first_order_delay_lag", "first_order_delay"
 
@@ -42,6 +44,16 @@ def test_the_law_of_the_vehicle_is_among_those_that_hold_and_its_numbers_inside(
     assert name in [law.structure for law in axis.laws]
     assert sum(law.weight for law in axis.laws) == pytest.approx(1.0)
     assert missed(axis, TRUTH[name]) == []
+
+
+@pytest.mark.parametrize(("axis", "seed"), [("z", 0), ("z", 6), ("yaw", 3), ("yaw", 6)])
+def test_a_zero_that_cancels_a_pole_takes_no_number_from_a_vehicle_without_either(axis: str, seed: int) -> None:
+    """Any lag will do with the zero that belongs to it: much spread of each, and next to nothing of the pair."""
+    flight = flown(Truth(), steps((axis,), seed=seed), 40.0, seed)
+    known = fit([flight], axes=(axis,)).model.axes[axis]
+
+    assert LOOP not in [law.structure for law in known.laws]
+    assert set(known.status.values()) == {"ok"}
 
 
 def test_a_loop_that_overshoots_is_taken_for_what_it_is_where_a_delay_alone_reads_the_peak_as_gain(

@@ -10,8 +10,10 @@ from clean_flights import clean_flights
 from flights import CARD, steps
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
+from rotorfit.core.model import STRUCTURE
 from rotorfit.diagnosis.card_choice import card_of
 from rotorfit.diagnosis.clock_checks import clock_findings
+from rotorfit.diagnosis.recording import recording_of
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
@@ -102,9 +104,9 @@ def test_the_delay_of_a_flight_whose_pose_clock_is_wrong_is_that_of_the_right_on
     log = as_log(simulate_flight(truth, steps(("z",), seed=4), 60.0, 4))
     time = (log.tables["/pose"].columns["header.stamp"] - log.tables["/pose"].columns["header.stamp"][0]) / NS
     change = {"drift": -4e-4 * time, "step back": -0.1 * (time > 25), "step on": 0.1 * (time > 25)}[kind]
-    right = fit([flight_from_log(log, CARD)], axes=("z",)).model.axes["z"]
+    right = fit([flight_from_log(log, CARD)], axes=("z",), structure=STRUCTURE).model.axes["z"]
     flight = flight_from_log(with_clock(log, "/pose", change), CARD)
-    wrong = fit([flight], axes=("z",)).model.axes["z"]
+    wrong = fit([flight], axes=("z",), structure=STRUCTURE).model.axes["z"]
 
     assert flight.stamp_error > 0
     assert any(note.code == "pose_clock_corrected" for note in flight.notes)
@@ -120,7 +122,7 @@ def test_a_corrected_clock_is_an_info_with_its_step_and_without_a_drift() -> Non
     log = with_clock(log, "/pose", 0.1 * (time > 25))
     flight = flight_from_log(log, CARD)
 
-    found = [one for one in clock_findings(log, CARD, flight) if one.code == "clock_drift"]
+    found = [one for one in clock_findings(recording_of(log, flight)) if one.code == "clock_drift"]
     assert [one.severity for one in found] == ["info"]
     assert "steps by -100 ms" in found[0].evidence
     assert "us/s" not in found[0].evidence

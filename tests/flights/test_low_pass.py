@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from clean_flights import clean_flights
-from flights import CARD, STILL, flown, steps
+from flights import CARD, NO_LOG, STILL, flown, steps
 from rotorfit.app.workflows import load_flight
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
+from rotorfit.core.model import STRUCTURE
 from rotorfit.diagnosis.command_checks import command_findings
+from rotorfit.diagnosis.recording import recording_of
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
 from rotorfit.flights.assemble import flight_from_log
@@ -44,6 +46,11 @@ def codes(flight: Flight) -> set[str]:
     return {note.code for note in flight.notes if note.code.startswith("commands_")}
 
 
+def severities(flight: Flight) -> list[str]:
+    found = command_findings(recording_of(NO_LOG, flight))
+    return [one.severity for one in found if one.code == "commands_low_pass"]
+
+
 @pytest.mark.parametrize("share", [0.5, 0.8, 0.9, 0.95])
 def test_the_share_that_a_logger_keeps_shows_in_the_shape_of_held_commands(share: float) -> None:
     command = sent().tables["/cmd_vel"].columns[X]
@@ -63,15 +70,14 @@ def test_sines_and_ramps_have_no_such_shape() -> None:
 def test_a_low_passed_log_gives_the_coefficients_of_what_was_sent() -> None:
     log = sent()
     right, flight = flight_from_log(log, CARD), flight_from_log(smoothed_log(log), CARD)
-    one, other = (fit([f], axes=("x", "z")).model.axes for f in (right, flight))
+    one, other = (fit([f], axes=("x", "z"), structure=STRUCTURE).model.axes for f in (right, flight))
 
     assert codes(flight) == {"commands_unfiltered"}
     np.testing.assert_allclose(flight.command, right.command, atol=1e-3)
     for axis in ("x", "z"):
         for name in ("input", "damping", "delay"):
             assert getattr(other[axis], name) == pytest.approx(getattr(one[axis], name), rel=0.02, abs=0.002)
-    found = [one for one in command_findings(CARD, flight) if one.code == "commands_low_pass"]
-    assert [one.severity for one in found] == ["info"]
+    assert severities(flight) == ["info"]
 
 
 def test_commands_that_the_sender_smooths_stay_as_they_are() -> None:
@@ -86,7 +92,7 @@ def test_commands_that_the_sender_smooths_stay_as_they_are() -> None:
     flight = flown(truth, excitation, 60.0)
 
     assert codes(flight) <= {"commands_filtered"}
-    assert not [one for one in command_findings(CARD, flight) if one.code == "commands_low_pass"]
+    assert severities(flight) == []
 
 
 def test_commands_that_the_vehicle_does_not_follow_are_a_warning() -> None:
@@ -98,7 +104,9 @@ def test_commands_that_the_vehicle_does_not_follow_are_a_warning() -> None:
     flight = flight_from_log(wild, CARD)
 
     assert codes(flight) == {"commands_low_pass"}
-    assert [one.severity for one in command_findings(CARD, flight) if one.code == "commands_low_pass"] == ["warning"]
+    assert [
+        one.severity for one in command_findings(recording_of(NO_LOG, flight)) if one.code == "commands_low_pass"
+    ] == ["warning"]
 
 
 def test_no_clean_flight_of_forty_looks_smoothed() -> None:

@@ -16,6 +16,7 @@ from flying import BEBOP, HOVER, SECOND, SPACE, Watched, flown, plan_of, recordi
 from rotorfit.app.workflows import fit_logs, load_flight
 from rotorfit.core.flight_plan import Flown
 from rotorfit.core.log import Sample
+from rotorfit.core.model import STRUCTURE
 from rotorfit.diagnosis.survey import survey_logs
 from rotorfit.files.log_span import LogSpan
 from rotorfit.files.logs import read
@@ -82,7 +83,7 @@ def test_a_flight_is_completed_recorded_and_fitted_to_the_truth(tmp_path: Path) 
     recorded = log.tables["/rotorfit/command"].columns
     assert recorded["twist.linear.x"].tobytes() == np.ascontiguousarray(sent[:, 0]).tobytes()
     assert result.poses == len(log.tables["/rotorfit/pose"].columns["log_time"])
-    fit = fit_logs([LogSpan(str(path), (None, None))], axes=("x", "y"))
+    fit = fit_logs([LogSpan(str(path), (None, None))], axes=("x", "y"), structure=STRUCTURE)
     truth = BEBOP.linear()
     for place, axis in enumerate(("x", "y")):
         found = fit.model.axes[axis]

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Space, Steps
-from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.likelihood import response
@@ -125,12 +125,15 @@ def test_the_prediction_is_the_information_computed_directly(axis: str, k: int) 
     np.testing.assert_allclose([predicted[name] for name in COEFFICIENTS], by_dense_algebra(plan, axis, k), rtol=0.02)
 
 
+def fitted(plan: Plan, seed: int, *axes: str) -> Model:
+    """A fit of the law that a plan is predicted with."""
+    return fit([recorded_flight(fly_plan(tracker_of(plan), TRUTH, seed))], axes=axes, structure=STRUCTURE).model
+
+
 def test_the_prediction_is_what_a_fit_of_such_flights_states() -> None:
     plan = plan_of("x", "z", duration=30.0)
     predicted = predicted_errors([plan], SURE, draws=0).nominal
-    fits = [
-        fit([recorded_flight(fly_plan(tracker_of(plan), TRUTH, seed))], axes=("x", "z")).model for seed in (1, 2, 3, 4)
-    ]
+    fits = [fitted(plan, seed, "x", "z") for seed in (1, 2, 3, 4)]
     for axis in ("x", "z"):
         for name in COEFFICIENTS:
             stated = np.mean([model.axes[axis].stderr[name] for model in fits])
@@ -259,8 +262,6 @@ def test_a_flight_that_begins_fast_is_predicted_as_a_fit_of_it_states() -> None:
 
     predicted = predicted_errors([plan], SURE, draws=0).nominal["yaw"]
 
-    stated = [
-        fit([recorded_flight(fly_plan(tracker_of(plan), TRUTH, seed))], axes=("yaw",)).model for seed in (1, 2, 3, 4)
-    ]
+    stated = [fitted(plan, seed, "yaw") for seed in (1, 2, 3, 4)]
     for name in COEFFICIENTS:
         assert np.mean([model.axes["yaw"].stderr[name] for model in stated]) == pytest.approx(predicted[name], rel=0.12)
