@@ -24,7 +24,7 @@ _CROSS_STEP = 0.01
 _SERIES_REACH = 0.5
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
     """Fills what the commands u (K,) demand of every column, shape (K, C)."""
     K, C = drive.shape
@@ -39,7 +39,7 @@ def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
                 drive[a, j] = 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
     """Adds Z / T of the demand to the acceleration of a second order: before a switch taken off, after it put on."""
     K, C = drive.shape
@@ -50,7 +50,7 @@ def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
                 q[a, j] += lead * drive[a, j]
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _switch(
     law: Array, what: Any, whose: Any, v: Array, q: Array, drive: Array, u: Array, at: int, new: float, psi: float
 ) -> None:

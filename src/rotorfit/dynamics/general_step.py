@@ -39,7 +39,7 @@ _TERMS = 12
 _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 4)])
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def demand(law: Array, a: int, u: float, other: float) -> float:
     """The acceleration w that a command of axis a and one of the other axis demand."""
     size = min(max(abs(u) - law[a, DEAD], 0.0), law[a, LEVEL])
@@ -47,7 +47,7 @@ def demand(law: Array, a: int, u: float, other: float) -> float:
     return law[a, GAIN] * (signed + law[a, ASYMMETRY] * size) + law[a, CROSS_INPUT] * other  # type: ignore[no-any-return]
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> float:
     """Derivative of the demand by a place of the law."""
     over = abs(u) - law[a, DEAD]
@@ -88,14 +88,14 @@ def lag_series(law: Array) -> Array:
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _lag_rates(law: Array, a: int) -> Any:
     """A and B of v'' = -A v' - B v, the free motion of an axis with a lag."""
     rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
     return (rate + slow if law[a, ORDER] == 1 else rate), rate * slow
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> float:
     value = 0.0
     for i in range(terms - 1, -1, -1):
@@ -103,7 +103,7 @@ def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> floa
     return value
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
@@ -185,7 +185,7 @@ def _kick(law: Array, what: Any, whose: Any, v: Array, dt: float) -> None:
                 v[1, j] += dt * (0.5 * first * y - x)
 
 
-@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+@numba.njit(cache=True, fastmath={"contract"})
 def move(
     law: Array, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array, trim: Array, S: Array, step: Array,
     c: float, s: float, dt: float, kicked: bool,
