@@ -63,6 +63,10 @@ def json_of(*arguments: object) -> dict:
     return found
 
 
+LAW = ("--structure", "first_order_delay")
+"""What 30 s of two slow sines can tell."""
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two flights that move x and y, and models by both methods from the first."""
@@ -70,7 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, seed in (("first", 7), ("second", 8)):
         commands = partial(two_sines, axes=("x", "y"))
         write_bag(simulate_flight(Truth(), commands, 30.0, seed), folder / f"{name}.bag")
-    done("fit", folder / "first.bag", "-o", folder / "ml.json")
+    done("fit", folder / "first.bag", *LAW, "-o", folder / "ml.json")
     done("fit", folder / "first.bag", "--method", "paper", "-o", folder / "paper.json")
     return folder
 
@@ -131,7 +135,7 @@ def test_lists_of_what_is_known_do_not_wait_for_the_compiler() -> None:
 
 def test_the_json_of_a_fit_is_the_model_file(folder: Path, tmp_path: Path) -> None:
     output = tmp_path / "model.json"
-    found = json_of("fit", folder / "first.bag", "--axes", "x", "-o", output)
+    found = json_of("fit", folder / "first.bag", "--axes", "x", *LAW, "-o", output)
 
     assert found == json.loads(output.read_text())
     assert found == json.loads(json.dumps(to_mapping(load(output))))
@@ -154,7 +158,7 @@ def test_a_fit_writes_nothing_unless_it_is_asked_to(
 
 def test_a_fit_shows_coefficients_intervals_search_repairs_and_findings(folder: Path) -> None:
     model = load(folder / "ml.json")
-    found = done("fit", folder / "first.bag")
+    found = done("fit", folder / "first.bag", *LAW)
 
     for name in ("damping", "delay", "steady gain", "total lag"):
         assert len(re.findall(rf"^ +{name} +[\d.]+ +[\d.]+ to [\d.]+ ", found, re.MULTILINE)) == 2
@@ -216,7 +220,7 @@ def test_an_earlier_model_may_be_written_over(folder: Path, tmp_path: Path) -> N
 
 def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(folder: Path, tmp_path: Path) -> None:
     logs, output = (folder / "first.bag", folder / "second.bag"), tmp_path / "model.json"
-    found = done("fit", *logs, "--axes", "x", "--leave-one-out", "-o", output)
+    found = done("fit", *logs, "--axes", "x", *LAW, "--leave-one-out", "-o", output)
 
     proof = found.partition("Leave one out")[2]
     assert all(f"{log.name}, 0.00 to" in proof for log in logs)
@@ -245,7 +249,7 @@ def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
 def test_scores_stand_beside_the_baselines_at_the_horizons_asked_for(folder: Path) -> None:
     found = json_of("validate", folder / "ml.json", folder / "second.bag", "--horizons", "0.5,1")
 
-    assert list(found) == ["flights", "baselines", "paired", "residuals", "bands", "findings"]
+    assert list(found) == ["flights", "baselines", "paired", "residuals", "frequency_response", "bands", "findings"]
     assert list(found["baselines"]) == ["hold", "paper", "coast"]
     (flight,) = found["flights"]
     assert list(flight["axes"]["x"]["horizons"]) == ["0.5", "1"]

@@ -28,7 +28,7 @@ Array = np.ndarray
 @cache
 def fitted() -> Model:
     """z and yaw are known, x and y are not."""
-    model = fit([flown(Truth(), steps(("z", "yaw")), 30.0, 3)]).model
+    model = fit([flown(Truth(), steps(("z", "yaw")), 30.0, 3)], structure="first_order_delay").model
     return with_findings(model, [Finding("short_data", "warning", "30 s", "wide", "fly longer", "z")])
 
 

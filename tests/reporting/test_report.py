@@ -157,7 +157,7 @@ def test_the_page_says_verdict_coefficients_findings_repairs_and_how_to_reproduc
 def test_the_sections_come_in_the_order_of_the_argument(html: str) -> None:
     ids = [attributes["id"] for tag, attributes in Page(html).elements if tag == "section"]
 
-    wanted = "verdict validation delay horizon residuals next coefficients findings repairs reproduce"
+    wanted = "verdict validation delay horizon response residuals next coefficients findings repairs reproduce"
     assert ids == wanted.split()
 
 
@@ -170,7 +170,7 @@ def test_every_chart_has_a_text_alternative_and_every_anchor_a_place(html: str) 
     anchors = {a["href"][1:] for tag, a in page.elements if tag == "a" and a["href"]}
     assert anchors <= set(ids)
     pictures = [a for tag, a in page.elements if tag == "svg" and a.get("class") == "chart"]
-    assert len(pictures) == 2 * 8 + 8 + 4 + 2 * 4 + 1
+    assert len(pictures) == 2 * 8 + 8 + 4 + 2 * 4 + 1 + 2 * 2  # the last: gain and delay over frequency, of x and z
     assert all(a["role"] == "img" and len(a["aria-label"] or "") > 30 for a in pictures)
 
 

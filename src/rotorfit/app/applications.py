@@ -41,7 +41,8 @@ def simulate(
 
     Args:
         model: A model, a fit, or a model file.
-        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first, the first.
+        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first
+            and until its delay has passed there is none.
         command: x, y, z, yaw commands in the heading frame, shape (M, 4).
         time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
         pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.

@@ -87,7 +87,7 @@ def _plain(value: float, spread: Spread) -> float:
 
 def _ends(spread: Spread) -> str:
     low, high = spread.next_flight
-    return f"{'-inf' if low is None else f'{low:.3g}'} to {'inf' if high is None else f'{high:.3g}'}"
+    return " to ".join("open" if end is None else f"{end:.3g}" for end in (low, high))
 
 
 @dataclass(frozen=True)

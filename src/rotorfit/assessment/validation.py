@@ -239,7 +239,7 @@ def to_mapping(validation: Validation) -> dict[str, Any]:
                     axis: {key: asdict(score) for key, score in horizons.items()} for axis, horizons in axes.items()
                 },
             }
-            for flight, axes in zip(validation.flights, validation.bands, strict=True)
+            for flight, axes in zip(validation.flights, validation.bands, strict=False)
         ],
         "findings": [asdict(finding) for finding in validation.findings],
     }

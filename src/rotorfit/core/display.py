@@ -124,6 +124,7 @@ AXIS_COLOURS = {"x": "#0b57b7", "y": "#b4470b", "z": "#1a7f37", "yaw": "#6f42c1"
 PREDICTOR_LOOKS: dict[str, dict[str, Any]] = {
     "model": {"color": "#0b57b7", "linewidth": 1.6, "marker": "o", "markersize": 3},
     "paper": {"color": "#b4470b", "linestyle": (0, (5, 2)), "marker": "o", "markersize": 3},
+    "coast": {"color": "#8a6d00", "linestyle": (0, (4, 1.5, 1, 1.5)), "marker": "o", "markersize": 3},
     "hold": {"color": "#6f42c1", "linestyle": (0, (1, 1.5)), "marker": "o", "markersize": 3},
 }
 """Told apart without colour, too."""

@@ -386,8 +386,8 @@ class Validation:
 
         Returns:
             A `DataFrame` of the columns `flight`, `fitted` (the model knows the flight), `axis`, `moved` (the flight
-            moves it), `predictor` (`model`, `hold`, `paper`), `horizon` [s], `velocity_rmse`, `position_rmse` [SI],
-            `n` and `fit_percent`; null where there is no number.
+            moves it), `predictor` (`model`, `hold`, `paper`, `coast`), `horizon` [s], `velocity_rmse`, `position_rmse`
+            [SI], `n` and `fit_percent`; null where there is no number.
 
         Raises:
             ModuleNotFoundError: pandas is asked for and not installed.

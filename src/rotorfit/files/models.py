@@ -103,10 +103,7 @@ def to_mapping(model: Model) -> dict[str, Any]:
         "gamma": list(model.gamma),
         "axes": {name: _axis_mapping(axis) for name, axis in model.axes.items()},
         "covariance": {"names": list(model.covariance_names), "matrix": model.covariance.tolist()},
-        "paper": {
-            "gamma": list(model.paper),
-            "noise": {axis: dict(noise) for axis, noise in model.paper_noise.items()},
-        },
+        "paper": _paper_mapping(model),
         "physics": {name: {key: asdict(part) for key, part in parts.items()} for name, parts in physics(model).items()},
         "conversion": asdict(model.conversion) if model.conversion else None,
         "findings": [asdict(finding) for finding in model.findings],
@@ -117,13 +114,19 @@ def to_mapping(model: Model) -> dict[str, Any]:
     }
 
 
+def _paper_mapping(model: Model) -> dict[str, Any]:
+    """The paper's coefficients, and the noise of predictions by them where it is known: old models have none."""
+    noise = {axis: dict(levels) for axis, levels in model.paper_noise.items()}
+    return {"gamma": list(model.paper), **({"noise": noise} if noise else {})}
+
+
 def _axis_mapping(axis: Axis) -> dict[str, Any]:
     """An axis as plain types; what only other structures have is left out where it is empty."""
     raw = asdict(axis)
     if raw["predictor"] and not raw["predictor"]["extra"]:
         del raw["predictor"]["extra"]
     for name in ("extra", "plain", "laws", "lag_prior", "candidates", "samples", "ci95_flight", "spread", "evidence"):
-        if not raw[name]:
+        if raw[name] in (None, {}, ()):
             del raw[name]
     for part in raw["combinations"].values():
         if part["ci95_flight"] is None:

@@ -1,6 +1,10 @@
-"""What the files in this folder amount to, by names that version 0.1 has, too: it wrote `numbers.json` by this program.
+"""What the files in this folder amount to.
 
     PYTHONPATH=src python tests/files/version_0_1/numbers_of.py > numbers.json
+
+In `numbers.json` flight and motion are those of version 0.1. Its commands were in force before the first of them, too:
+here they are stated so. Its predictions are not: they come from the version whose filter adapts to the air of a flight,
+which changed them all.
 
 The files are by its command line: two flights of `rotorfit plan --card sim:bebop2 --room 6x6x4` flown on
 `sim:bebop2,gusts=0.2`; `fit` of both with `--uncertainty --leave-one-out`, of the first by several methods and with
@@ -14,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import rotorfit
+from rotorfit.dynamics import trajectory
 
 FOLDER = Path(__file__).parent
 
@@ -32,7 +37,8 @@ def numbers_of() -> dict[str, Any]:
     command = np.array([[0.2, 0.1, -0.3, 0.4], [-0.1, 0.3, 0.2, -0.5], [0.0, 0.0, 0.0, 0.1]])
     for path in sorted(FOLDER.glob("model*.json")):
         model = rotorfit.load(path)
-        motion = rotorfit.simulate(model, np.array([0.0, 1.0, 2.5]), command, np.arange(0.0, 5.05, 0.05))
+        time = np.arange(0.0, 5.05, 0.05)
+        motion = trajectory.simulate(model, np.array([0.0, 1.0, 2.5]), command, time, before=command[0])
         found[path.name] = {"pose": motion.pose[::20].tolist(), "velocity": motion.velocity[::20].tolist()}
         scores = rotorfit.validate(model, [known], (1.0,)).flights[0].axes
         found[path.name]["predictions"] = {

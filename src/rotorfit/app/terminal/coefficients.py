@@ -44,8 +44,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
     yield _coefficient_table(model, wanted)
     known = {axis: model.axes[axis] for axis in wanted if model.axes[axis].predictor}
     combined = any(axis.combinations for axis in known.values())
-    lag = "lag + " if any("lag" in axis.extra for axis in known.values()) else ""
-    legend = f"; steady gain = input / damping; total lag = delay + {lag}1 / damping" if combined else ""
+    legend = f"; steady gain = input / damping; total lag = delay + 1 / damping{_lags(known)}" if combined else ""
     yield indented(f"input is per command of 1{legend}", 0, "dim")
     yield from bullets(_search_lines(known))
     if model.uncertainty:
@@ -72,6 +71,14 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         if finding.code != DAMAGED:
             yield ""
             yield from finding_view(finding)
+
+
+def _lags(known: Mapping[str, Axis]) -> str:
+    """What laws with more to them add to the total lag or take from it."""
+    laws = [structure_named(axis.structure) for axis in known.values()]
+    lag = ", with a lag before the velocity + lag" if any(law.order == 1 for law in laws) else ""
+    zero = ", with a zero - zero" if any(extra.name == "zero" for law in laws for extra in law.extras) else ""
+    return lag + zero
 
 
 def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
@@ -124,13 +131,13 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _law_lines(known: Axis) -> Iterator[str]:
+def _law_lines(axis: str, known: Axis) -> Iterator[str]:
     """Between which laws the data cannot decide, and how much of the lag is a prior's."""
     if len(known.laws) > 1:
         parts = ", ".join(f"{law.structure} {100 * law.weight:.0f} %" for law in known.laws)
-        yield f"the data do not decide between laws ({parts}): intervals hold what all of them say"
+        yield f"{axis}: the data do not decide between laws ({parts}): intervals hold what all of them say"
     if known.lag_prior is not None:
-        yield f"{100 * known.lag_prior:.0f} % of what is known of the lag is its prior (0.1 s, 0.014 to 0.71 s)"
+        yield f"{axis}: {100 * known.lag_prior:.0f} % of what is known of the lag is its prior (0.1 s, 0.014 to 0.71 s)"
 
 
 def _structure_view(axis: str, known: Axis) -> View:
@@ -146,7 +153,7 @@ def _structure_view(axis: str, known: Axis) -> View:
         yield title(f"{axis}: structure {known.structure}, {structure_named(known.structure).law}")
         yield indented(f"With a delay alone instead: {', '.join(numbers)}")
     if known.laws:
-        yield from bullets(_law_lines(known))
+        yield from bullets(_law_lines(axis, known))
     if not known.candidates:
         return
     yield ""
