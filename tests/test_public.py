@@ -160,13 +160,13 @@ class Room:
 
 
 LAW = "first_order_delay"
-"""What 25 s of two slow sines can tell."""
+"""What 45 s of two slow sines can tell."""
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
     logs = []
-    for name, duration, seed in (("train", 25.0, 3), ("proof", 12.0, 4)):
+    for name, duration, seed in (("train", 45.0, 3), ("proof", 12.0, 4)):
         folder = tmp_path_factory.mktemp(name)
         log, _, card = Csv(simulate_flight(Truth(), two_sines, duration, seed)).write(folder)
         logs.append(log)

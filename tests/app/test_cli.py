@@ -161,8 +161,8 @@ def test_a_fit_shows_coefficients_intervals_search_repairs_and_findings(folder: 
     found = done("fit", folder / "first.bag", *LAW)
 
     for name in ("damping", "delay", "steady gain", "total lag"):
-        assert len(re.findall(rf"^ +{name} +[\d.]+ +[\d.]+ to [\d.]+ ", found, re.MULTILINE)) == 2
-    assert re.search(r"^x +input +3\.\d+ +3\.\d+ to 3\.\d+ +m/s\^2 +[\d.]+ +ok$", found, re.MULTILINE)
+        assert len(re.findall(rf"^ +{name} +[\d.]+ +[\d.]+ to [\d.]+ +[\d.]+ to [\d.]+ ", found, re.MULTILINE)) == 2
+    assert re.search(r"^x +input +3\.\d+ +3\.\d+ to 3\.\d+ +3\.\d+ to 3\.\d+ m/s\^2 +[\d.]+ +ok$", found, re.MULTILINE)
     assert re.search(r"^z +input +- +-.* not_excited$", found, re.MULTILINE)
     assert re.search(
         r"^  - (x, y: no other delay was found|[xy]: other delays fit almost as well: 0\.\d+ s \()", found, re.M

@@ -491,7 +491,7 @@ def test_rotorpys_velocity_command_becomes_the_command_whose_steady_speed_it_is(
 def test_gazebo_holds_the_default_law_only(model: Model) -> None:
     with pytest.raises(
         ExportError,
-        match="gazebo holds the first-order law with a delay only, .* has y first_order_delay_lag",
+        match=r"gazebo holds the first-order law with a delay only, .* has y first_order_delay_lag",
     ):
         export(with_laws(model, {"y": MIXED["y"]}), "gazebo")
 
