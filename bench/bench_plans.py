@@ -33,7 +33,7 @@ from scipy.stats import chi2
 
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Space
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import builtin_cards
 from rotorfit.planning.belief import Belief
@@ -148,12 +148,26 @@ def fitted(job: tuple[Sequence[Plan], int]) -> tuple[dict[str, list[float | str 
     inside = bool(np.all((where >= SPACE.lower) & (where <= SPACE.upper)))
     out: dict[str, list[float | str | None]] = {}
     for flight, group in zip(flights, GROUPS, strict=True):
-        model = fit([recorded_flight(flight)], axes=group).model
+        model = fit([recorded_flight(flight)], axes=group, structure=STRUCTURE).model
         for axis in group:
             one = model.axes[axis]
             for name in COEFFICIENTS:
-                out[f"{axis}.{name}"] = [getattr(one, name), one.stderr[name], *one.ci95[name], one.status[name]]
+                out[f"{axis}.{name}"] = [
+                    getattr(one, name),
+                    _of_flight(one, name),
+                    *one.ci95_flight[name],
+                    one.status[name],
+                ]
     return out, inside
+
+
+def _of_flight(axis: Axis, name: str) -> float | None:
+    """Standard error of a coefficient as these flights leave it: plans and flights are compared, not vehicles."""
+    ends, error = (*axis.ci95[name], *axis.ci95_flight[name]), axis.stderr[name]
+    if error is None or None in ends:
+        return None
+    low, high, least, most = ends
+    return error * (most - least) / (high - low)
 
 
 def truths() -> dict[str, float]:
@@ -165,7 +179,7 @@ def rows_of(
     plans: Sequence[Plan], found: Sequence[dict[str, list[float | str | None]]]
 ) -> dict[str, dict[str, float | int | None]]:
     """Predicted against achieved, per coefficient."""
-    promised = predicted_errors(plans, BELIEF, draws=0, seed=90_000).nominal
+    promised = predicted_errors(plans, BELIEF, draws=0, seed=90_000, of_vehicle=False).nominal
     rows: dict[str, dict[str, float | int | None]] = {}
     for key, true in truths().items():
         axis, name = key.split(".")

@@ -546,7 +546,7 @@ def test_sign_flipped_says_what_to_write_given_what_the_card_says(tmp_path: Path
 
 
 def test_feedback(tmp_path: Path) -> None:
-    truth = replace(TRUTH, wind_sigma=(0.02, 0.02, 0.05, 0.008), mocap_noise=(0.002, 0.002, 0.002, 0.001))
+    truth = replace(TRUTH, wind_sigma=(0.02, 0.02, 0.2, 0.008))
     log = Csv(flown(steps(("z",), 0.1, seed=2), 60.0, truth, Controller(2.0, 2.0)))
 
     found = said("fit", *log.write(tmp_path), "--axes", "z")["feedback", "z"]

@@ -18,6 +18,9 @@ pytestmark = pytest.mark.flights
 
 TRUTH = replace(Truth(), stale_share=0.0)
 Z = steps(("z",), seed=2)
+WITHOUT_LAG = ("--structure", "first_order_delay")
+"""Where a lag that may be there as well would hide what is asked."""
+
 SLUGGISH = replace(TRUTH, gamma=(GAMMA_B[0], 0.05, *GAMMA_B[2:]), delay=(0.2,) * 4)
 
 
@@ -51,7 +54,7 @@ def test_damping_unstable_and_paper_damping_negative(tmp_path: Path) -> None:
     damping = ran("fit", *words, "--method", "paper", "--axes", "x")["axes"]["x"]["damping"]
     assert paper["damping_unstable", "x"]["severity"] == "error"
     assert f"damping of {damping:.2g} 1/s" in paper["damping_unstable", "x"]["evidence"]
-    beside = said("fit", *words, "--axes", "x")
+    beside = said("fit", *words, "--axes", "x", *WITHOUT_LAG)
     assert {code for code, _ in beside} <= {"paper_damping_negative", "damping_not_identifiable"}
     assert beside["paper_damping_negative", "x"]["severity"] == "info"
     assert f"damping of {damping:.2g} 1/s" in beside["paper_damping_negative", "x"]["evidence"]
@@ -85,7 +88,7 @@ def test_delay_and_damping_not_identifiable(tmp_path: Path) -> None:
 def test_input_not_identifiable(tmp_path: Path) -> None:
     truth = replace(TRUTH, gamma=(*GAMMA_B[:4], 100.0, 100.0, *GAMMA_B[6:]), pose_rate=10.0, mocap_noise=(0.02,) * 4)
 
-    fitted = ran("fit", *flown(steps(("z",), 0.4, seed=3), 50.0, truth).write(tmp_path))
+    fitted = ran("fit", *flown(steps(("z",), 0.4, seed=3), 50.0, truth).write(tmp_path), *WITHOUT_LAG)
     found = {finding["code"]: finding for finding in fitted["findings"]}["input_not_identifiable"]
     gain = fitted["axes"]["z"]["combinations"]["steady_gain"]["value"]
     assert gain == pytest.approx(1.0, abs=0.05)
@@ -95,7 +98,7 @@ def test_input_not_identifiable(tmp_path: Path) -> None:
 def test_weak_excitation(tmp_path: Path) -> None:
     truth = replace(TRUTH, wind_sigma=(0.02, 0.02, 0.6, 0.008))
 
-    fitted = ran("fit", *flown(steps(("z",), 0.05, seed=2), 40.0, truth).write(tmp_path))
+    fitted = ran("fit", *flown(steps(("z",), 0.05, seed=2), 40.0, truth).write(tmp_path), *WITHOUT_LAG)
     found = {finding["code"]: finding for finding in fitted["findings"]}["weak_excitation"]
     axis = fitted["axes"]["z"]
     assert f"{100 * axis['stderr']['input'] / axis['input']:.0f} %" in found["evidence"]
@@ -128,4 +131,5 @@ def test_the_quirks_of_real_flights_are_told(real_flights: Path) -> None:
     assert ("velocity_follows_command", "yaw") in codes("dji-hexarotor/Datos_Prueba5.mat")
     assert ("slow_commands", "yaw") in codes("dji-hexarotor/Datos_Prueba1.mat")
     ardrone = codes("ardrone2-optitrack/THETA_02_Feb_2022_11_49_20_LARANJA_COMPLETO.mat")
-    assert ardrone >= {("stamp_jitter", None), ("command_gaps", None), ("short_data", None)}
+    assert ardrone >= {("stamp_jitter", None), ("short_data", None)}
+    assert ("command_gaps", None) not in ardrone  # the gaps are short, and vehicles do not give up so soon

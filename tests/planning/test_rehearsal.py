@@ -121,7 +121,7 @@ def by_dense_algebra(plan: Plan, axis: str, k: int) -> np.ndarray:
 @pytest.mark.parametrize(("axis", "k"), [("x", 0), ("z", 2), ("yaw", 3)])
 def test_the_prediction_is_the_information_computed_directly(axis: str, k: int) -> None:
     plan = plan_of(axis, duration=10.0)
-    predicted = predicted_errors([plan], SURE, draws=0).nominal[axis]
+    predicted = predicted_errors([plan], SURE, draws=0, of_vehicle=False).nominal[axis]
     np.testing.assert_allclose([predicted[name] for name in COEFFICIENTS], by_dense_algebra(plan, axis, k), rtol=0.02)
 
 
@@ -140,6 +140,18 @@ def test_the_prediction_is_what_a_fit_of_such_flights_states() -> None:
             assert predicted[axis][name] == pytest.approx(stated, rel=0.25)
 
 
+def test_errors_of_the_vehicle_are_those_of_the_flight_as_far_as_flights_differ() -> None:
+    plan = plan_of("x", duration=10.0)
+    vehicle, flight = (predicted_errors([plan], SURE, draws=0, of_vehicle=each).nominal["x"] for each in (True, False))
+    one = fitted(plan, 1, "x").axes["x"]
+    for name in COEFFICIENTS:
+        (low, high), (least, most) = one.ci95[name], one.ci95_flight[name]
+        scale = np.log if name != "delay" else float
+        stated = (scale(high) - scale(low)) / (scale(most) - scale(least))
+        # what tests of the law add is not foreseen: here they add 8 % to the damping
+        assert 0.99 < stated / (vehicle[name] / flight[name]) < 1.15
+
+
 def test_two_flights_tell_as_much_as_their_information_together() -> None:
     plan = plan_of("x")
     one, two = (predicted_errors([plan] * count, SURE, draws=0).nominal["x"] for count in (1, 2))
@@ -152,7 +164,7 @@ def test_what_was_known_before_counts() -> None:
     new = information(plan, TRUTH, SURE, 0)
     before = np.diag(np.r_[4.0, np.zeros(11)])
     expected = np.sqrt(np.diag(np.linalg.inv((new + before)[:3, :3])))
-    got = predicted_errors([plan], SURE, draws=0, before=before).nominal["x"]
+    got = predicted_errors([plan], SURE, draws=0, before=before, of_vehicle=False).nominal["x"]
     np.testing.assert_allclose([got[name] for name in COEFFICIENTS], expected)
 
 

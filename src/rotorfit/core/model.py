@@ -479,9 +479,13 @@ def first_order(model: Model, axis: str) -> Weighed:
     Raises:
         ModelError: If the axis was not excited.
     """
-    point, known = predictor_of(model, axis), model.axes[axis]
-    if known.plain is not None and known.plain.law is not None:
-        return known.plain.law
+    point, plain = predictor_of(model, axis), model.axes[axis].plain
+    if plain is not None and plain.law is not None:
+        return plain.law
+    if plain is not None and plain.input is not None and plain.damping is not None:
+        beside = Predictor(plain.input, plain.damping, point.delay if plain.delay is None else plain.delay)
+        errors = {name: error for name, error in plain.stderr.items() if error is not None}
+        return weighed(STRUCTURE, beside, list(errors), np.diag(np.square(list(errors.values()))))
     names = [name for name in COEFFICIENTS if f"{axis}.{name}" in model.covariance_names]
     at = [model.covariance_names.index(f"{axis}.{name}") for name in names]
     return weighed(STRUCTURE, replace(point, extra={}), names, model.covariance[np.ix_(at, at)])

@@ -10,7 +10,7 @@ from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
-from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, unknown_axis
+from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
@@ -28,7 +28,7 @@ from rotorfit.estimation.likelihood.coefficients import (
 )
 from rotorfit.estimation.likelihood.extra_parameters import structure_at, told_apart
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, delay_error
-from rotorfit.estimation.likelihood.law_average import Law, averaged, families, told
+from rotorfit.estimation.likelihood.law_average import averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
 from rotorfit.estimation.likelihood.outliers import without_outliers
@@ -96,14 +96,56 @@ def fit(
         apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
         found, parts[axis] = (_with_axis(found, apart, axis), some) if _told(apart, axis) else (found, list(flights))
     report(1.0, "done")
-    model = with_clock_error(judged(_model(flights, method, paper, found), found.estimates), flights)
-    late = {
-        axis: delay_error(serving_flights(parts.get(axis, flights), e.records[0].axes), e)
-        for axis, e in found.estimates.items()
+    serving = {
+        axis: serving_flights(parts.get(axis, flights), e.records[0].axes) for axis, e in found.estimates.items()
     }
-    model = with_delay_error(model, late, GROUPS)
+    model = _of_the_vehicle(_model(flights, method, paper, found), found.estimates, flights, serving)
+    model = _with_plain(model, found.plain, flights, serving)
     braked = {axis: (test, sum(f.duration for f in parts[axis])) for axis, test in tested.items()}
     return Fit(model, tuple(flights), paper, found.estimates, found.remarks, outliers, braked)
+
+
+def _of_the_vehicle(
+    model: Model,
+    estimates: Mapping[str, Estimate],
+    flights: Sequence[Flight],
+    serving: Mapping[str, Sequence[Flight]],
+) -> Model:
+    """The model with the intervals of the vehicle, and delays as clocks and latencies allow."""
+    late = {axis: delay_error(serving[axis], estimate) for axis, estimate in estimates.items()}
+    return with_delay_error(with_clock_error(judged(model, estimates), flights), late, GROUPS)
+
+
+def _with_plain(
+    model: Model,
+    plain: Mapping[str, tuple[Axis, Estimate]],
+    flights: Sequence[Flight],
+    serving: Mapping[str, Sequence[Flight]],
+) -> Model:
+    """The model with the first-order law beside axes that have another, judged as every other number is.
+
+    Plans and gains go by it, so it must not be surer of the vehicle than the axis itself.
+    """
+    known = {axis: pair for axis, pair in plain.items() if model.axes[axis].structure != STRUCTURE}
+    if not known:
+        return model
+    axes = {axis: one for axis, (one, _) in known.items()}
+    estimates = {axis: estimate for axis, (_, estimate) in known.items()}
+    blocks: Blocks = {}
+    for axis, estimate in estimates.items():
+        blocks |= covariances((axis,), [estimate], axes)
+    names, matrix = block_diagonal(blocks)
+    alone = replace(model, axes={**model.axes, **axes}, covariance_names=names, covariance=matrix)
+    alone = _of_the_vehicle(alone, estimates, flights, serving)
+    beside = {axis: replace(model.axes[axis], plain=_plain_of(alone, axis)) for axis in known}
+    return replace(model, axes={**model.axes, **beside})
+
+
+def _plain_of(alone: Model, axis: str) -> Plain:
+    """The first-order law of an axis, to stand beside another."""
+    known = alone.axes[axis]
+    law = first_order(alone, axis) if known.predictor else None
+    return Plain(known.input, known.damping, known.delay, known.stderr, known.ci95, known.status, law)
 
 
 def _told(found: "_Found", axis: str) -> bool:
@@ -124,17 +166,19 @@ def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
         axes={**found.axes, axis: apart.axes[axis]},
         covariance=covariance,
         estimates={**found.estimates, axis: apart.estimates[axis]},
+        plain={**{name: one for name, one in found.plain.items() if name != axis}, **apart.plain},
     )
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What is found of some axes; estimates and remarks as in `Fit`."""
+    """What is found of some axes; estimates and remarks as in `Fit`, and the first-order law of axes with another."""
 
     axes: Mapping[str, Axis]
     covariance: Blocks
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
+    plain: Mapping[str, tuple[Axis, Estimate]] = field(default_factory=dict)
 
 
 def _found(
@@ -161,6 +205,7 @@ def _found(
         {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
         {axis: remark for part in parts for axis, remark in part.remarks.items() if axis in wanted},
+        {axis: one for part in parts for axis, one in part.plain.items() if axis in wanted},
     )
 
 
@@ -239,23 +284,20 @@ def _averaged(
 ) -> _Found:
     """The axes of a group under the default laws, with the first-order law's numbers beside."""
     known = families(serving_flights(flights, group), estimates, priors)
-    plain, _ = _group_axes(flights, group, {axis: family.plain for axis, family in known.items()})
-    chosen = {axis: family.laws[0].estimate for axis, family in known.items()}
-    axes, covariance = _group_axes(flights, group, chosen)
+    chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
-        if not axes[axis].predictor:
-            continue
-        others = [_group_axes(flights, (axis,), {axis: law.estimate})[0][axis] for law in family.laws[1:]]
-        axes[axis] = averaged([axes[axis], *(other for other in others if other.predictor)], family, axis)
-        if axes[axis].structure != STRUCTURE:
-            axes[axis] = replace(axes[axis], plain=_beside(plain[axis], family.plain, axis))
-    return _Found(axes, covariance, chosen)
-
-
-def _beside(known: Axis, estimate: Estimate, axis: str) -> Plain:
-    """The first-order law of an axis, to stand beside another."""
-    law = told(Law(estimate, 1.0), estimate, axis)
-    return Plain(known.input, known.damping, known.delay, known.stderr, known.ci95, known.status, law)
+        said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
+        telling = [place for place, one in enumerate(said) if one.predictor]
+        if telling:  # a law under which the commands may do nothing says nothing where they do under another
+            family = family.of([family.laws[place] for place in telling])
+            axes[axis] = averaged([said[place] for place in telling], family, axis)
+        else:
+            axes[axis] = said[0]
+        chosen[axis] = family.laws[0].estimate
+        if axes[axis].predictor and axes[axis].structure != STRUCTURE:
+            plain[axis] = _group_axes(flights, group, {axis: family.plain})[0][axis], family.plain
+    covariance = covariances(group, [chosen[axis] for axis in group], axes)
+    return _Found(axes, covariance, chosen, plain=plain)
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
@@ -296,8 +338,6 @@ def _other_structures(
     else:
         found, axes = estimates, plain
     for axis in known:
-        if axes[axis].structure != STRUCTURE:
-            axes[axis] = replace(axes[axis], plain=_beside(plain[axis], estimates[axis], axis))
         if axis in lost:
             axes[axis] = replace(axes[axis], candidates=(unidentifiable_candidate(structure),))
         if axis in choices:
@@ -306,7 +346,7 @@ def _other_structures(
             axes[axis] = replace(
                 axes[axis], candidates=choice.candidates, samples=choice.samples, combinations=combined
             )
-    return _Found(axes, covariance, found)
+    return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
 
 
 def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
@@ -331,13 +371,13 @@ def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Pri
 def _group_axes(
     flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate]
 ) -> tuple[dict[str, Axis], Blocks]:
-    """What is said of the axes of one group, and their covariance."""
+    """What is said of axes of one group by their estimates, and their covariance."""
     if not estimates:
         return {axis: unknown_axis("too_short") for axis in group}, {}
     serving = serving_flights(flights, group)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]
-    results = {axis: axis_of_estimate(estimates[axis], places) for axis in group}
-    return results, covariances(group, [estimates[axis] for axis in group], results)
+    results = {axis: axis_of_estimate(estimate, places) for axis, estimate in estimates.items()}
+    return results, covariances(list(estimates), list(estimates.values()), results)
 
 
 def with_delay_profiles(fit: Fit) -> Fit:

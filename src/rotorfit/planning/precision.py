@@ -4,7 +4,7 @@ The plan is flown by vehicles that are believed possible, with their wind and no
 included; the information that the likelihood has in each flight at the very vehicle that flew it, inverted, is the
 covariance that an efficient estimator reaches (Cramer-Rao). Trim and start velocities are unknown, as in a fit. So are
 the levels of the disturbance; that costs nothing to first order, because the information of coefficients and levels is
-block diagonal.
+block diagonal. Flights of one vehicle differ by more than that; what is said is of the vehicle, as in a fit.
 
 Rehearsal: a plan flown by the paper's vehicle, in a room that is believed possible.
 """
@@ -107,8 +107,10 @@ def predicted_errors(
     seed: int = 0,
     before: Array | None = None,
     progress: Progress | None = None,
+    *,
+    of_vehicle: bool = True,
 ) -> Precision:
-    """Standard errors that a fit of all these flights together is expected to have.
+    """Standard errors that a fit of all these flights together is expected to state.
 
     Args:
         plans: One flight each.
@@ -117,7 +119,9 @@ def predicted_errors(
         seed: Of the draws, the wind and the noise.
         before: Information from earlier flights, shape (12, 12).
         progress: Called with a fraction and a text; raising in it cancels.
+        of_vehicle: Of the vehicle on whatever flight; else what these flights would give, were they all that counts.
     """
+    wider = vehicle_widening() if of_vehicle else np.ones(len(NAMES))
     vehicles = [belief.truth, *sample_vehicles(belief, draws, seed)]
     variances, covariance = [], np.zeros((12, 12))
     for number, truth in enumerate(vehicles):
@@ -125,7 +129,7 @@ def predicted_errors(
             progress(number / len(vehicles), "predicting the standard errors")
         total = np.zeros((12, 12)) if before is None else before.copy()
         for place, plan in enumerate(plans):
-            total += information(plan, truth, belief, seed + 1000 * number + place)
+            total += information(plan, truth, belief, seed + 1000 * number + place) / np.outer(wider, wider)
         inverse = inverse_of(total)
         covariance = inverse if number == 0 else covariance
         variances.append(np.diag(inverse))
@@ -137,6 +141,18 @@ def predicted_errors(
         covariance=covariance,
         draws=len(vehicles),
     )
+
+
+def vehicle_widening() -> Array:
+    """How many times the standard error of one flight that of the vehicle is, by the spread between flights, (12,).
+
+    As a fit of one flight widens its intervals before a second one tells how flights differ.
+    """
+    from rotorfit.estimation.judgement.random_effects import random_effects
+    from rotorfit.estimation.judgement.spread_prior import spread_scale
+
+    alone = {name: random_effects(np.zeros(1), np.ones(1), spread_scale(name)).sd for name in COEFFICIENTS}
+    return np.array([alone[name] for _ in AXES for name in COEFFICIENTS])
 
 
 def _table(errors: Array, axes: Sequence[str]) -> dict[str, dict[str, float]]:

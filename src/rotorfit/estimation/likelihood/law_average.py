@@ -69,6 +69,11 @@ class Family:
     plain: Estimate
     laws: tuple[Law, ...]
 
+    def of(self, laws: Sequence[Law]) -> "Family":
+        """The family with these of its laws alone, one or more."""
+        total = sum(law.weight for law in laws)
+        return replace(self, laws=tuple(replace(law, weight=law.weight / total) for law in laws))
+
 
 def families(
     serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
