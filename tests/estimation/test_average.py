@@ -100,6 +100,20 @@ def test_an_axis_faster_than_the_log_has_no_damping() -> None:
     assert axis.damping is None
 
 
+@pytest.mark.parametrize("name", [LAGGED, LOOP])
+def test_the_first_order_law_beside_another_is_as_sure_of_the_vehicle_as_where_it_is_asked_for(
+    name: str, models: dict[str, Model]
+) -> None:
+    flight = flown_by(name, duration=60.0, seed=4, wind=0.05, noise=0.001)
+    alone = fit([flight], axes=("z",), structure=PLAIN).model
+    beside = first_order(models[name], "z")
+
+    assert models[name].axes["z"].structure == name
+    # not to the digit: beside another law its disturbance begins at that law's levels
+    for key, error in first_order(alone, "z").stderr.items():
+        assert beside.stderr[key] == pytest.approx(error, rel=0.35), key
+
+
 def test_the_model_file_keeps_the_laws(models: dict[str, Model]) -> None:
     again = from_mapping(to_mapping(models[LOOP]), "here")
 
