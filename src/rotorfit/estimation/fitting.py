@@ -110,10 +110,11 @@ def _of_the_vehicle(
     estimates: Mapping[str, Estimate],
     flights: Sequence[Flight],
     serving: Mapping[str, Sequence[Flight]],
+    tested: bool = True,
 ) -> Model:
     """The model with the intervals of the vehicle, and delays as clocks and latencies allow."""
     late = {axis: delay_error(serving[axis], estimate) for axis, estimate in estimates.items()}
-    return with_delay_error(with_clock_error(judged(model, estimates), flights), late, GROUPS)
+    return with_delay_error(with_clock_error(judged(model, estimates, tested), flights), late, GROUPS)
 
 
 def _with_plain(
@@ -122,9 +123,10 @@ def _with_plain(
     flights: Sequence[Flight],
     serving: Mapping[str, Sequence[Flight]],
 ) -> Model:
-    """The model with the first-order law beside axes that have another, judged as every other number is.
+    """The model with the first-order law beside axes that have another, with the intervals of the vehicle.
 
-    Plans and gains go by it, so it must not be surer of the vehicle than the axis itself.
+    Plans and gains go by it. It is not tested: that the axis has another law is known, and beyond what its numbers
+    can express.
     """
     known = {axis: pair for axis, pair in plain.items() if model.axes[axis].structure != STRUCTURE}
     if not known:
@@ -136,7 +138,7 @@ def _with_plain(
         blocks |= covariances((axis,), [estimate], axes)
     names, matrix = block_diagonal(blocks)
     alone = replace(model, axes={**model.axes, **axes}, covariance_names=names, covariance=matrix)
-    alone = _of_the_vehicle(alone, estimates, flights, serving)
+    alone = _of_the_vehicle(alone, estimates, flights, serving, tested=False)
     beside = {axis: replace(model.axes[axis], plain=_plain_of(alone, axis)) for axis in known}
     return replace(model, axes={**model.axes, **beside})
 

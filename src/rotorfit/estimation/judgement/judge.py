@@ -62,18 +62,19 @@ class Judged:
     refuted: bool
 
 
-def judged(model: Model, estimates: Mapping[str, Estimate]) -> Model:
+def judged(model: Model, estimates: Mapping[str, Estimate], tested: bool = True) -> Model:
     """The model with the intervals of the vehicle, and those of its flights beside.
 
     Args:
         model: As fitted by the likelihood; its intervals are those of its flights.
         estimates: Axis name to the maximum of its likelihood.
+        tested: Whether the law is asked, too; else only what flights differ by and the innovations count.
     """
     axes, ratios = dict(model.axes), np.ones(len(model.covariance_names))
     for name, estimate in estimates.items():
         if axes[name].predictor is None:
             continue
-        found, evidence = judged_axis(axes[name], estimate)
+        found, evidence = judged_axis(axes[name], estimate, tested)
         axes[name] = _axis(axes[name], found, evidence)
         for i, entry in enumerate(model.covariance_names):
             axis, part = entry.split(".")
@@ -82,8 +83,8 @@ def judged(model: Model, estimates: Mapping[str, Estimate]) -> Model:
     return replace(model, axes=axes, covariance=model.covariance * np.outer(ratios, ratios))
 
 
-def judged_axis(axis: Axis, estimate: Estimate) -> tuple[dict[str, Judged], tuple[Evidence, ...]]:
-    """Everything of an axis that has an interval, judged, by name, and what spoke against its law."""
+def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[dict[str, Judged], tuple[Evidence, ...]]:
+    """Everything of an axis that has an interval, judged, by name, and what spoke against its law if tested."""
     wanted = {
         name: one
         for name, one in estimands(estimate.optimum, estimate.place).items()
@@ -92,8 +93,10 @@ def judged_axis(axis: Axis, estimate: Estimate) -> tuple[dict[str, Judged], tupl
     weighted = weighted_innovations(estimate, list(wanted.values()))
     wider = widening(weighted, list(wanted))
     errors = {name: one.error(estimate.optimum) * wider[name] for name, one in wanted.items()}
-    method = between_filters(estimate, weighted, wanted, errors)
-    against = doubt(estimate.records, weighted, estimate.place, errors, wider, method)
+    against = None
+    if tested:
+        method = between_filters(estimate, weighted, wanted, errors)
+        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method)
     alone = _each(estimate, list(wanted)) if len(estimate.records) > 1 else {}
     out = {}
     for part, one in wanted.items():
@@ -101,9 +104,11 @@ def judged_axis(axis: Axis, estimate: Estimate) -> tuple[dict[str, Judged], tupl
         below, above = half_widths(one, ends)
         own = (_times(below, wider[part]), _times(above, wider[part]))
         told = _told(one, errors[part], alone.get(part, ()))
-        vague = NORMAL * errors[part] * against.factor[part] > TOLERABLE[one.logarithmic]
-        out[part] = _judged(one, own, told, wider[part], against.factor[part], vague and part in against.refuted)
-    return out, against.evidence
+        factor = against.factor[part] if against else 1.0
+        vague = NORMAL * errors[part] * factor > TOLERABLE[one.logarithmic]
+        refuted = against is not None and vague and part in against.refuted
+        out[part] = _judged(one, own, told, wider[part], factor, refuted)
+    return out, against.evidence if against else ()
 
 
 @dataclass(frozen=True)
