@@ -18,10 +18,10 @@ import pytest
 from matplotlib import pyplot as plt
 
 import rotorfit as rf
+from flights import steps
 from logs import Csv, ran
 from rotorfit.files.models import to_mapping
 from rotorfit.flying.links.sim import SimLink
-from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 pytestmark = pytest.mark.flights
@@ -160,15 +160,15 @@ class Room:
 
 
 LAW = "first_order_delay"
-"""What 45 s of two slow sines can tell."""
+"""What 25 s can tell."""
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
     logs = []
-    for name, duration, seed in (("train", 45.0, 3), ("proof", 12.0, 4)):
+    for name, duration, seed in (("train", 25.0, 3), ("proof", 12.0, 4)):
         folder = tmp_path_factory.mktemp(name)
-        log, _, card = Csv(simulate_flight(Truth(), two_sines, duration, seed)).write(folder)
+        log, _, card = Csv(simulate_flight(Truth(), steps(), duration, seed)).write(folder)
         logs.append(log)
     return Room(logs[0], logs[1], card, rf.fit(logs[0], card=card, axes="z,yaw", structure=LAW))
 
