@@ -26,7 +26,7 @@ def louder(flight: Flight, after: float, factor: float) -> Flight:
 
 
 def checked(*flights: Flight) -> tuple[Fit, Constancy]:
-    result = fit(flights, axes=("z",))
+    result = fit(flights, axes=("z",), structure="first_order_delay")
     found = constancy(flights, result.estimates["z"], "z")
     assert found is not None
     return result, found
@@ -61,7 +61,7 @@ def test_halves_of_several_flights_are_tested_together() -> None:
 
 def test_flights_too_short_for_halves_and_the_papers_method_are_not_checked() -> None:
     brief = flight(duration=25.0)
-    short = fit([brief], axes=("z",))
+    short = fit([brief], axes=("z",), structure="first_order_delay")
     paper = fit([louder(flight(), 30.0, 2.0)], "paper", axes=("z",))
 
     assert constancy([brief], short.estimates["z"], "z") is None
@@ -83,5 +83,5 @@ def test_x_and_y_of_a_vehicle_that_turns_are_tested_together() -> None:
     changed.command[changed.command_time > 20, 0] /= 1.3
 
     for one, expected in ((turning, []), (changed, ["x"])):
-        result = fit([one], axes=("x", "y"))
+        result = fit([one], axes=("x", "y"), structure="first_order_delay")
         assert [finding.axis for axis in ("x", "y") for finding in changed_coefficients(result, axis)] == expected

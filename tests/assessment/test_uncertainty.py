@@ -29,7 +29,9 @@ ERRORS = ("observed", "sandwich", "bootstrap")
 
 @cache
 def one_flight() -> Fit:
-    return with_uncertainty(fit([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",)), flights=60)
+    return with_uncertainty(
+        fit([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",), structure="first_order_delay"), flights=60
+    )
 
 
 def pair_of_flights(gains: Sequence[float], axis: str = "z") -> list[Flight]:
@@ -39,12 +41,12 @@ def pair_of_flights(gains: Sequence[float], axis: str = "z") -> list[Flight]:
 
 @cache
 def alike() -> Fit:
-    return fit(pair_of_flights([GAMMA_B[4]] * 3), axes=("z",))
+    return fit(pair_of_flights([GAMMA_B[4]] * 3), axes=("z",), structure="first_order_delay")
 
 
 @cache
 def unlike() -> Fit:
-    return fit(pair_of_flights([GAMMA_B[4], 1.3 * GAMMA_B[4]]), axes=("z",))
+    return fit(pair_of_flights([GAMMA_B[4], 1.3 * GAMMA_B[4]]), axes=("z",), structure="first_order_delay")
 
 
 def test_where_the_model_is_true_all_standard_errors_say_about_the_same() -> None:

@@ -17,7 +17,7 @@ from rotorfit.assessment.whiteness import (
 )
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import Model
+from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Controller, Truth
@@ -199,7 +199,7 @@ def pair(seed: int, feedback: bool = False) -> tuple[Model, Flight]:
     """A model from one simulated flight, and another flight."""
     controller = Controller() if feedback else None
     first, second = (flown(Truth(), steps(seed=s), 40.0, s, controller=controller) for s in (seed, seed + 4000))
-    return fit([first]).model, second
+    return fit([first], structure="first_order_delay").model, second
 
 
 def test_the_past_of_a_flight_is_what_was_sent_before() -> None:
@@ -226,12 +226,18 @@ def test_sensitivities_are_those_of_the_innovations() -> None:
     assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(expected)
 
 
-def test_the_covariance_of_the_model_is_that_of_its_sensitivities_on_its_own_flight() -> None:
+def test_the_interval_of_the_flight_is_that_of_its_sensitivities_and_the_covariance_of_the_vehicle_is_wider() -> None:
     flight = flown(Truth(), steps(seed=1000), 40.0, 1000)
-    sensitivity = residuals(pair(1000)[0], flight)["x"].sensitivity
+    model = pair(1000)[0]
+    sensitivity = residuals(model, flight)["x"].sensitivity
 
     own = np.sqrt(np.diag(np.linalg.inv(sensitivity.T @ sensitivity)))
-    np.testing.assert_allclose(own, np.sqrt(np.diag(coefficient_covariance(pair(1000)[0], "x"))), rtol=0.05)
+    ends = np.array([model.axes["x"].ci95_flight[name] for name in COEFFICIENTS], float)
+    ends[1] = np.log(ends[1])
+    np.testing.assert_allclose(own, np.ptp(ends, axis=1) / (2 * 1.96), rtol=0.05)
+    vehicle = np.sqrt(np.diag(coefficient_covariance(model, "x")))
+    assert (own < vehicle).all()
+    assert (vehicle < 2.5 * own).all()
 
 
 def test_a_wrong_delay_is_seen_in_the_commands_that_the_innovations_follow() -> None:

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.flights
 @cache
 def turning() -> tuple[Flight, Fit]:
     flight = flown(Truth(), steps(), 60.0, 21)
-    return flight, fit([flight])
+    return flight, fit([flight], structure="first_order_delay")
 
 
 def holds(ends: Interval, value: float) -> bool:
@@ -246,7 +246,7 @@ def test_a_coefficient_that_is_not_identifiable_is_null_and_keeps_its_interval()
 def test_no_delay_is_a_number_like_another() -> None:
     truth = replace(Truth(), delay=(0.0,) * 4)
 
-    model = fit([flown(truth, steps(), 40.0)]).model
+    model = fit([flown(truth, steps(), 40.0)], structure="first_order_delay").model
     for name in AXES:
         axis = model.axes[name]
         assert statuses(axis) == {"ok"}
@@ -266,7 +266,7 @@ def later(flight: Flight, shift: float) -> Flight:
 def test_commands_that_are_stamped_late_give_a_negative_delay() -> None:
     flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 40.0)
 
-    model = fit([later(flight, 0.05)]).model
+    model = fit([later(flight, 0.05)], structure="first_order_delay").model
     for name in AXES:
         assert model.axes[name].delay == pytest.approx(-0.05, abs=0.003)
         assert holds(model.axes[name].ci95["delay"], -0.05)
@@ -276,7 +276,7 @@ def test_a_card_with_the_wrong_sign_is_fitted_and_told_even_where_the_delay_is_n
     """Noise makes the estimate of no delay a hair negative: that and the sign are no feedback loop read backwards."""
     flight = flown(replace(Truth(), delay=(0.0,) * 4), steps(), 40.0)
 
-    model = fit([replace(flight, command=-flight.command)]).model
+    model = fit([replace(flight, command=-flight.command)], structure="first_order_delay").model
     for name in AXES:
         assert statuses(model.axes[name]) == {"ok"}
         assert model.axes[name].input == pytest.approx(-truth_of(Truth(), name)["input"], rel=0.05)
@@ -301,7 +301,7 @@ def test_trims_belong_to_flights_and_are_none_where_a_flight_does_not_serve_the_
 def test_only_the_wanted_axes_are_fitted() -> None:
     flight, result = turning()
 
-    model = fit([flight], axes=("y",)).model
+    model = fit([flight], axes=("y",), structure="first_order_delay").model
     for name in ("x", "z", "yaw"):
         assert has_no_number(model.axes[name])
     assert model.axes["y"].input == pytest.approx(result.model.axes["y"].input, rel=0.02)
@@ -342,7 +342,7 @@ def test_progress_is_told_from_nothing_to_all_and_raising_in_it_cancels() -> Non
 def test_the_drawn_profile_covers_the_searched_delays_and_nothing_in_it_is_above_the_top() -> None:
     flight = flown(Truth(), steps(("z",)), 20.0)
 
-    short = fit([flight], axes=("z",))
+    short = fit([flight], axes=("z",), structure="first_order_delay")
     drawn = with_delay_profiles(short).model.axes["z"]
     delays = [delay for delay, _ in drawn.profile]
     assert delays == sorted(delays)

@@ -29,7 +29,8 @@ def of_law() -> Fit:
 @cache
 def of_vehicles(*gains: float) -> Fit:
     truths = [Truth(gamma=(*GAMMA_B[:4], gain * GAMMA_B[4], *GAMMA_B[5:])) for gain in gains]
-    return fit([flown(truth, steps(("z",), seed=20 + i), 25.0, 20 + i) for i, truth in enumerate(truths)], axes=("z",))
+    flights = [flown(truth, steps(("z",), seed=20 + i), 25.0, 20 + i) for i, truth in enumerate(truths)]
+    return fit(flights, axes=("z",), structure="first_order_delay")
 
 
 def width(ends: tuple[float | None, float | None]) -> float:
@@ -89,7 +90,7 @@ def test_flights_that_agree_share_one_narrow_interval() -> None:
 
 
 def test_a_vehicle_of_another_law_is_refuted_with_the_evidence_and_what_to_do() -> None:
-    result = fit([flown_by("second_order", wind=0.05, noise=0.001)], axes=("z",))
+    result = fit([flown_by("second_order", wind=0.05, noise=0.001)], axes=("z",), structure="first_order_delay")
     axis = result.model.axes["z"]
 
     assert "refuted" in axis.status.values()

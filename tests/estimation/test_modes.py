@@ -222,7 +222,7 @@ def test_the_mode_that_is_called_chosen_is_the_model(axis: str, seed: int) -> No
     truth = replace(Truth(), wind_sigma=(STRONG,) * 4, stale_share=0.0)
     flight = flown(truth, steps((axis,), 0.02, seed=seed), 100.0, seed, controller=Controller())
 
-    known = fit([flight], axes=(axis,)).model.axes[axis]
+    known = fit([flight], axes=(axis,), structure="first_order_delay").model.axes[axis]
     chosen = [mode for mode in known.modes if mode.chosen]
     assert len(chosen) == 1
     if known.predictor is not None:
@@ -247,6 +247,6 @@ def test_axes_of_one_search_that_are_right_in_different_optima_are_put_together(
         mocap_noise=(1e-4,) * 4,
     )
     flight = flown(truth, steps(amplitude=(1.0, 1.0, 0.3, 0.4), seed=seed, every=1.2), 40.0, seed)
-    model = fit([flight], axes=("x", "y")).model
+    model = fit([flight], axes=("x", "y"), structure="first_order_delay").model
     assert model.axes["x"].delay == pytest.approx(0.28, abs=0.01)
     assert model.axes["y"].delay == pytest.approx(0.02, abs=0.01)

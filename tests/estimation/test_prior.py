@@ -45,11 +45,13 @@ def short() -> Flight:
 
 @cache
 def alone() -> Fit:
-    return fit([short()], axes=("z",))
+    return fit([short()], axes=("z",), structure="first_order_delay")
 
 
 def believed(**coefficients: dict) -> Fit:
-    return with_influence(fit([believing(short(), {"z": coefficients})], axes=("z",), prior=True))
+    return with_influence(
+        fit([believing(short(), {"z": coefficients})], axes=("z",), prior=True, structure="first_order_delay")
+    )
 
 
 # The card
@@ -161,7 +163,9 @@ def test_a_prior_is_always_told_and_a_conflict_is_a_warning() -> None:
 
 
 def test_a_prior_that_is_not_asked_for_is_not_used() -> None:
-    result = fit([believing(short(), {"z": {"input": {"mean": 9.0, "sd": 0.01}}})], axes=("z",))
+    result = fit(
+        [believing(short(), {"z": {"input": {"mean": 9.0, "sd": 0.01}}})], axes=("z",), structure="first_order_delay"
+    )
 
     assert result.model.prior is None
     for name in COEFFICIENTS:

@@ -176,11 +176,13 @@ def test_the_intervals_hold_the_truth_95_times_of_100(kind: str) -> None:
             commands = (
                 steps((axis,), seed=seed) if kind == "steps" else partial(two_sines, axes=(axis,), amplitude=amplitude)
             )
-            known = fit([flown(truth, commands, 60.0, seed)], axes=(axis,)).model.axes[axis]
+            known = fit([flown(truth, commands, 60.0, seed)], axes=(axis,), structure="first_order_delay").model.axes[
+                axis
+            ]
             values = (truth.gamma[2 * k], truth.gamma[2 * k + 1], truth.delay[k])
             published += known.input is not None
             for name, value in zip(COEFFICIENTS, values, strict=True):
-                hits[axis, name] += known.predictor is not None and inside(value, known.ci95[name])
+                hits[axis, name] += known.predictor is not None and inside(value, known.ci95_flight[name])
     print(kind, hits, published)
     low, high = binom.ppf([0.0005, 0.9995], runs, 0.95)
     assert all(low <= count <= high for count in hits.values()), hits
@@ -193,11 +195,11 @@ def test_the_intervals_of_x_and_y_of_the_demo_hold_the_truth_95_times_of_100() -
     truth = Truth()
     for seed in range(2000, 2000 + runs):
         flight = recorded(simulate_flight(truth, partial(two_sines, axes=("x", "y")), 100.0, seed))
-        axes = fit([flight], axes=("x", "y")).model.axes
+        axes = fit([flight], axes=("x", "y"), structure="first_order_delay").model.axes
         for k, axis in enumerate(("x", "y")):
             values = (truth.gamma[2 * k], truth.gamma[2 * k + 1], truth.delay[k])
             for name, value in zip(COEFFICIENTS, values, strict=True):
-                hits[axis, name] += inside(value, axes[axis].ci95[name])
+                hits[axis, name] += inside(value, axes[axis].ci95_flight[name])
     print(hits)
     low, high = binom.ppf([0.0005, 0.9995], runs, 0.95)
     assert all(low <= count <= high for count in hits.values()), hits

@@ -47,7 +47,7 @@ def clean() -> Flight:
 @cache
 def fitted(method: str, bad: bool) -> Fit:
     flight = swapped(clean(), seed=1)[0] if bad else clean()
-    return fit([flight], method, axes=("z",))  # type: ignore[arg-type]
+    return fit([flight], method, axes=("z",), structure="first_order_delay")  # type: ignore[arg-type]
 
 
 def of_z(flights: Sequence[Flight]) -> dict[str, Estimate]:
@@ -160,7 +160,7 @@ def _covered(seed: int) -> list[list[float]]:
     flight = flown(Truth(), steps(("x",), seed=seed), 40.0, seed)
     bad, truth, out = swapped(flight, 0.01, seed)[0], truth_of(Truth(), "x"), []
     for method, some in (("ml", flight), ("robust", flight), ("ml", bad), ("robust", bad)):
-        axis = fit([some], method, axes=("x",)).model.axes["x"]  # type: ignore[arg-type]
+        axis = fit([some], method, axes=("x",), structure="first_order_delay").model.axes["x"]  # type: ignore[arg-type]
         for name in COEFFICIENTS:
             low, high = axis.ci95[name]
             hit = low is not None and high is not None and low <= truth[name] <= high
