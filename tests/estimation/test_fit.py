@@ -134,21 +134,20 @@ def test_x_and_y_of_a_turning_vehicle_share_a_block_and_the_others_stand_alone()
 
 
 def test_input_and_damping_rise_together_as_their_ratio_is_known_better_than_either() -> None:
+    """By the intervals of the flight: the vehicle's spread of each has a prior of its own."""
     model = turning()[1].model
-    at = {name: i for i, name in enumerate(model.covariance_names)}
-    C = model.covariance
+    at = [model.covariance_names.index(f"z.{name}") for name in ("input", "damping")]
     z = model.axes["z"]
-    assert z.input is not None
-    assert z.damping is not None
+    C = model.covariance[np.ix_(at, at)]
+    correlation = C[0, 1] / np.sqrt(C[0, 0] * C[1, 1])
+    sizes = {"input": z.ci95_flight["input"], "damping": z.ci95_flight["damping"]}
+    sizes["ratio"] = z.combinations["steady_gain"].ci95_flight
+    share = {name: float(np.log(high / low)) / (2 * 1.96) for name, (low, high) in sizes.items()}  # type: ignore[operator]
 
-    gradient = np.zeros(len(at))
-    gradient[[at["z.input"], at["z.damping"]]] = 1 / z.damping, -z.input / z.damping**2
-    low, high = z.combinations["steady_gain"].ci95
-    assert low is not None
-    assert high is not None
-    assert np.log(high / low) / (2 * 1.96) == pytest.approx(
-        float(np.sqrt(gradient @ C @ gradient)) / (z.input / z.damping), rel=0.2
-    )  # the vehicle's spread of each has a prior of its own
+    together = share["input"] ** 2 + share["damping"] ** 2 - 2 * correlation * share["input"] * share["damping"]
+    assert correlation > 0.4
+    assert share["ratio"] < share["damping"]
+    assert share["ratio"] == pytest.approx(np.sqrt(together), rel=0.2)
 
 
 # What is not known

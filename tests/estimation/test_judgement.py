@@ -141,8 +141,8 @@ def test_several_flights_name_the_one_that_stands_out() -> None:
     assert told.evidence.count("stands out") == 1
 
 
-def test_a_vehicle_that_brakes_at_command_zero_is_refuted() -> None:
-    """Drag alone lets it coast; its autopilot stops it: another law below a threshold."""
+def test_a_vehicle_that_brakes_at_command_zero_is_found_and_its_commanded_parts_are_not_refuted() -> None:
+    """Drag alone lets it coast; its autopilot stops it: another law below a threshold, which no coefficient holds."""
     vehicle = builtin_vehicles()["bebop2"]
     assert vehicle.autopilot.brakes_on_zero
     t = np.arange(0.0, 60.0, 0.033)
@@ -153,8 +153,12 @@ def test_a_vehicle_that_brakes_at_command_zero_is_refuted() -> None:
     flown_in_the_room = fly_commands(vehicle, Conditions(), stamps, command, 60.0, 1, (0.0, 0.0, 30.0, 0.0))
     flight = flight_from_log(log_of_room_flight(flown_in_the_room), card_from_mapping(vehicle.card(), vehicle.name))
 
-    result = fit([flight], axes=("x",))
+    result = fit([flight], axes=("x",), structure="first_order_delay")
     axis = result.model.axes["x"]
-    assert axis.status["input"] == "refuted"
-    assert axis.status["damping"] != "ok"
-    assert "law_refuted" in {finding.code for finding in findings_of_fit(result)}
+    assert "brakes_at_zero" in {finding.code for finding in findings_of_fit(result)}
+    whole, commanded = result.braking["x"]
+    assert commanded < 40.0
+    assert "refuted" not in axis.status.values()
+    assert axis.damping is not None
+    assert axis.damping == pytest.approx(vehicle.drag[0], rel=0.05)
+    assert axis.damping < 0.5 * whole.damping  # of braking and coasting together

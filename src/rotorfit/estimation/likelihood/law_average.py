@@ -200,7 +200,7 @@ def _no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
     if best is plain or plain.optimum.point.gain.size > 1:
         return plain
     start = replace(plain.optimum.point, levels=best.optimum.point.levels)
-    again = maximise_restricted(plain.records, start, [True])
+    again = maximise_restricted(plain.records, start, [True], plain.optimum.prior)
     if again.score.log_likelihood <= plain.optimum.score.log_likelihood:
         return plain
     return replace(plain, optimum=again)
