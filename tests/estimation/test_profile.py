@@ -212,3 +212,17 @@ def test_an_end_where_the_fall_is_flat_beyond_is_found_and_not_the_last_number_t
 
     assert _crossing(root, lambda _inside, _outside: True, 0.0, 8.3, 9.2, 1.96) == pytest.approx(edge, rel=0.1)
     assert _crossing(root, lambda _inside, _outside: False, 0.0, 8.3, 9.2, 1.96) is None
+
+
+def test_a_leap_to_another_maximum_does_not_end_the_way_to_the_true_end() -> None:
+    walked = False
+
+    def root(target: float) -> float:
+        return 0.5 * target if walked or target < 1.0 else 4.0  # beyond 1 a leap ends on a lower maximum
+
+    def holds(_inside: float, outside: float) -> bool:
+        nonlocal walked
+        walked = True
+        return root(outside) > 1.96
+
+    assert _crossing(root, holds, 0.0, 2.0, 100.0, 1.96) == pytest.approx(3.92, rel=0.03)

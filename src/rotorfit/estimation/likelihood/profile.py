@@ -66,6 +66,9 @@ MOST_SHARE = 1.0
 SCALED = 5
 """Looks by scaled steps before a bracket is halved."""
 
+SECOND = 1.2
+"""Step, as a share of the way so far, by which a walk goes on from an end that did not hold."""
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -105,17 +108,25 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
         looks = [(best, optimum)]
 
         def root(target: float, looks: list[tuple[float, Optimum]] = looks) -> float:
-            near = min(looks, key=lambda look: abs(look[0] - target))[1]
+            within = [look for look in looks if abs(look[0] - best) <= abs(target - best)]
+            near = min(within, key=lambda look: abs(look[0] - target))[1]
             there = hold(records, near, index, target)
             looks.append((target, there))
             fall = max(height(optimum) - height(there), 0.0)
             points.append((target, -fall))
             return float(np.sqrt(2 * fall))
 
-        def holds(inside: float, outside: float) -> bool:
+        def holds(inside: float, outside: float, looks: list[tuple[float, Optimum]] = looks) -> bool:
             near = hold(records, optimum, index, inside)
-            fall = height(optimum) - height(hold(records, near, index, outside))
-            return bool(np.sqrt(2 * max(fall, 0.0)) > reach)
+            there = hold(records, near, index, outside)
+            fall = max(height(optimum) - height(there), 0.0)
+            if np.sqrt(2 * fall) > reach:
+                return True
+            looks[:] = [look for look in looks if abs(look[0] - best) <= abs(inside - best)] + [(outside, there)]
+            points[:] = [point for point in points if (point[0] - inside) * (outside - inside) <= 0] + [
+                (outside, -fall)
+            ]
+            return False
 
         ends.append(_crossing(root, holds, best, best + side * reach * error, bound, reach))
     return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
@@ -131,26 +142,43 @@ def _crossing(
 ) -> float | None:
     """Where the root of the fall passes `reach` on the way from `best` to `bound`; None where it does not.
 
+    After twelve looks the outer end of the bracket is taken, if the fall holds there when it is reached from the inner
+    end: a leap so far may have failed to come back to the top. Where it does not hold, the way goes on from there.
+    """
+    end, inside, outside = _walk(root, best, best, guess, bound, reach)
+    if end is not None or outside is None:
+        return end
+    if holds(inside, outside):
+        return outside
+    further = best + SECOND * (outside - best)
+    end, inside, outside = _walk(root, best, outside, further, bound, reach)
+    return end if end is not None or outside is None or not holds(inside, outside) else outside
+
+
+def _walk(
+    root: Callable[[float], float], best: float, inside: float, target: float, bound: float, reach: float
+) -> tuple[float | None, float, float | None]:
+    """Where the root of the fall is `reach`, if that was met, and the bracket around it; no outer end for none.
+
     The root is nearly linear where the likelihood is nearly quadratic, so the steps scale with it; a bracket keeps them
     honest where it is not and is halved where they are slow, as where the root is flat beyond the end: a level that no
-    command reaches. After twelve looks the outer end of the bracket is taken, if the
-    fall holds there when it is reached from the inner end: a leap so far may have failed to come back to the top.
+    command reaches.
     """
-    inside, outside, target = best, None, guess
+    outside = None
     side = 1.0 if bound > best else -1.0
     for look in range(12):
         target = min(target, bound) if side > 0 else max(target, bound)
         value = root(target)
         if abs(value - reach) < 0.04:
-            return target
+            return target, inside, outside
         if value > reach:
             outside = target
         elif target == bound:
-            return None
+            return None, inside, None
         else:
             inside = target
         share = float(np.clip(reach / max(value, 1e-6), 0.3, 4.0))
         target = best + (target - best) * share
         if outside is not None and (look >= SCALED or not min(inside, outside) < target < max(inside, outside)):
             target = 0.5 * (inside + outside)
-    return outside if outside is not None and holds(inside, outside) else None
+    return None, inside, outside
