@@ -93,9 +93,7 @@ def test_px4_fits_with_gains_near_one(real_flights: Path) -> None:
     axes = fitted(real_flights / PX4).model.axes
 
     for axis in ("x", "y", "yaw"):
-        assert axes[axis].input is not None
-        assert axes[axis].damping is not None
-        assert 0.9 < axes[axis].input / axes[axis].damping < 1.6  # type: ignore[operator]
+        assert 0.9 < axes[axis].combinations["steady_gain"].value < 1.6
     signs, frames = {"sign_flipped", "axes_turned"}, {"axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset"}
     wrong = signs | frames | {"unit_mistake"}
     assert not wrong & {finding.code for finding in fitted(real_flights / PX4).model.findings}
@@ -120,9 +118,9 @@ def test_arducopter_fits_with_gains_near_one(real_flights: Path) -> None:
     axes = fitted(real_flights / ARDUCOPTER).model.axes
 
     for axis in ("x", "y"):
-        assert 0.75 < axes[axis].input / axes[axis].damping < 1.1  # type: ignore[operator]
-    assert axes["z"].input is not None
-    assert axes["z"].input > 0
+        assert 0.75 < axes[axis].combinations["steady_gain"].value < 1.1
+    assert axes["z"].predictor is not None
+    assert axes["z"].predictor.input > 0
 
 
 @pytest.mark.parametrize(
