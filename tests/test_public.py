@@ -252,6 +252,82 @@ def test_what_is_neither_path_nor_flight_is_one_clear_error(wrong: Any, room: Ro
             call(wrong, *[[0.0]] * (3 if call is rf.simulate else 0))
 
 
+WRONG_TYPES: dict[str, dict[str, list[Any]]] = {
+    "flight": {"log": [5, None], "card": [5, []], "span": [5, None, "", (1.0,), (1, 2, 3), ("a", "b")]},
+    "diagnose": {"span": [5, None, (1.0,)]},
+    "fit": {"method": [5, [], None], "axes": [5, [5], None], "structure": [5, [], None], "card": [5]},
+    "validate": {"horizons": [5, "1,2", ["1"], [True]]},
+    "compare": {"models": [5, "model.json", [5]], "horizons": [5]},
+    "simulate": {
+        "command_time": [5, None, "now", {}, [[0.0]], [10**400]],
+        "command": [5, None, [0.0], np.zeros((3, 4))],
+        "time": [5, "now", None],
+        "pose": [5, [0.0], np.zeros(5), {}],
+        "velocity": [5, [0.0]],
+    },
+    "convert": {"limits": [5, None, []]},
+    "plan": {"design": [5, []], "room": [5, [], [None]], "axes": [5], "duration": ["60", None], "seed": [1.5, None]},
+    "fly": {"link": [5, None], "path": [5, None], "seed": ["a"], "poses": [5], "card": [5]},
+    "tune": {"design": [5, None], "rate": ["50"], "axes": [5], "draws": [1.5], "seed": [None]},
+    "export": {"to": [5, None], "path": [5], "dt": ["0.02"], "name": [5]},
+    "save": {"result": [5, None, "model.json"], "path": [5]},
+}
+
+
+@pytest.mark.parametrize("name", WRONG_TYPES)
+def test_an_argument_of_another_type_is_a_type_error_that_says_what_is_wanted(
+    name: str, room: Room, tmp_path: Path
+) -> None:
+    log, model = room.train, room.fit.model
+    sound: dict[str, dict[str, Any]] = {
+        "flight": {"log": log},
+        "diagnose": {"log": log},
+        "fit": {"flights": log},
+        "validate": {"model": model, "flights": log},
+        "compare": {"models": [model], "flights": log},
+        "simulate": {"model": model, "command_time": [0.0, 1.0], "command": np.zeros((2, 4)), "time": [0.0, 1.0]},
+        "convert": {"model": model},
+        "plan": {"card": "rotorfit-demo"},
+        "fly": {"plan": "plan.toml", "link": "sim", "path": tmp_path / "flight.mcap"},
+        "tune": {"model": model},
+        "export": {"model": model, "to": "ros-yaml"},
+        "save": {"result": model, "path": tmp_path / "model.json"},
+    }
+    for argument, values in WRONG_TYPES[name].items():
+        for value in values:
+            with pytest.raises(TypeError, match=r"wanted|is a|are a|can be saved") as error:
+                getattr(rf, name)(**{**sound[name], argument: value})
+            assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_that_nothing_has_are_one_line(room: Room) -> None:
+    for value in (float("nan"), float("inf"), 10**400, 10**5000):
+        with pytest.raises(rf.RotorfitError, match="finite number") as error:
+            rf.validate(room.fit, room.train, [value])
+        assert len(str(error.value)) < 200
+        with pytest.raises(rf.RotorfitError, match="finite number"):
+            rf.flight(room.train, room.card, span=(0.0, value))
+
+
+def test_a_path_that_none_can_be_is_no_such_file() -> None:
+    for path in ("a\0b", "9" * 5000, "\udcff"):
+        for use in (rf.flight, rf.diagnose, rf.fit, rf.read, rf.load, rf.load_card, rf.load_plan):
+            with pytest.raises(rf.RotorfitError):
+                use(path)
+
+
+@pytest.mark.parametrize("wrong", ["flight.csv", Path("flight.csv"), 5, None, ["flight.csv"], [5]])
+def test_the_stages_take_flights_and_nothing_else(wrong: Any, room: Room) -> None:
+    from rotorfit.assessment.validation import validate
+    from rotorfit.estimation.fitting import fit
+
+    with pytest.raises(TypeError, match="sequence of flights"):
+        fit(wrong)
+    with pytest.raises(TypeError, match="sequence of flights"):
+        validate(room.fit.model, wrong)
+
+
 def test_other_wrong_words_are_errors_that_say_what_is_right(room: Room) -> None:
     with pytest.raises(TypeError, match=r"make a flight of it with rotorfit\.flight"):
         rf.fit(rf.read(room.train))  # type: ignore[arg-type]

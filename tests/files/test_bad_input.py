@@ -1,17 +1,34 @@
 """Bad input on the command line: one line that helps, exit 1, nothing on standard output, nothing written."""
 
 import json
-from collections.abc import Callable
+import math
+import os
+import tomllib
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from dataclasses import replace
+from datetime import date
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
 from rotorfit.app.cli import main
+from rotorfit.app.workflows import load_flight
+from rotorfit.core.errors import CardError, RotorfitError
+from rotorfit.diagnosis.card_choice import proposal
+from rotorfit.diagnosis.survey import survey
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.log_span import WHOLE, LogSpan
+from rotorfit.files.logs import read
+from rotorfit.files.plans import load_plan
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
+from rotorfit.simulation.vehicle import load_vehicle
 
 COMMANDS = ("cmd_linx", "cmd_liny", "cmd_linz", "cmd_angz")
 CARD = """
@@ -224,6 +241,105 @@ def test_the_600_bytes_of_format_records_are_refused(real_flights: Path) -> None
 
     check_refused(run("info", path), "defines 5 messages and holds none of them")
     check_refused(run("fit", path, "--json"), "defines 5 messages and holds none of them")
+
+
+# Names and texts from strangers
+
+STRANGE = (
+    *("bell\x07", "delete\x7f", "escape\x1b[31m", "zero\x00", "line\nbreak", "next\x85line", "\u2028", "\u202eleft"),
+    '"]',
+)
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_draft_of_a_log_with_strange_names_loads_as_a_card(name: str, tmp_path: Path) -> None:
+    log, card = tmp_path / "flight.parquet", tmp_path / "card.toml"
+    series = {name if key == "x" else key: values for key, values in columns().items()} | {f"{name}2": np.zeros(600)}
+    pl.DataFrame(series).write_parquet(log)
+
+    told, drafted = run("info", log), run("info", log, "--draft-card", card, "--fresh")
+
+    assert (told.exit_code, drafted.exit_code) == (0, 0)
+    assert all(character.isprintable() for line in told.stdout.split("\n") for character in line)
+    raw = tomllib.loads(card.read_text(encoding="utf-8").replace('# x = "TABLE:COLUMN"', 'x = "TABLE:COLUMN"'))
+    assert raw["pose"]["x"] == "TABLE:COLUMN"
+    raw["pose"]["x"] = name
+    assert load_flight(LogSpan(str(log), WHOLE), card_from_mapping(raw, "mended")).duration > 10
+
+
+def test_a_file_whose_name_is_no_text_is_read_and_named(tmp_path: Path) -> None:
+    log, model, card = (tmp_path / os.fsdecode(name) for name in (b"\xff\n\x1b[31m.csv", b"\xff.json", b"\xff.toml"))
+    csv(tmp_path, columns()).rename(log)
+
+    for arguments in (
+        ["info", log],
+        ["info", log, "--json"],
+        ["info", log, "--draft-card", card, "--fresh"],
+        ["fit", log, "--method", "paper", "-o", model],
+        ["fit", log, "--method", "paper", "--json"],
+        ["validate", model, log],
+    ):
+        result = run(*arguments)
+        assert result.exit_code == 0, result.output
+        assert "\x1b" not in result.output
+    check_refused(run("info", f"{log}x"), "\\x1b[31m.csvx: no such file")
+
+
+DEEP = {
+    "3,000 dots": "a." * 3000 + "a = 1",
+    "brackets": "[command]\nx = " + "[" * 5000 + "]" * 5000,
+    "5,000 digits": CARD.replace('x = "cmd_linx"', "x = " + "9" * 5000),
+    "400 digits": CARD.replace('x = "cmd_linx"', "x = " + "9" * 400),
+    "a name of a page": "a" * 5000 + " = 1",
+    "a value of a page": 'frame = "' + "x" * 100_000 + '"\n' + CARD,
+    "names that are no list": "over = 5\n" + CARD,
+}
+
+
+@pytest.mark.parametrize("case", DEEP)
+def test_a_text_that_no_card_is_ends_in_one_line_wherever_it_stands(case: str, tmp_path: Path) -> None:
+    text, log = DEEP[case], csv(tmp_path, columns())
+    file = tmp_path / "card.toml"
+    file.write_text(text)
+    carrying = replace(read(log), attached={"card": text, "plan": text})
+
+    refused = [run("fit", log, "--card", file), run("info", log, "--card", file)]
+    for result in refused:
+        check_refused(result, "card")
+        assert len(result.stderr) < 2100
+    with pytest.raises(CardError):
+        proposal(carrying)
+    assert survey(carrying).flight is None
+    for load in (load_plan, load_vehicle):
+        with pytest.raises(RotorfitError):
+            load(str(file))
+
+
+def test_any_value_in_the_place_of_any_other_of_a_card_is_one_line() -> None:
+    whole = tomllib.loads((Path(__file__).parent / "version_0_1" / "card-complete.toml").read_text())
+    strange: list[Any] = [None, True, -1, 1e308, math.nan, "", "a\0b", [], [[]], [{}], {}, {"a": {}}, {"from": []}]
+    strange += [date(2020, 1, 1), "é" * 300]
+    count = 0
+    for place in places(whole):
+        for value in strange:
+            raw = deepcopy(whole)
+            at: Any = raw
+            for key in place[:-1]:
+                at = at[key]
+            at[place[-1]] = value
+            try:
+                card_from_mapping(raw, "changed")
+            except CardError:
+                count += 1
+    assert count > 300
+
+
+def places(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where a value stands in sections and lists."""
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+        yield (*place, key)
+        if isinstance(part, dict | list):
+            yield from places(part, (*place, key))
 
 
 # Models

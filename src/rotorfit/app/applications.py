@@ -7,12 +7,25 @@ from contextlib import nullcontext
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
 import numpy.typing as npt
 
-from rotorfit.app.inputs import CardLike, FilePath, ModelLike, as_axes, as_card, as_model, joined, path_text
+from rotorfit.app.inputs import (
+    CardLike,
+    FilePath,
+    ModelLike,
+    as_array,
+    as_axes,
+    as_card,
+    as_model,
+    as_number,
+    as_whole,
+    as_word,
+    joined,
+    named,
+    path_text,
+)
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.flight_data import Flight
@@ -52,14 +65,17 @@ def simulate(
         Pose and velocity at these times, world frame, without trim and disturbance.
 
     Raises:
-        TypeError: No model.
+        TypeError: No model, or arrays of another shape.
         ModelError: The model file cannot be used.
     """
     from rotorfit.dynamics import trajectory
 
-    when, what, until = (np.asarray(each, float) for each in (command_time, command, time))
-    start, speed = (None if each is None else np.asarray(each, float) for each in (pose, velocity))
-    return trajectory.simulate(as_model(model), when, what, until, start, speed)
+    known = as_model(model)
+    when, until = as_array(command_time, (None,), "command_time"), as_array(time, (None,), "time")
+    what = as_array(command, (when.size, 4), "command")
+    start = None if pose is None else as_array(pose, (4,), "pose")
+    speed = None if velocity is None else as_array(velocity, (4,), "velocity")
+    return trajectory.simulate(known, when, what, until, start, speed)
 
 
 def state_space(model: ModelLike) -> StateSpace:
@@ -91,13 +107,15 @@ def convert(model: ModelLike, limits: str | Mapping[str, Any]) -> Model:
         The converted model.
 
     Raises:
-        TypeError: No model.
+        TypeError: No model, or no limits.
         ModelError: The model cannot be converted so, or its file not be used.
         CardError: A limit that no card has.
     """
     from rotorfit.core.limits import limits_from_text
     from rotorfit.dynamics import other_limits
 
+    if not isinstance(limits, str | Mapping):
+        raise TypeError(f"limits are a text or a mapping, not {named(limits)}")
     return other_limits.convert(as_model(model), limits_from_text(limits) if isinstance(limits, str) else limits)
 
 
@@ -145,8 +163,10 @@ def plan(
     request = Request(
         card if card is None or isinstance(card, Card) else path_text(card),
         as_model(after) if isinstance(after, Model | Fit) else None if after is None else path_text(after),
-        design, joined(room, "x"), joined(box, ","), None if axes is None else as_axes(axes), False, open_loop,
-        duration, amplitude, speed, seed,
+        None if design is None else as_word(design, "design"), joined(room, "x"), joined(box, ","),
+        None if axes is None else as_axes(axes), False, open_loop, as_number(duration, "a duration"),
+        None if amplitude is None else as_number(amplitude, "an amplitude"),
+        None if speed is None else as_number(speed, "a speed"), as_whole(seed, "a seed"),
     )  # fmt: skip
     return planned(request, progress)[0][0]
 
@@ -190,7 +210,10 @@ def fly(
     from rotorfit.flying.preflight import refuse
 
     given = plan if isinstance(plan, Plan) else path_text(plan)
-    with mission(given, link, Path(path), as_card(card), take_off, seed, poses) as wanted:
+    to, where, chosen = as_word(link, "link"), Path(path_text(path)), as_card(card)
+    with mission(
+        given, to, where, chosen, take_off, as_whole(seed, "a seed"), as_word(poses, "link of poses")
+    ) as wanted:
         refuse(wanted.ready)
         if wanted.link.live and not real_vehicle:
             raise LinkError(f"{link} moves a real vehicle: nothing was flown; allow it with real_vehicle=True")
@@ -234,7 +257,11 @@ def tune(
     from rotorfit.exports.gains import save_gains
 
     known = as_model(model)
-    made = tuning.tune(known, design, rate=rate, latency=latency, axes=as_axes(axes), peak=peak, draws=draws, seed=seed)
+    made = tuning.tune(
+        known, cast("Kind", as_word(design, "design")), rate=as_number(rate, "a rate"),
+        latency=as_number(latency, "a latency"), axes=as_axes(axes), peak=as_number(peak, "a peak"),
+        draws=as_whole(draws, "a count of draws"), seed=as_whole(seed, "a seed"),
+    )  # fmt: skip
     if path is not None:
         save_gains(made, known, path_text(path))
     return made
@@ -283,7 +310,7 @@ def export(
         training = model.flights if isinstance(model, Fit) else workflows.training_flights(as_model(model))[0]
     named_or_known = path_text(model) if isinstance(model, str | PathLike) else as_model(model)
     return exports.export(
-        named_or_known, to, None if path is None else Path(path),
-        dt=dt, predictor=predictor, physical=physical, round_delay=round_delay, training=training,
-        validation=validation, name=name,
+        named_or_known, as_word(to, "format"), None if path is None else Path(path_text(path)),
+        dt=as_number(dt, "a period"), predictor=predictor, physical=physical, round_delay=round_delay,
+        training=training, validation=validation, name=None if name is None else as_word(name, "vehicle"),
     )  # fmt: skip

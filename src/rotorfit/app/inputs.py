@@ -1,17 +1,20 @@
 """What the public functions take: paths, flights, models and cards in any of their forms, or one clear error."""
 
+import math
 from collections.abc import Iterable, Sequence
 from os import PathLike, fspath
 
+import numpy as np
+
 from rotorfit.core.card import Card
-from rotorfit.core.errors import RotorfitError
+from rotorfit.core.errors import ModelError, RotorfitError
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log
 from rotorfit.core.model import Model
-from rotorfit.core.results import Fit
+from rotorfit.core.results import HORIZONS, Fit
 from rotorfit.files.cards import load_card
-from rotorfit.files.log_span import LogSpan, parse_log
+from rotorfit.files.log_span import LogSpan, Span, parse_log
 from rotorfit.files.models import load
 
 FilePath = str | PathLike[str]
@@ -35,7 +38,10 @@ def path_text(path: object) -> str:
 
 def named(value: object) -> str:
     """What a value is, for an error."""
-    return f"{type(value).__name__} {value!r:.60}"
+    try:
+        return f"{type(value).__name__} {value!r:.60}"
+    except ValueError:  # an integer of more digits than Python writes
+        return type(value).__name__
 
 
 def as_card(card: CardLike | None) -> Card | None:
@@ -59,6 +65,8 @@ def as_models(models: Iterable[ModelLike]) -> tuple[list[str], list[Model]]:
     if isinstance(models, str | PathLike | Model | Fit) or not isinstance(models, Iterable):
         raise TypeError(f"a sequence of models, fits or model files is wanted, not {named(models)}")
     given = list(models)
+    if not given:
+        raise ModelError("no model: give at least one")
     names = [path_text(one) if isinstance(one, str | PathLike) else f"model {n}" for n, one in enumerate(given, 1)]
     return names, [as_model(one) for one in given]
 
@@ -78,14 +86,78 @@ def as_logs(flights: Flights) -> list[LogSpan | Flight]:
     return [one if isinstance(one, Flight) else parse_log(path_text(one)) for one in given]
 
 
-def as_axes(axes: str | Sequence[str]) -> tuple[str, ...]:
+def as_axes(axes: object) -> tuple[str, ...]:
     """Names of axes, from a sequence or a text with commas."""
+    if not isinstance(axes, Iterable) or not all(isinstance(axis, str) for axis in axes):
+        raise TypeError(f"names of axes are wanted, not {named(axes)}")
     wanted = tuple(part.strip() for part in axes.split(",")) if isinstance(axes, str) else tuple(axes)
     if unknown := [axis for axis in wanted if axis not in AXES]:
         raise RotorfitError(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}")
     return wanted
 
 
-def joined(sizes: str | Sequence[float] | None, by: str) -> str | None:
+def as_word(word: object, what: str) -> str:
+    """A name of something."""
+    if not isinstance(word, str):
+        raise TypeError(f"the name of a {what} is wanted, not {named(word)}")
+    return word
+
+
+def as_span(span: object) -> Span:
+    """Start and end of a span, each in seconds or None."""
+    if not isinstance(span, Sequence) or isinstance(span, str | bytes) or len(span) != 2:
+        raise TypeError(f"a span is a start and an end in seconds, not {named(span)}")
+    low, high = (None if end is None else as_number(end, "an end of a span") for end in span)
+    return low, high
+
+
+def as_horizons(horizons: object) -> tuple[float, ...]:
+    """Horizons in seconds; those of the protocol where none are given."""
+    if horizons is None:
+        return HORIZONS
+    if not isinstance(horizons, Iterable) or isinstance(horizons, str | bytes):
+        raise TypeError(f"horizons are a sequence of seconds, not {named(horizons)}")
+    return tuple(as_number(each, "a horizon") for each in horizons)
+
+
+def as_number(value: object, what: str) -> float:
+    """A finite number, of Python or of numpy."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise TypeError(f"{what} is a number, not {named(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise RotorfitError(f"{what} is a finite number, not {named(value)}")
+    return number
+
+
+def as_whole(value: object, what: str) -> int:
+    """A whole number, 0 or more, of Python or of numpy."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{what} is a whole number, not {named(value)}")
+    if not 0 <= value < 1 << 63:
+        raise RotorfitError(f"{what} is a whole number of 0 or more, and of less than 64 bits")
+    return int(value)
+
+
+def as_array(values: object, shape: tuple[int | None, ...], what: str) -> Array:
+    """Numbers as an array of a shape, in which None is any length."""
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{what}: an array of numbers is wanted, not {named(values)}") from None
+    if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("N" if n is None else str(n) for n in shape)
+        raise TypeError(f"{what}: an array of shape ({wanted}) is wanted, not {array.shape}")
+    return array
+
+
+def joined(sizes: object, by: str) -> str | None:
     """Sizes as the text of the command line."""
-    return sizes if sizes is None or isinstance(sizes, str) else by.join(map(str, sizes))
+    if sizes is None or isinstance(sizes, str):
+        return sizes
+    if not isinstance(sizes, Sequence) or not sizes:
+        raise TypeError(f"lengths in metres are wanted, not {named(sizes)}")
+    return by.join(str(as_number(size, "a length")) for size in sizes)

@@ -19,9 +19,12 @@ from rotorfit.app.inputs import (
     ModelLike,
     as_axes,
     as_card,
+    as_horizons,
     as_logs,
     as_model,
     as_models,
+    as_span,
+    as_word,
     named,
     path_text,
 )
@@ -62,9 +65,10 @@ def flight(
     from rotorfit.app import workflows
     from rotorfit.files.log_span import LogSpan, parse_log
 
+    part = as_span(span)
     if isinstance(log, Log):
-        return workflows.load_flight(LogSpan(str(log.path), span), as_card(card), log)
-    return workflows.load_flight(parse_log(path_text(log), span), as_card(card))
+        return workflows.load_flight(LogSpan(str(log.path), part), as_card(card), log)
+    return workflows.load_flight(parse_log(path_text(log), part), as_card(card))
 
 
 flight_from_log = flight
@@ -92,10 +96,10 @@ def diagnose(
     from rotorfit.files.log_span import parse_log
     from rotorfit.files.logs import read
 
-    chosen = as_card(card)
+    chosen, part = as_card(card), as_span(span)
     if isinstance(log, Log):
-        return survey(log, chosen, span)
-    asked = parse_log(path_text(log), span)
+        return survey(log, chosen, part)
+    asked = parse_log(path_text(log), part)
     return survey(read(asked.path), chosen, asked.span)
 
 
@@ -138,16 +142,16 @@ def fit(
     from rotorfit.assessment.leave_one_out import require_two
     from rotorfit.estimation.methods import METHODS, maximises_likelihood
 
-    if method not in METHODS:
+    if as_word(method, "method") not in METHODS:
         raise RotorfitError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
     if uncertainty and not maximises_likelihood(method):
         raise RotorfitError(f"the accuracy table is of the likelihood: {method} has its own standard errors")
-    logs, wanted, chosen = as_logs(flights), as_axes(axes), as_card(card)
+    logs, wanted, chosen, law = as_logs(flights), as_axes(axes), as_card(card), as_word(structure, "structure")
     if leave_one_out:
         require_two(len(logs))
     known: Any = method
-    result = workflows.fit_logs(logs, chosen, known, wanted, progress, structure, uncertainty, prior)
-    return workflows.leave_one_out_logs(result, wanted, progress, structure)[0] if leave_one_out else result
+    result = workflows.fit_logs(logs, chosen, known, wanted, progress, law, uncertainty, prior)
+    return workflows.leave_one_out_logs(result, wanted, progress, law)[0] if leave_one_out else result
 
 
 def ladder(
@@ -204,9 +208,8 @@ def validate(
         ModelError: The model file cannot be used.
     """
     from rotorfit.app import workflows
-    from rotorfit.core.results import HORIZONS
 
-    far = HORIZONS if horizons is None else tuple(horizons)
+    far = as_horizons(horizons)
     return workflows.validate_logs(as_model(model), as_logs(flights), as_card(card), far, progress)[0]
 
 
@@ -235,9 +238,8 @@ def compare(
         LogError, CardError, FlightError, ModelError: As of `validate`.
     """
     from rotorfit.app import workflows
-    from rotorfit.core.results import HORIZONS
 
-    far = HORIZONS if horizons is None else tuple(horizons)
+    far = as_horizons(horizons)
     names, known = as_models(models)
     return workflows.compare_models(names, known, as_logs(flights), as_card(card), far, progress)
 

@@ -33,7 +33,7 @@ from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import response, whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
-from rotorfit.flights.distinct import check_distinct
+from rotorfit.flights.distinct import check_distinct, check_flights
 
 BASELINES = ("hold", "paper", "coast")
 """See `Validation`. Of the last two now one, now the other is the better use of the paper's coefficients."""
@@ -85,8 +85,10 @@ def validate(
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
+        TypeError: If they are no flights.
         FlightError: If no flight is given, one is given twice, or a horizon is not positive.
     """
+    check_flights(flights)
     if not flights:
         raise FlightError("no flight to validate on: give at least one log")
     if not horizons or min(horizons) <= 0:

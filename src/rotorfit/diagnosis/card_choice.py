@@ -1,6 +1,5 @@
 """Proposal: which card a log is read with where nobody names one, and why that one."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,6 +7,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Log
+from rotorfit.core.plain import plain_toml
 from rotorfit.diagnosis.recognition import commands_in, lacking, pose_in
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flights.assemble import flight_from_log
@@ -43,10 +43,10 @@ def proposal(log: Log) -> Proposal:
     """
     if "card" in log.attached:
         try:
-            card = card_from_mapping(tomllib.loads(log.attached["card"]), f"attached to {log.path}")
-        except tomllib.TOMLDecodeError as error:
+            raw = plain_toml(log.attached["card"])
+        except ValueError as error:
             raise CardError(f"{log.path}: the card in it is damaged ({error}); name one with `--card`") from error
-        return Proposal(None, card, "the log carries it")
+        return Proposal(None, card_from_mapping(raw, f"attached to {log.path}"), "the log carries it")
     fitting = fitting_cards(log)
     if not fitting:
         lacks = lacking(log)

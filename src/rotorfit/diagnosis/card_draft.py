@@ -3,8 +3,6 @@
 What the names of a log say of its commands and pose, and the text of a card from that.
 """
 
-import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +13,7 @@ from rotorfit.core.card import Channel
 from rotorfit.core.errors import CardError, FlightError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log
+from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, Answers, CommandResponse, answers_of
@@ -116,8 +115,8 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         '# vertical_speed = { value = 1, unit = "m/s" }',
         '# yaw_rate = { value = 100, unit = "deg/s" }',
         "",
-        f"# All columns of {log.path.name}; a row of a matrix is NAME[0], NAME[1] and so on:",
-        *(f"#   {source_of(log, table, name)}{shape_text(table.columns[name])}" for table, name in columns),
+        f"# All columns of {visible(log.path.name)}; a row of a matrix is NAME[0], NAME[1] and so on:",
+        *(f"#   {visible(source_of(log, table, name))}{shape_text(table.columns[name])}" for table, name in columns),
     ]
     return "\n".join([*_heading(log, found), *([f"# {checked}"] if checked else []), *body]) + "\n"
 
@@ -167,7 +166,7 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
     }
     missing = [what for what, is_there in there.items() if not is_there]
     return [
-        f"# Drafted from the names in {log.path.name}. Check every line, the signs of the commands above all:",
+        f"# Drafted from the names in {visible(log.path.name)}. Check every line, the signs of the commands above all:",
         "# after scale, + must mean forward, left, up, and counter-clockwise seen from above.",
         *(
             [f"# INCOMPLETE: nothing was recognised for {'; '.join(missing)}. Fill in the lines marked EDIT."]
@@ -177,7 +176,7 @@ def _heading(log: Log, found: DraftContents) -> list[str]:
 
 
 def _quoted(text: object) -> str:
-    return json.dumps(str(text), ensure_ascii=False)
+    return toml_text(str(text))
 
 
 def _line(key: str, channel: Channel | None, said: str = "") -> str:
@@ -226,11 +225,11 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     name = None if fresh else _builtin(log)
     if name:
         text = builtin_card_text(name)
-        return f"# A copy of the built-in card {name}, whose columns are all in {log.path.name}.\n{text}"
+        return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
     asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
     found, told = asked.found, asked.told
     if told is None:
-        return text_of(log, found, {}, f"The motion was not asked: {asked.why}." if asked.why else "")
+        return text_of(log, found, {}, f"The motion was not asked: {line_of(asked.why)}." if asked.why else "")
     if turned := ", ".join(overturned(told.of, asked.height)):
         found = replace(found, pose_said=f"as z is above 0; {turned} are turned together: forward, right, down?")
     moved, said = _by_motion(found.commands, told)
@@ -271,9 +270,9 @@ class _Asked:
 def _asked(log: Log, found: DraftContents) -> _Asked:
     """Asks the motion what the commands of a draft do."""
     try:
-        card = card_from_mapping(tomllib.loads(text_of(log, found, {})), "drafted")
-    except CardError:
-        return _Asked(found, None)  # incomplete: said on top
+        card = card_from_mapping(plain_toml(text_of(log, found, {})), "drafted")
+    except (CardError, ValueError):
+        return _Asked(found, None)  # incomplete: said on top; or more columns than a card can list
     try:
         flight = flight_from_log(log, card)
     except (CardError, FlightError) as error:

@@ -1,6 +1,5 @@
 """Survey: what is in a log, which card fits, what the flight excites."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log, Table
+from rotorfit.core.plain import plain_toml
 from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
 from rotorfit.diagnosis.command_checks import spectrum
 from rotorfit.diagnosis.doctor import damage_of, findings_of_flight
@@ -21,7 +21,6 @@ from rotorfit.diagnosis.recognition import commands_in, pose_in, velocity_in
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import WHOLE, Span, parse_log
 from rotorfit.files.logs import read
-from rotorfit.files.logs.content import one_line
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import clock_of, fitting_cards, sample_count, shape_text, split_source, tables_of
 from rotorfit.flights.other_tables import sample_rows
@@ -205,9 +204,9 @@ def _recording(log: Log) -> dict[str, str]:
     if "plan" not in log.attached:
         return told
     try:
-        name = tomllib.loads(log.attached["plan"]).get("name", "without a name")
-    except tomllib.TOMLDecodeError as error:
-        name = f"damaged: {one_line(error)}"
+        name = plain_toml(log.attached["plan"]).get("name", "without a name")
+    except ValueError as error:
+        name = f"damaged: {error}"
     return {"plan": str(name), **told}
 
 

@@ -39,7 +39,7 @@ from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.estimation.regression.axes_by_method import axes_by_method
 from rotorfit.estimation.regression.paper import paper_regression
 from rotorfit.estimation.zero_command import braking, commanded_parts
-from rotorfit.flights.distinct import check_distinct
+from rotorfit.flights.distinct import check_distinct, check_flights
 
 Priors = Mapping[str, Mapping[str, Prior]]
 
@@ -72,6 +72,7 @@ def fit(
         The fit. What the data cannot tell is a status, never a number.
 
     Raises:
+        TypeError: If they are no flights.
         FlightError: If no flight is given, one is given twice, or their cards differ in what the coefficients mean.
         CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
         ModelError: No such method or structure, or a structure other than the default with a method other than `ml`.
@@ -241,6 +242,7 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
         raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
     if prior and structure not in (AVERAGED, STRUCTURE):
         raise ModelError("priors are for the default laws: leave --prior or --structure out")
+    check_flights(flights)
     if not flights:
         raise FlightError("no flight to fit: give at least one log")
     if any(f.card.raw != flights[0].card.raw for f in flights):

@@ -1,7 +1,6 @@
 """TOML -> Card: every key checked, the nearest name offered for one that nobody knows."""
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import resources
@@ -21,6 +20,7 @@ from rotorfit.core.card import (
 )
 from rotorfit.core.errors import CardError, nearest
 from rotorfit.core.frames import AXES, UNIT_SCALE
+from rotorfit.core.plain import is_file, line_of, plain_toml
 
 Choice = TypeVar("Choice", bound=str | bool)
 
@@ -62,15 +62,16 @@ def load_card(name_or_path: str | Path) -> Card:
     if name_or_path in built_in:
         return built_in[name_or_path]
     path = Path(name_or_path)
-    if not path.is_file():
+    if not is_file(path):
         raise CardError(
-            f"no card {name_or_path!r}: neither a file nor a built-in name{nearest(name_or_path, built_in)} "
+            f"no card {name_or_path[:200]!r}: neither a file nor a built-in name{nearest(name_or_path, built_in)} "
             "(`rotorfit cards` lists them)"
         )
     try:
-        return card_from_mapping(tomllib.loads(path.read_text(encoding="utf-8")), name_or_path)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise CardError(f"card {name_or_path}: not readable as TOML: {' '.join(str(err).split())}") from err
+        raw = plain_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as err:
+        raise CardError(f"card {name_or_path}: not readable as TOML: {line_of(err)}") from err
+    return card_from_mapping(raw, name_or_path)
 
 
 def builtin_cards() -> dict[str, Card]:
@@ -81,7 +82,7 @@ def builtin_cards() -> dict[str, Card]:
         if entry.name.endswith(".toml")
     )
     texts = {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in files}
-    return {name: card_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
+    return {name: card_from_mapping(plain_toml(texts[name]), name) for name in sorted(texts)}
 
 
 def builtin_card_text(name: str) -> str:
@@ -144,7 +145,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         attitude_time=_recorded(attitude, "time", _STAMP, f"{place}, [attitude]") if "time" in attitude else None,
         clock=_choice(raw.get("clock", "own"), ("own", "one"), f"{place}, clock"),
         fail_safe=_text(raw["fail_safe"], f"{place}, fail_safe") if "fail_safe" in raw else "",
-        over=tuple(_text(name, f"{place}, over") for name in raw.get("over", [])),
+        over=_names(raw.get("over", []), f"{place}, over"),
     )
 
 
@@ -169,6 +170,12 @@ def _text(value: Any, place: str) -> str:
     if not isinstance(value, str) or not value:
         raise CardError(f"{place}: must be a text, not {value!r}")
     return value
+
+
+def _names(value: Any, place: str) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise CardError(f"{place}: must be a list of names, not {value!r}")
+    return tuple(_text(name, place) for name in value)
 
 
 def _number(value: Any, place: str) -> float:

@@ -1,10 +1,10 @@
 """Which part of a log is wanted: `LOG@T0:T1`."""
 
+import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs.several import parts_of
+from rotorfit.files.logs.several import is_there, parts_of
 
 Span = tuple[float | None, float | None]
 
@@ -30,8 +30,10 @@ def parse_span(text: str) -> Span:
         if not colon:
             raise ValueError
         low, high = (float(part) if part.strip() else None for part in (start, end))
+        if not all(end is None or math.isfinite(end) for end in (low, high)):
+            raise ValueError
     except ValueError:
-        raise LogError(f"span {text!r} is not T0:T1 in seconds, such as 10:60 or :84") from None
+        raise LogError(f"span {text[:80]!r} is not T0:T1 in seconds, such as 10:60 or :84") from None
     if low is not None and high is not None and low >= high:
         raise LogError(f"span {text!r} ends before it starts; give T0:T1 with T0 < T1")
     return low, high
@@ -44,7 +46,7 @@ def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
         LogError: What follows the `@` of a file that is there is no span.
     """
     name, at, span = text.rpartition("@")
-    meant = ":" in span or all(Path(part).exists() for part in parts_of(name))
-    if at and meant and not Path(text).exists():
+    meant = ":" in span or all(map(is_there, parts_of(name)))
+    if at and meant and not is_there(text):
         return LogSpan(name, parse_span(span))
     return LogSpan(text, default)

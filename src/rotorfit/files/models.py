@@ -30,6 +30,7 @@ from rotorfit.core.model import (
     Weighed,
 )
 from rotorfit.core.physics import physics
+from rotorfit.core.plain import plain_json
 from rotorfit.files.cards import card_from_mapping
 
 
@@ -75,12 +76,12 @@ def load(path: str | Path) -> Model:
         ModelError: If it is missing, no model file, or of a newer version.
     """
     try:
-        raw = json.loads(Path(path).read_text())
+        raw = plain_json(Path(path).read_bytes())
     except OSError as error:
         raise ModelError(
             f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
         ) from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise ModelError(f"{path}: not a model file ({error}); give one written by `rotorfit fit -o`") from None
     return from_mapping(raw, str(path))
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from rotorfit.core.errors import CardError, PlanError, nearest
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Four, Plan, Signal, Sines, Space, Steps
 from rotorfit.core.frames import AXES
+from rotorfit.core.plain import plain_toml
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.version import __version__
 
@@ -107,7 +107,7 @@ def load_plan(path: str | Path) -> Plan:
         raise PlanError(
             f"plan {path}: cannot be read ({error.strerror}); give a file written by `rotorfit plan -o`"
         ) from None
-    except UnicodeDecodeError:
+    except ValueError:  # no UTF-8, or a zero byte in the path
         raise PlanError(f"plan {path}: not a text file; give one written by `rotorfit plan -o`") from None
     return plan_from_text(text, str(path))
 
@@ -115,9 +115,9 @@ def load_plan(path: str | Path) -> Plan:
 def plan_from_text(text: str, where: str) -> Plan:
     """A plan from the text of its file; errors as `load_plan`."""
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise PlanError(f"plan {where}: not readable as TOML: {' '.join(str(error).split())}") from None
+        raw = plain_toml(text)
+    except ValueError as error:
+        raise PlanError(f"plan {where}: not readable as TOML: {error}") from None
     return plan_from_mapping(raw, where)
 
 

@@ -17,6 +17,19 @@ LEAST = 1.0
 """Time that two flights must share to be refused [s]: parts of one log may touch."""
 
 
+def check_flights(flights: object) -> None:
+    """Refuses what is no sequence of flights: one flight, or the path of a log.
+
+    Raises:
+        TypeError: Naming what was given.
+    """
+    if not isinstance(flights, Sequence) or isinstance(flights, str | bytes):
+        raise TypeError(f"a sequence of flights is wanted, not {type(flights).__name__}")
+    for one in flights:
+        if not isinstance(one, Flight):
+            raise TypeError(f"a sequence of flights is wanted, not one of {type(one).__name__}")
+
+
 def check_distinct(flights: Sequence[Flight]) -> None:
     """Refuses flights that share a stretch of their poses, whatever their files are called.
 

@@ -1,7 +1,6 @@
 """Vehicle: a multirotor with its autopilot, as physical parameters from TOML; what they mean for small slow motion."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from importlib import resources
@@ -10,6 +9,7 @@ from typing import Any, Literal, cast
 
 from rotorfit.core.errors import VehicleError, nearest
 from rotorfit.core.limits import GRAVITY
+from rotorfit.core.plain import is_file, line_of, plain_toml
 
 Three = tuple[float, float, float]
 
@@ -281,12 +281,13 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     if name_or_path in built_in:
         return built_in[name_or_path]
     path = Path(name_or_path)
-    if not path.is_file():
+    if not is_file(path):
         raise VehicleError(f"no vehicle {name_or_path!r}: neither a file nor one of {', '.join(built_in)}")
     try:
-        return vehicle_from_mapping(tomllib.loads(path.read_text(encoding="utf-8")), name_or_path)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise VehicleError(f"vehicle {name_or_path}: not readable as TOML: {' '.join(str(err).split())}") from err
+        raw = plain_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as err:
+        raise VehicleError(f"vehicle {name_or_path}: not readable as TOML: {line_of(err)}") from err
+    return vehicle_from_mapping(raw, name_or_path)
 
 
 def builtin_vehicles() -> dict[str, Vehicle]:
@@ -297,7 +298,7 @@ def builtin_vehicles() -> dict[str, Vehicle]:
         for entry in folder.iterdir()
         if entry.name.endswith(".toml")
     }
-    return {name: vehicle_from_mapping(tomllib.loads(texts[name]), name) for name in sorted(texts)}
+    return {name: vehicle_from_mapping(plain_toml(texts[name]), name) for name in sorted(texts)}
 
 
 def vehicle_from_mapping(raw: Mapping[str, Any], where: str) -> Vehicle:
@@ -346,8 +347,8 @@ def _value(kind: Any, value: Any, place: str) -> Any:
 
 
 def _number(value: Any, place: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
-        raise VehicleError(f"{place}: must be a number that is not negative, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+        raise VehicleError(f"{place}: must be a finite number that is not negative, not {value!r}")
     return float(value)
 
 

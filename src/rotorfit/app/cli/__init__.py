@@ -3,6 +3,8 @@
 What is heavy (numpy, numba, rich) is imported by the verb that needs it, so that `rotorfit --help` answers at once.
 """
 
+import io
+import sys
 from typing import Any
 
 import click
@@ -14,10 +16,15 @@ from rotorfit.app.cli.logs import cards, demo, formats, info, studio
 from rotorfit.app.cli.models import convert, fit, ladder
 from rotorfit.app.cli.scoring import compare, report, validate
 from rotorfit.core.errors import RotorfitError
+from rotorfit.core.plain import line_of
 from rotorfit.version import __version__
 
 VERBS = (demo, info, fit, ladder, validate, compare, report, convert, tune, export, plan, fly, cards, formats, studio)
 """In the order of the work."""
+
+
+LONGEST_LINE = 2000
+"""Most characters of an error: values of a file are quoted in it."""
 
 
 class _Verbs(click.Group):
@@ -28,11 +35,13 @@ class _Verbs(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Runs the verb; what the user can act on becomes one line."""
+        if isinstance(sys.stdout, io.TextIOWrapper):  # a file's name may be no text
+            sys.stdout.reconfigure(errors="backslashreplace")
         try:
             with safe_interrupts():
                 return super().invoke(ctx)
         except RotorfitError as error:
-            raise click.ClickException(" ".join(str(error).split())) from error
+            raise click.ClickException(line_of(error, LONGEST_LINE)) from error
         except BrokenPipeError:  # the reader of our output has seen enough: click ends quietly
             raise
         except OSError as error:
@@ -40,7 +49,7 @@ class _Verbs(click.Group):
                 raise
             where = f"{error.filename}: " if error.filename else ""
             line = f"{where}{error.strerror}; check the path, its permissions and the room on the disk"
-            raise click.ClickException(line) from error
+            raise click.ClickException(line_of(line, LONGEST_LINE)) from error
 
 
 @click.group(cls=_Verbs, commands=VERBS, subcommand_metavar="VERB ...")

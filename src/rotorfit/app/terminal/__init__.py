@@ -1,9 +1,14 @@
 """What the terminal shows, a module a noun: text and tables that fit 80 columns."""
 
+import re
 from collections.abc import Iterable
 
 import click
 from rich.console import Console, RenderableType
+
+from rotorfit.core.plain import visible
+
+_COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
 
 _UNBROKEN = 2000  # columns: more than any line has
 
@@ -16,4 +21,9 @@ def show(view: Iterable[RenderableType]) -> None:
     for part in view:
         with console.capture() as captured:
             console.print(part)
-        click.echo("\n".join(line.rstrip() for line in captured.get().split("\n")), nl=False)
+        click.echo("\n".join(_harmless(line.rstrip()) for line in captured.get().split("\n")), nl=False)
+
+
+def _harmless(line: str) -> str:
+    """A line with its colours; what else would steer a terminal, from a file's names, as its escape."""
+    return "".join(part if _COLOUR.fullmatch(part) else visible(part) for part in _COLOUR.split(line))

@@ -9,6 +9,7 @@ from typing import Any
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import AXES, UNIT_SCALE
+from rotorfit.core.plain import plain_toml, toml_text
 from rotorfit.files.cards import card_from_mapping
 
 _STAMP, _LENGTH, _SPEED = ("s", "ms", "us", "ns"), ("m", "cm", "mm"), ("m/s", "cm/s")
@@ -35,10 +36,11 @@ def parsed(text: str) -> dict[str, Any]:
         CardError: It is not TOML, or holds what JSON cannot say.
     """
     try:
-        raw = tomllib.loads(text)
+        raw = plain_toml(text)
+    except ValueError as error:
+        raise CardError(f"the card is not readable as TOML: {error}") from None
+    try:
         json.dumps(raw, allow_nan=False)
-    except tomllib.TOMLDecodeError as error:
-        raise CardError(f"the card is not readable as TOML: {' '.join(str(error).split())}") from None
     except (TypeError, ValueError):
         raise CardError("the card holds a date or a number that is not finite; no key of a card takes one") from None
     return raw
@@ -99,7 +101,7 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return toml_text(value)
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, list):

@@ -23,6 +23,7 @@ from rotorfit.app.web.wire import UNTOLD, constants_mapping, flight_mapping, log
 from rotorfit.app.web.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 from rotorfit.core.errors import ExportError, LogError, RotorfitError
 from rotorfit.core.frames import AXES
+from rotorfit.core.plain import line_of, plain_json
 from rotorfit.diagnosis.card_draft import draft_card
 from rotorfit.diagnosis.command_response import answers_of
 from rotorfit.diagnosis.doctor import findings_of_flight
@@ -310,8 +311,8 @@ def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]
             if len(body) > LARGEST_REQUEST:
                 return refused(413, "the request is too large")
         try:
-            asked = json.loads(body) if body else {}
-        except (ValueError, RecursionError):
+            asked = plain_json(body) if body else {}
+        except ValueError:
             asked = None
         if not isinstance(asked, dict):
             return refused(400, "the request is no JSON object")
@@ -329,4 +330,4 @@ def _told(_: Request, error: Exception) -> Response:
     if isinstance(error, OSError):
         return refused(507, f"{error.strerror or 'the disk refused'}; check the room on the disk of the workspace")
     status = 409 if isinstance(error, StaleError | BusyError) else 422
-    return refused(status, " ".join(str(error).split()))
+    return refused(status, line_of(error))

@@ -11,7 +11,15 @@ def parts_of(path: str | Path) -> tuple[str, ...]:
     """The files of `A+B`; the path itself where a file is called so, or where it holds no plus."""
     text = str(path)
     parts = tuple(part for part in text.split("+") if part)
-    return (text,) if Path(text).exists() or len(parts) < 2 else parts
+    return (text,) if len(parts) < 2 or is_there(text) else parts
+
+
+def is_there(path: str) -> bool:
+    """Whether there is a file or a folder; what can be no path is none."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
 
 
 def join_logs(logs: Sequence[Log]) -> Log:

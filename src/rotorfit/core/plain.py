@@ -1,0 +1,135 @@
+"""Texts from strangers, TOML and JSON, as plain types; and values as TOML writes them.
+
+What no card, model or plan has ends in a ValueError of one line: nesting without end, integers that are no float,
+names as long as a book. Whoever reads a file turns it into its own error.
+"""
+
+import json
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+DEEPEST = 32
+"""Most levels of sections and lists in one another."""
+
+LARGEST_TOML = 4 << 20
+"""Bytes of a text in TOML: a draft with the names of 40,000 columns below it."""
+
+LARGEST_JSON = 64 << 20
+"""Bytes of a text in JSON: fifty times the largest model."""
+
+LONGEST_NAME = 1000
+"""Most characters of a name, or of a value that an error shows."""
+
+_INTEGERS = range(-(1 << 63), 1 << 63)
+
+_BETWEEN_NAMES = re.compile(r"[^\w.\-\"' \t]+")
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; what can be no path, as it is too long or holds a zero byte, is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def plain_toml(text: str) -> dict[str, Any]:
+    """The sections and keys of a text in TOML.
+
+    Raises:
+        ValueError: Not TOML, or what no card or plan has: sections deeper than `DEEPEST`, an integer of more than 64
+            bits, more than `LARGEST_TOML`.
+    """
+    _check_length(text, LARGEST_TOML)
+    if max(run.count(".") for run in _BETWEEN_NAMES.split(text)) > LONGEST_NAME:  # tomllib takes squares of that time
+        raise ValueError(f"a name of more than {LONGEST_NAME} parts")
+    try:
+        raw = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except ValueError as error:
+        raise ValueError(_told(error)) from None
+    _check(raw)
+    return raw
+
+
+def plain_json(text: str | bytes) -> Any:
+    """The value of a text in JSON.
+
+    Raises:
+        ValueError: Not JSON, or what no model has: as of `plain_toml`; NaN and infinities, which are no JSON.
+    """
+    _check_length(text, LARGEST_JSON)
+    try:
+        raw = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"not UTF-8 (byte {error.start})") from None
+    except ValueError as error:
+        raise ValueError(_told(error)) from None
+    _check(raw)
+    return raw
+
+
+_TOO_DEEP = f"nested deeper than {DEEPEST} levels"
+
+_TOO_LARGE = "an integer of more than 64 bits"
+
+
+def _told(error: ValueError) -> str:
+    """What is wrong; Python's own bound on the digits of an integer is told as ours."""
+    return _TOO_LARGE if "integer string conversion" in str(error) else line_of(error)
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number")
+
+
+def _finite(digits: str) -> float:
+    if (value := float(digits)) in (math.inf, -math.inf):
+        raise ValueError(f"{line_of(digits, 40)} is more than a float holds")
+    return value
+
+
+def _check_length(text: str | bytes, most: int) -> None:
+    if len(text) > most:
+        raise ValueError(f"more than {most >> 20} MiB of text")
+
+
+def _check(raw: Any) -> None:
+    """Raises where a value is none that a file of ours has; level by level, for a deep one must not end in a trace."""
+    level = [raw] if isinstance(raw, dict | list) else [[raw]]
+    for _ in range(DEEPEST + 1):
+        names = [name for one in level if isinstance(one, dict) for name in one]
+        if any(len(name) > LONGEST_NAME for name in names):
+            raise ValueError(f"a name of more than {LONGEST_NAME} characters")
+        parts = [part for one in level for part in (one.values() if isinstance(one, dict) else one)]
+        if any(type(part) is int and part not in _INTEGERS for part in parts):
+            raise ValueError(_TOO_LARGE)
+        level = [part for part in parts if isinstance(part, dict | list)]
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
+
+
+def toml_text(text: str) -> str:
+    """A text as it stands in TOML, between quotation marks; what is no character (of a file's name) becomes one."""
+    quoted = json.dumps(re.sub("[\ud800-\udfff]", "\ufffd", text), ensure_ascii=False)
+    return quoted.replace("\x7f", "\\u007f")
+
+
+def visible(text: str) -> str:
+    """A text with what would move a terminal's cursor, end a comment, or be no character, as its escape."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def line_of(error: object, most: int = LONGEST_NAME) -> str:
+    """An error, or any text, as one visible line of bounded length."""
+    line = visible(" ".join(str(error).split()))
+    return line if len(line) <= most else f"{line[: most - 1]}…"
