@@ -347,8 +347,8 @@ def _value(kind: Any, value: Any, place: str) -> Any:
 
 
 def _number(value: Any, place: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-        raise VehicleError(f"{place}: must be a finite number that is not negative, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
+        raise VehicleError(f"{place}: must be a number that is not negative, not {value!r}")
     return float(value)
 
 
