@@ -10,7 +10,7 @@ from rotorfit.assessment.validation import validate
 from rotorfit.core.display import short_repr
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS, Axis
+from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import Fit, FlightScores
 from rotorfit.estimation.fitting import fit
@@ -97,7 +97,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
     for number, method in enumerate(methods):
         if progress:
             progress(number / len(methods), method)
-        fits[method] = fit(flights, method, axes)
+        fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in the law
         validation = validate(fits[method].model, flights, (HORIZON,))
         scores[method], held = validation.flights, validation.baselines["hold"]
     best = fits[BEST].model
