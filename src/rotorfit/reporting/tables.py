@@ -16,7 +16,7 @@ from rotorfit.assessment.rows import LENGTH, SPEED, CoefficientRow, HorizonError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import structure_named
 from rotorfit.core.limits import Figure
-from rotorfit.core.model import STRUCTURE, Model
+from rotorfit.core.model import STRUCTURE, Interval, Model
 from rotorfit.core.residuals import ResidualTests
 from rotorfit.core.results import HORIZONS, Difference, FlightScores, Paired, Validation
 from rotorfit.reporting.verdict import Use, Verdict, better, errors_text
@@ -35,13 +35,17 @@ class Bar:
 
 @dataclass(frozen=True)
 class RowText:
-    """A row of the table of coefficients, ready to print; `kind` is `ok`, `missing`, `bad` or `combination`."""
+    """A row of the table of coefficients, ready to print; `kind` is `ok`, `missing`, `bad` or `combination`.
+
+    `interval` is that of the vehicle, `flight` that of the flights alone, empty where there is no other.
+    """
 
     term: str
     symbol: str
     value: str
     stderr: str
     interval: str
+    flight: str
     unit: str
     status: str
     paper: str
@@ -71,9 +75,7 @@ def unit_text(row: CoefficientRow) -> str:
 def _row_text(row: CoefficientRow) -> RowText:
     width = None if row.low is None or row.high is None else (row.high - row.low) / 4
     scale = row.stderr or width
-    ends = [rounded(end, scale) if end is not None else "open" for end in (row.low, row.high)]
-    known = row.low is not None or row.high is not None
-    interval = f"{ends[0]} to {ends[1]}" if known else "—"
+    interval = _ends_text((row.low, row.high), scale)
     kind = {"ok": "ok", "diverged": "bad", "refuted": "bad"}.get(row.status, "missing")
     if row.name in ("steady_gain", "total_lag", "offset_plus_delay"):
         kind = "combination"
@@ -85,12 +87,22 @@ def _row_text(row: CoefficientRow) -> RowText:
         value=rounded(row.value, scale),
         stderr=rounded(row.stderr, row.stderr),
         interval=interval,
+        flight=_ends_text(row.flight, scale) if row.flight else "",
         unit=unit_text(row),
         status=row.status.replace("_", " "),
         paper=paper,
         kind=kind,
         bar=_bar(row),
         told=told,
+    )
+
+
+def _ends_text(ends: Interval, scale: float | None) -> str:
+    """An interval; an end that is small against its width keeps a digit of its own."""
+    if ends == (None, None):
+        return "—"
+    return " to ".join(
+        "open" if end is None else rounded(end, min(scale, abs(end)) if scale and end else scale) for end in ends
     )
 
 
