@@ -15,13 +15,13 @@ SPREAD: Mapping[str, float] = {
     "input": 0.3,
     "damping": 0.3,
     "delay": 1.2,
-    "lag": 0.3,
+    "lag": 0.6,
     "zero": 0.6,
-    "steady_gain": 0.6,
+    "steady_gain": 0.3,
     "total_lag": 0.3,
     "delay_plus_lag": 0.4,
     "natural_frequency": 0.3,
-    "damping_ratio": 1.0,
+    "damping_ratio": 0.9,
 }
 """Scale of the half t of the spread, in standard errors of one flight, by coefficient or combination."""
 
