@@ -225,8 +225,7 @@ def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
     }
     extras = estimated_extras(family.laws[0].estimate.optimum, family.laws[0].estimate.place)
     status = statuses(ci95) | {extra.name: extra_status(extra, ci95[extra.name]) for extra in extras}
-    apart = {key for key in COEFFICIENTS if any(_apart(first.ci95[key], other.ci95[key]) for other in others)}
-    unknown = {key for key, said in status.items() if said != "ok"} | apart
+    unknown = {key for key, said in status.items() if said != "ok"}
     combinations = {
         key: Combination(
             part.value,
@@ -258,14 +257,6 @@ def _union(intervals: Sequence[Interval]) -> Interval:
     return (
         None if None in lows else min(low for low in lows if low is not None),
         None if None in highs else max(high for high in highs if high is not None),
-    )
-
-
-def _apart(one: Interval, other: Interval) -> bool:
-    """Whether two intervals have nothing in common: what is said depends on the law."""
-    (low, high), (least, most) = one, other
-    return (high is not None and least is not None and high < least) or (
-        low is not None and most is not None and low > most
     )
 
 
