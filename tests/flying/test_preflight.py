@@ -1,11 +1,12 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from flying import BEBOP, CARD, SECOND, SPACE, Watched, plan_of, room_link
-from rotorfit.core.errors import LinkError
-from rotorfit.core.flight_plan import Plan
+from rotorfit.core.errors import LinkError, PlanError
+from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Steps
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.preflight import Ready, preflight, refuse
@@ -27,7 +28,17 @@ def test_a_vehicle_that_hovers_at_the_start_may_fly_and_nothing_was_sent() -> No
     ready = preflight(believed(), link, CARD)
 
     assert wrong(ready) == {}
-    assert [check.name for check in ready.checks] == ["link", "pose", "box", "start", "rest", "battery", "card", "plan"]
+    assert [check.name for check in ready.checks] == [
+        "link",
+        "pose",
+        "box",
+        "start",
+        "rest",
+        "battery",
+        "card",
+        "numbers",
+        "plan",
+    ]
     assert (ready.pose_clock, ready.notes) == ("header.stamp", ())
     assert link.sent == []
     assert link.acts == []
@@ -128,3 +139,80 @@ def test_poses_of_another_clock_are_timed_by_their_arrival(offset: float) -> Non
     assert (
         preflight(plan_of(), room_link(Conditions(mocap_clock=SenderClock(offset=-0.01)))).pose_clock == "header.stamp"
     )
+
+
+FEEDBACK = Feedback(("x", "y", "z", "yaw"))
+GAMMA = plan_of().belief["gamma"]
+
+
+def with_gamma(plan: Plan, *gamma: float) -> Plan:
+    return replace(plan, belief={**plan.belief, "gamma": list(gamma)})
+
+
+DISARMING = {
+    "gamma nan": (lambda plan: with_gamma(plan, *[math.nan] * 8), "must be a finite number"),
+    "gamma 0": (lambda plan: with_gamma(plan, 0.0, *GAMMA[1:]), "an input of 0 on x is none of a vehicle"),
+    "gamma huge": (lambda plan: with_gamma(plan, 1e9, *GAMMA[1:]), "an input of 1e+09 on x is none of a vehicle"),
+    "delay": (lambda plan: replace(plan, belief={**plan.belief, "delay": [-9.0] * 4}), "delay: must be from 0 to 5 s"),
+    "duration": (lambda plan: replace(plan, duration=1e9), "duration: 1e+09 is beyond 1800"),
+    "ramp": (lambda plan: replace(plan, ramp=1e308), "ramp: 1e+308 is beyond 20"),
+    "lower": (lambda plan: replace(plan, space=replace(SPACE, lower=(-1e308, -3.0, 0.3))), "1e+308 is beyond 500"),
+    "upper": (lambda plan: replace(plan, space=replace(SPACE, upper=(3.0, 3.0, math.inf))), "must be a list of finite"),
+    "speed": (lambda plan: replace(plan, space=replace(SPACE, speed=1e9)), "speed: 1e+09 is beyond 30"),
+    "climb": (lambda plan: replace(plan, space=replace(SPACE, climb=math.nan)), "climb: must be a finite number"),
+    "stiffness": (
+        lambda plan: replace(plan, feedback=replace(FEEDBACK, stiffness=(1e6,) * 4)), "stiffness: 1e+06 is beyond 100",
+    ),
+    "filter": (lambda plan: replace(plan, feedback=replace(FEEDBACK, filter_time=1e9)), "filter_time: 1e+09 is"),
+    "rate": (lambda plan: replace(plan, rate=math.nan), "rate: must be a finite number"),
+    "leaving": (lambda plan: replace(plan, predicted={"leaving": math.nan}), "must be a finite number"),
+    "allowed": (lambda plan: replace(plan, predicted={"allowed": 9.0}), "allowed: must be a share from 0 to 1"),
+    "amplitude": (
+        lambda plan: replace(plan, excitations=(AxisExcitation("x", "command", 0, 9, Sines((1e9,), (1.0,), (0.0,))),)),
+        "amplitude: 1e+09 is beyond 100",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "told"), DISARMING.values(), ids=DISARMING)
+def test_a_plan_that_would_disarm_a_guard_is_refused_in_memory_as_in_a_file(
+    change: Callable[[Plan], Plan], told: str
+) -> None:
+    link = Watched(room_link())
+    with pytest.raises(PlanError) as refused:
+        preflight(change(believed()), link)
+
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert link.sent == []
+
+
+ODD = {
+    "a speed from which it cannot stop in the box": (
+        lambda plan: replace(plan, space=replace(SPACE, speed=20.0)), "speed 20 m/s: stopping from there takes",
+    ),
+    "a climb from which it cannot stop": (
+        lambda plan: replace(plan, space=replace(SPACE, climb=20.0)), "climb 20 m/s: stopping from there takes",
+    ),
+    "commands far beyond full scale": (
+        lambda plan: replace(plan, excitations=(AxisExcitation("x", "command", 0.0, 9.0, Steps((0.0,), (50.0,))),)),
+        "a command of 50 on x is far beyond full scale, 1",
+    ),
+    "a reference outside of the box": (
+        lambda plan: replace(
+            plan, excitations=(AxisExcitation("x", "position", 0.0, 20.0, Sines((50.0,), (0.3,), (0.0,))),)
+        ),
+        "references of",
+    ),
+    "a belief that the card contradicts": (
+        lambda plan: with_gamma(plan, 100.0, *GAMMA[1:]), "a full tilt on x is believed to do",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "told"), ODD.values(), ids=ODD)
+def test_numbers_that_neither_room_nor_vehicle_allow_are_refused(change: Callable[[Plan], Plan], told: str) -> None:
+    plan = change(believed())
+    plan = replace(plan, belief={name: value for name, value in plan.belief.items() if name != "covariance"})
+
+    assert told in wrong(preflight(plan, room_link()))["numbers"]

@@ -22,7 +22,7 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.log_span import WHOLE, LogSpan
 from rotorfit.files.logs.mcap_records import MAGIC
 from rotorfit.files.models import save
-from rotorfit.files.plans import PLAN_MARK, load_plan, plan_text
+from rotorfit.files.plans import PLAN_MARK, load_plan, save_plan
 from rotorfit.flying.flight_loop import fly
 from rotorfit.flying.links.opening import open_link, simulated_at
 from rotorfit.flying.mission import attached_to
@@ -198,7 +198,7 @@ def _planned_and_flown(directory: Path, say: Progress) -> tuple[dict[str, Path],
         fresh = {path: Path(folder, path.name) for path in (*plans.values(), *logs.values())}
         for number, name in enumerate(FLIGHTS):
             say(number / len(FLIGHTS), f"planning and flying {name}")
-            fresh[plans[name]].write_text(plan_text(_planned(name, number + 1)), encoding="utf-8")
+            save_plan(_planned(name, number + 1), fresh[plans[name]])
             _flown(load_plan(fresh[plans[name]]), number + 1, fresh[logs[name]])
         for path, new in fresh.items():
             if path.exists() and not (path.is_file() and filecmp.cmp(path, new, shallow=False)):

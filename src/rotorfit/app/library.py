@@ -258,7 +258,7 @@ def report(
     Args:
         models: A model, a fit, a model file, or a sequence of them.
         flights: As of `validate`; without any, nothing is proven.
-        path: Of the page; an earlier report is overwritten, nothing else.
+        path: Of the page; an earlier report is kept with a tilde behind its name, anything else stays.
         card: As of `validate`.
         figures: Folder for figures of one model as PNG and PDF; None for none.
         progress: Called with a fraction and a text; raising in it cancels.
@@ -296,7 +296,7 @@ def save(result: Model | Fit | Plan, path: FilePath) -> None:
 
     Args:
         result: A model, the fit that holds it, or a plan.
-        path: Of the file; overwritten, but for a plan that somebody has edited.
+        path: Of the file. What is there is kept, with a tilde behind its name; a plan that somebody has edited stays.
 
     Raises:
         TypeError: Neither model nor plan.
@@ -306,7 +306,10 @@ def save(result: Model | Fit | Plan, path: FilePath) -> None:
 
     if isinstance(result, Plan):
         plans.check_plan_destination(Path(path))
-        return plans.save_plan(result, path_text(path))
+        plans.save_plan(result, path_text(path))
+        return
     if not isinstance(result, Model | Fit):
         raise TypeError(f"a model, a fit or a plan can be saved, not {named(result)}")
-    return models.save(as_model(result), path_text(path))
+    kept = models.save(model := as_model(result), path_text(path))
+    if lost := models.lost_axes(kept, model):
+        warnings.warn(f"{path}: the earlier model knew {', '.join(lost)}, too; it is kept as {kept}", stacklevel=2)

@@ -290,7 +290,7 @@ def window(excitation: AxisExcitation, ramp: float, t: Array) -> Three:
 
 @dataclass(frozen=True)
 class Ending:
-    """Why a flight ended: `completed`, `operator`, `disk`, `error`, or a code of the guard; and a text."""
+    """Why a flight ended: `completed`, `operator`, `disk`, `command`, `error`, or a code of the guard; and a text."""
 
     reason: str
     text: str

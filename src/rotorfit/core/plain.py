@@ -7,6 +7,7 @@ names as long as a book. Whoever reads a file turns it into its own error.
 import json
 import math
 import re
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -133,3 +134,56 @@ def line_of(error: object, most: int = LONGEST_NAME) -> str:
     """An error, or any text, as one visible line of bounded length."""
     line = visible(" ".join(str(error).split()))
     return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def text_of(path: Path) -> str:
+    """The text of a small file, of which no more is read than the largest model has.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no text, or too large.
+    """
+    with path.open("rb") as file:
+        data = file.read(LARGEST_JSON + 1)
+    _check_length(data, LARGEST_JSON)
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise ValueError("not a text file") from None
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number, and no truth value; whole numbers must fit a float."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def shown(value: Any) -> str:
+    """A value for an error's text: one short line, whatever it is."""
+    if isinstance(value, dict | list | tuple) and value:
+        return f"{'a section' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    if isinstance(value, int) and value not in _INTEGERS:
+        return _TOO_LARGE
+    return line_of(repr(value), 80)
+
+
+def place_of(keys: tuple[str | int, ...]) -> str:
+    """A place inside a file: `axes.x.ci95.input[1]`; a key that is no plain word is quoted."""
+    parts = []
+    for key in keys:
+        plain = isinstance(key, str) and key.isascii() and key.replace("_", "").isalnum()
+        parts.append(f"[{key}]" if isinstance(key, int) else f".{key}" if plain else f".{shown(key)}")
+    return "".join(parts).removeprefix(".")
+
+
+def check_finite(raw: Any) -> None:
+    """Refuses plain types in which a number is not finite; errors as `plain_toml`, with the place."""
+    waiting: list[tuple[Any, tuple[str | int, ...]]] = [(raw, ())]
+    while waiting:
+        value, place = waiting.pop()
+        if len(place) > DEEPEST:
+            raise ValueError(_TOO_DEEP)
+        if isinstance(value, dict | list | tuple):
+            parts = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(part, (*place, key)) for key, part in parts]
+        elif isinstance(value, int | float) and not isinstance(value, bool) and not is_number(value):
+            raise ValueError(f"{place_of(place)}: must be a finite number, not {shown(value)}")

@@ -15,6 +15,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log
 from rotorfit.core.plain import line_of, plain_toml, toml_text, visible
 from rotorfit.core.results import Motion
+from rotorfit.core.writing import write_whole
 from rotorfit.diagnosis.card_choice import proposal
 from rotorfit.diagnosis.command_response import BETTER, Answers, CommandResponse, answers_of
 from rotorfit.diagnosis.frame_checks import height_sign, overturned
@@ -407,8 +408,6 @@ def write_draft(log: Log, path: Path, fresh: bool = False) -> None:
     Raises:
         CardError: The file exists already: it may be a card that somebody has edited.
     """
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(draft_card(log, fresh))
-    except FileExistsError:
-        raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it") from None
+    if path.exists():
+        raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")
+    write_whole(path, draft_card(log, fresh), keep=False)

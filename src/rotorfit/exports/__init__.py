@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rotorfit.core.errors import ExportError
+from rotorfit.core.writing import write_whole
 from rotorfit.exports.formats import FORMATS, Format
 from rotorfit.version import __version__
 
@@ -38,6 +39,7 @@ class Export:
         model: The model whose simulation the file repeats: left-out axes without a predictor, gains per command of the
             export, delays as exported.
         text: The whole file.
+        kept: Where the file that it replaced is; None where there was none.
     """
 
     format: str
@@ -46,6 +48,7 @@ class Export:
     notes: tuple[str, ...]
     model: "Model" = field(repr=False)
     text: str = field(repr=False)
+    kept: Path | None = field(default=None, repr=False)
 
 
 def export(
@@ -105,10 +108,10 @@ def export(
     lines = header(
         subject, summary_of(subject, form), trained_on(training), scores(known, validation, subject.axes), mark
     )
-    text = render(subject, to, form, lines)
+    text, kept = render(subject, to, form, lines), None
     if path:
-        Path(path).write_text(text, encoding="utf-8")
-    return Export(to, subject.name, subject.axes, subject.notes, subject.model, text)
+        kept = write_whole(path, text)
+    return Export(to, subject.name, subject.axes, subject.notes, subject.model, text, kept)
 
 
 def _format_named(to: str) -> Format:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import CommandMeaning, command_of
 from rotorfit.core.model import Model
+from rotorfit.core.writing import write_whole
 from rotorfit.version import __version__
 
 FORMAT = "rotorfit-gains"
@@ -127,8 +129,11 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def save_gains(tuning: Tuning, model: Model, path: str | Path) -> None:
+def save_gains(tuning: Tuning, model: Model, path: str | Path) -> Path | None:
     """Writes a gains file: TOML, or YAML where the name ends so.
+
+    Returns:
+        Where the file that it replaces is kept; None where there was none.
 
     Raises:
         ModelError: A name that ends otherwise.
@@ -140,12 +145,12 @@ def save_gains(tuning: Tuning, model: Model, path: str | Path) -> None:
     if path.suffix == ".toml":
         import tomli_w
 
-        path.write_text(tomli_w.dumps(mapping), encoding="utf-8")
-        return
+        return write_whole(path, tomli_w.dumps(mapping))
     from ruamel.yaml import YAML
 
-    with path.open("w", encoding="utf-8") as file:
-        YAML().dump(mapping, file)
+    text = StringIO()
+    YAML().dump(mapping, text)
+    return write_whole(path, text.getvalue())
 
 
 def _without_none(value: Any) -> Any:

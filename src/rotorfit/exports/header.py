@@ -1,5 +1,6 @@
 """The block on top of every export: what it is, units, limits, validity, where it comes from. No date, no machine."""
 
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -77,9 +78,9 @@ def header(
 def harmless(text: str) -> str:
     """A line that cannot end a comment or a string of the languages: a card's name or a path may hold anything."""
     plain = "".join(sign if sign.isprintable() else " " for sign in text)
-    for sign, instead in (("\\", "/"), ('"', "'"), ("*/", "* /"), ("/*", "/ *"), ("--", "- -")):
+    for sign, instead in (("\\", "/"), ('"', "'"), ("*/", "* /"), ("/*", "/ *"), ("$(", "$ ("), ("${", "$ {")):
         plain = plain.replace(sign, instead)
-    return plain
+    return re.sub("-(?=-)", "- ", plain)  # "---" holds "--" twice
 
 
 def _wrapped(text: str, indent: str = "") -> list[str]:

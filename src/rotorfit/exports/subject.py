@@ -17,6 +17,17 @@ SUBSTEP = 0.1
 SLOWEST_RATE = 2.0
 """Turning at this rate is followed as well [rad/s]."""
 
+LONGEST_NAME = 40
+"""Signs of a name: MATLAB cuts the names that are made of it at 63."""
+
+_WORDS = """
+    break case catch classdef continue do else elseif end endfor endfunction endif endswitch endwhile for function
+    global if otherwise parfor persistent return spmd switch try until unwind_protect while
+"""
+
+TAKEN = frozenset(_WORDS.split())
+"""Words of MATLAB and Octave, where the name stands alone; elsewhere something is put before or behind it."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -117,8 +128,8 @@ def subject_of(
 
 def identifier(text: str) -> str:
     """A text as a name that C, Python and MATLAB take: letters, digits and underscores, a letter first, lower case."""
-    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
-    return plain if plain[:1].isalpha() else f"model_{plain}".rstrip("_")
+    plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:LONGEST_NAME].rstrip("_")
+    return plain if plain[:1].isalpha() and plain not in TAKEN else f"model_{plain}".rstrip("_")
 
 
 def unknown_of(axis: Axis) -> list[str]:

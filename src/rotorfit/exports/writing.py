@@ -11,7 +11,7 @@ from rotorfit.core.errors import ExportError
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import FIRST_ORDER_DELAY
 from rotorfit.core.limits import CommandMeaning
-from rotorfit.core.model import Model
+from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
 from rotorfit.exports.formats import NUMPY, Format, Language
@@ -104,6 +104,7 @@ def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
             }
             for axis in subject.axes
         },
+        "intervals": {axis: intervals(subject, axis) for axis in subject.axes},
         "equations": laws,
         "used": [axis for axis in AXES if mentioned(f"u_{axis}", [law.demand for law in laws.values()])],
         "turned": [
@@ -122,6 +123,14 @@ def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
         "fastest": max(abs(subject.point(axis).damping) for axis in subject.axes),
         "K": paper_coefficients(subject),
     }
+
+
+def intervals(subject: Subject, axis: str) -> dict[str, tuple[float, float]]:
+    """The closed 95 % intervals of an axis, of the coefficients that its law has and of no others."""
+    names = (*COEFFICIENTS, *(extra.name for extra in subject.structure(axis).extras))
+    known = subject.original.axes[axis].ci95
+    ends = ((name, *known.get(name, (None, None))) for name in names)
+    return {name: (low, high) for name, low, high in ends if low is not None and high is not None}
 
 
 def mentioned(variable: str, expressions: Sequence[str]) -> bool:

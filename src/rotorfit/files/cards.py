@@ -20,7 +20,7 @@ from rotorfit.core.card import (
 )
 from rotorfit.core.errors import CardError, nearest
 from rotorfit.core.frames import AXES, UNIT_SCALE
-from rotorfit.core.plain import is_file, line_of, plain_toml
+from rotorfit.core.plain import is_file, is_number, line_of, plain_toml, shown, text_of
 
 Choice = TypeVar("Choice", bound=str | bool)
 
@@ -68,7 +68,7 @@ def load_card(name_or_path: str | Path) -> Card:
             "(`rotorfit cards` lists them)"
         )
     try:
-        raw = plain_toml(path.read_text(encoding="utf-8"))
+        raw = plain_toml(text_of(path))
     except (OSError, ValueError) as err:
         raise CardError(f"card {name_or_path}: not readable as TOML: {line_of(err)}") from err
     return card_from_mapping(raw, name_or_path)
@@ -152,7 +152,7 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
 def _check_keys(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
     for key in raw:
         if key not in known:
-            raise CardError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+            raise CardError(f"{place}: unknown key {shown(key)}{nearest(key, known)}")
 
 
 def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
@@ -161,14 +161,14 @@ def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
 
 def _checked(section: Any, key: str, place: str) -> Mapping[str, Any]:
     if not isinstance(section, Mapping):
-        raise CardError(f"{place}, {key}: must be a section [{key}], not {section!r}")
+        raise CardError(f"{place}, {key}: must be a section [{key}], not {shown(section)}")
     _check_keys(section, _SECTIONS[key], f"{place}, [{key}]")
     return section
 
 
 def _text(value: Any, place: str) -> str:
     if not isinstance(value, str) or not value:
-        raise CardError(f"{place}: must be a text, not {value!r}")
+        raise CardError(f"{place}: must be a text, not {shown(value)}")
     return value
 
 
@@ -179,20 +179,20 @@ def _names(value: Any, place: str) -> tuple[str, ...]:
 
 
 def _number(value: Any, place: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CardError(f"{place}: must be a finite number, not {value!r}")
+    if not is_number(value):
+        raise CardError(f"{place}: must be a finite number, not {shown(value)}")
     return float(value)
 
 
 def _positive(value: Any, place: str) -> float:
     if _number(value, place) <= 0:
-        raise CardError(f"{place}: must be positive, not {value!r}")
+        raise CardError(f"{place}: must be positive, not {shown(value)}")
     return float(value)
 
 
 def _yes_or_no(value: Any, place: str) -> bool:
     if not isinstance(value, bool):
-        raise CardError(f"{place}: must be true or false, not {value!r}")
+        raise CardError(f"{place}: must be true or false, not {shown(value)}")
     return value
 
 
@@ -201,7 +201,7 @@ def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
         if value == option:
             return option
     near = nearest(value, [str(option) for option in known]) if isinstance(value, str) else ""
-    raise CardError(f"{place}: {value!r} is not one of {', '.join(str(option) for option in known)}{near}")
+    raise CardError(f"{place}: {shown(value)} is not one of {', '.join(str(option) for option in known)}{near}")
 
 
 def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
@@ -230,7 +230,7 @@ def _source(value: Any, place: str) -> str | float:
     if isinstance(value, str) and value:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CardError(f"{place}: must be a column's name or a number, not {value!r}")
+        raise CardError(f"{place}: must be a column's name or a number, not {shown(value)}")
     return _number(value, place)
 
 
@@ -304,7 +304,9 @@ def _heading(section: Mapping[str, Any], place: str) -> dict[str, Channel]:
     value = section["quaternion"]
     names = [f"{value}.{part}" for part in "wxyz"] if isinstance(value, str) else value
     if not isinstance(names, list) or len(names) != 4:
-        raise CardError(f"{place} quaternion: must be a prefix or four names in the order w, x, y, z, not {value!r}")
+        raise CardError(
+            f"{place} quaternion: must be a prefix or four names in the order w, x, y, z, not {shown(value)}"
+        )
     parts = zip("wxyz", names, strict=True)
     return {f"q{part}": Channel(_text(name, f"{place} quaternion")) for part, name in parts}
 
@@ -313,7 +315,9 @@ def _limit(key: str, value: Any, place: str) -> float:
     """A limit in SI, from a number or `{ value, unit }`."""
     limit = _limit_in_si(key, value, place)
     if key == "tilt" and limit >= math.pi / 2:
-        raise CardError(f"{place}: {value!r} is no tilt below 90 deg; a number alone is rad, unit = 'deg' says degrees")
+        raise CardError(
+            f"{place}: {shown(value)} is no tilt below 90 deg; a number alone is rad, unit = 'deg' says degrees"
+        )
     return limit
 
 
@@ -330,14 +334,16 @@ def _limit_in_si(key: str, value: Any, place: str) -> float:
 def _priors(value: Any, place: str) -> dict[str, Prior]:
     """What is believed of one axis."""
     if not isinstance(value, Mapping):
-        raise CardError(f"{place}: must be coefficients, as in {{ input = {{ mean = 4.0, sd = 0.5 }} }}, not {value!r}")
+        raise CardError(
+            f"{place}: must be coefficients, as in {{ input = {{ mean = 4.0, sd = 0.5 }} }}, not {shown(value)}"
+        )
     _check_keys(value, ("input", "damping", "delay"), place)
     return {name: _prior(name, one, f"{place}.{name}") for name, one in value.items()}
 
 
 def _prior(name: str, value: Any, place: str) -> Prior:
     if not isinstance(value, Mapping):
-        raise CardError(f"{place}: must be {{ mean = ..., sd = ... }}, not {value!r}")
+        raise CardError(f"{place}: must be {{ mean = ..., sd = ... }}, not {shown(value)}")
     _check_keys(value, ("mean", "sd"), place)
     missing = [key for key in ("mean", "sd") if key not in value]
     if missing:

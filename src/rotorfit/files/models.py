@@ -1,56 +1,32 @@
-"""The model file: JSON, versioned, no pickle, no NaN. Model -> file -> the same model."""
+"""The model file: JSON, versioned, no pickle, no NaN. Model -> file -> the same model, everything checked."""
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorfit.core.accuracy import Accuracy, AxisAccuracy, FlightEstimate, Inseparable, PriorUse, Scatter, Uncertainty
-from rotorfit.core.errors import ModelError
+from rotorfit.core.accuracy import PriorUse, Uncertainty
+from rotorfit.core.errors import ModelError, RotorfitError, nearest
 from rotorfit.core.finding import Finding
-from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES
-from rotorfit.core.laws import LEVELS_OF, structure_named
+from rotorfit.core.laws import LEVELS_OF, Structure, structure_named
 from rotorfit.core.limits import Conversion
-from rotorfit.core.model import (
-    STRUCTURE,
-    Axis,
-    Candidate,
-    Combination,
-    Evidence,
-    Mode,
-    Model,
-    Plain,
-    Predictor,
-    Source,
-    Spread,
-    Weighed,
-)
+from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model, Predictor, Source, Weighed
 from rotorfit.core.physics import physics
-from rotorfit.core.plain import plain_json
+from rotorfit.core.plain import place_of, plain_json, text_of
+from rotorfit.core.results import FlightScores, PairedTest
+from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.schema import structured
 
 
 def uncertainty_from_mapping(raw: Mapping[str, Any]) -> Uncertainty:
-    """The table from the plain types of a model file; KeyError or TypeError where it is not one."""
-    return Uncertainty(**{**raw, "axes": {name: _axis_accuracy(axis) for name, axis in raw["axes"].items()}})
-
-
-def _axis_accuracy(raw: Mapping[str, Any]) -> AxisAccuracy:
-    scatter = raw["scatter"]
-    return AxisAccuracy(
-        coefficients={name: Accuracy(**one) for name, one in raw["coefficients"].items()},
-        correlation=tuple(tuple(row) for row in raw["correlation"]),
-        inseparable=tuple(_pair(one) for one in raw["inseparable"]),
-        scatter=scatter and Scatter(**{**scatter, "flights": tuple(FlightEstimate(**f) for f in scatter["flights"])}),
-    )
-
-
-def _pair(raw: Mapping[str, Any]) -> Inseparable:
-    return Inseparable(**{**raw, "pair": tuple(raw["pair"]), "ci95": raw["ci95"] and tuple(raw["ci95"])})
+    """The table from the plain types of a model file; ValueError where it is not one."""
+    table: Uncertainty = structured(raw, Uncertainty, ("uncertainty",))
+    return table
 
 
 FORMAT = "rotorfit-model"
@@ -58,9 +34,20 @@ FORMAT = "rotorfit-model"
 VERSION = 1
 
 
-def save(model: Model, path: str | Path) -> None:
-    """Writes a model file (JSON, without NaN)."""
-    Path(path).write_text(json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
+def save(model: Model, path: str | Path) -> Path | None:
+    """Writes a model file (JSON, without NaN); returns where the one that it replaces is kept, if there was one."""
+    return write_whole(path, json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
+
+
+def lost_axes(kept: Path | None, model: Model) -> tuple[str, ...]:
+    """Axes that an earlier model, kept beside, has numbers for and this one has not; none where there is none."""
+    if kept is None:
+        return ()
+    try:
+        earlier = load(kept)
+    except RotorfitError:  # damaged, or of another version: it is kept all the same
+        return ()
+    return tuple(axis for axis in AXES if earlier.axes[axis].predictor and not model.axes[axis].predictor)
 
 
 def load(path: str | Path) -> Model:
@@ -76,7 +63,7 @@ def load(path: str | Path) -> Model:
         ModelError: If it is missing, no model file, or of a newer version.
     """
     try:
-        raw = plain_json(Path(path).read_bytes())
+        raw = plain_json(text_of(Path(path)))
     except OSError as error:
         raise ModelError(
             f"{path}: cannot be read ({error.strerror}); give a model file written by `rotorfit fit -o`"
@@ -89,7 +76,8 @@ def load(path: str | Path) -> Model:
 def is_model_file(path: str | Path) -> bool:
     """Whether a file is a model, by content."""
     with Path(path).open("rb") as file:
-        return file.read(4096).lstrip()[:1] == b"{" and FORMAT.encode() in Path(path).read_bytes()[:4096]
+        head = file.read(4096)
+    return head.lstrip()[:1] == b"{" and FORMAT.encode() in head
 
 
 def to_mapping(model: Model) -> dict[str, Any]:
@@ -148,86 +136,177 @@ def from_mapping(raw: Any, where: str) -> Model:
             f"{where}: model version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
         )
     try:
-        return Model(
-            card=card_from_mapping(raw["card"], where),
-            structure=raw["structure"],
-            method=raw["method"],
-            axes={name: _axis(raw["axes"][name]) for name in AXES},
-            covariance_names=tuple(raw["covariance"]["names"]),
-            covariance=np.array(raw["covariance"]["matrix"], float).reshape((len(raw["covariance"]["names"]),) * 2),
-            paper=tuple(raw["paper"]["gamma"]),
-            findings=tuple(Finding(**finding) for finding in raw["findings"]),
-            flights=tuple(_source(flight) for flight in raw["flights"]),
-            rotorfit=raw["rotorfit"],
-            uncertainty=uncertainty_from_mapping(raw["uncertainty"]) if raw.get("uncertainty") else None,
-            prior=None if raw.get("prior") is None else {name: PriorUse(**use) for name, use in raw["prior"].items()},
-            conversion=Conversion(**raw["conversion"]) if raw.get("conversion") else None,
-            leave_one_out=raw.get("leave_one_out"),
-            paper_noise=raw["paper"].get("noise", {}),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{where}: damaged model file ({type(error).__name__}: {error}); fit it again") from None
+        return _model(structured(raw, _ModelFile), raw, where)
+    except ValueError as error:
+        raise ModelError(f"{where}: damaged model file: {error}; fit it again") from None
 
 
-def _axis(raw: Mapping[str, Any]) -> Axis:
-    if raw["noise"] and set(raw["noise"]) not in [{*levels, "trim_variance"} for levels in LEVELS_OF.values()]:
-        raise KeyError(f"noise has {', '.join(sorted(raw['noise']))}")
-    return Axis(
-        **{
-            **raw,
-            "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()},
-            "trim": tuple(raw["trim"]),
-            "predictor": Predictor(**raw["predictor"]) if raw["predictor"] else None,
-            "ci95_flight": {name: tuple(ends) for name, ends in raw.get("ci95_flight", {}).items()},
-            "combinations": {name: _combination(part) for name, part in raw["combinations"].items()},
-            "spread": {name: _spread(part) for name, part in raw.get("spread", {}).items()},
-            "evidence": tuple(Evidence(**part) for part in raw.get("evidence", ())),
-            "modes": tuple(Mode(**mode) for mode in raw["modes"]),
-            "profile": tuple((delay, value) for delay, value in raw["profile"]),
-            "structure": structure_named(raw.get("structure", STRUCTURE)).name,
-            "plain": _plain(raw["plain"]) if raw.get("plain") else None,
-            "laws": tuple(_weighed(one) for one in raw.get("laws", ())),
-            "candidates": tuple(_candidate(one) for one in raw.get("candidates", ())),
-        }
+@dataclass(frozen=True)
+class _Covariance:
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class _Paper:
+    gamma: tuple[float | None, ...]
+    noise: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Scored:
+    flights: tuple[FlightScores, ...]
+
+
+@dataclass(frozen=True)
+class _LeftOut:
+    axis: str
+    name: str
+    values: tuple[float | None, ...]
+    low: float
+    high: float
+    jackknife_stderr: float | None
+
+
+@dataclass(frozen=True)
+class _LeaveOneOut:
+    """As `leave_one_out.leave_one_out_mapping` writes it, which stands above this module."""
+
+    flights: tuple[FlightScores, ...]
+    baselines: Mapping[str, _Scored]
+    paired: tuple[PairedTest, ...]
+    spread: tuple[_LeftOut, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _ModelFile:
+    """What a model file holds; `gamma` and `physics` are for readers of the file and follow from the rest."""
+
+    format: str
+    version: int
+    rotorfit: str
+    card: Mapping[str, Any]
+    structure: str
+    method: str
+    gamma: Any
+    axes: Mapping[str, Axis]
+    covariance: _Covariance
+    paper: _Paper
+    physics: Any
+    conversion: Conversion | None
+    findings: tuple[Finding, ...]
+    flights: tuple[Source, ...]
+    leave_one_out: _LeaveOneOut | None
+    uncertainty: Uncertainty | None
+    prior: Mapping[str, PriorUse] | None
+
+
+def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
+    """The model of a file whose types are right.
+
+    Raises:
+        ValueError: Values that no model can have, with their place.
+    """
+    _same("axes", read.axes, AXES)
+    for name, axis in read.axes.items():
+        _check_axis(axis, ("axes", name))
+    names, matrix = read.covariance.names, read.covariance.matrix
+    if len(matrix) != len(names) or any(len(row) != len(names) for row in matrix):
+        raise ValueError(f"covariance.matrix: must have {len(names)} rows of {len(names)}")
+    if len(read.paper.gamma) != 2 * len(AXES):
+        raise ValueError(f"paper.gamma: must be a list of {2 * len(AXES)}")
+    for name, noise in read.paper.noise.items():
+        _check_noise(noise, ("paper", "noise", name))
+    return Model(
+        card=card_from_mapping(read.card, where),
+        structure=read.structure,
+        method=read.method,
+        axes={name: read.axes[name] for name in AXES},
+        covariance_names=names,
+        covariance=np.array(matrix, float).reshape(len(names), len(names)),
+        paper=read.paper.gamma,
+        findings=read.findings,
+        flights=read.flights,
+        rotorfit=read.rotorfit,
+        uncertainty=read.uncertainty,
+        prior=read.prior,
+        conversion=read.conversion,
+        leave_one_out=raw["leave_one_out"],
+        paper_noise=read.paper.noise,
     )
 
 
-def _combination(raw: Mapping[str, Any]) -> Combination:
-    own = raw.get("ci95_flight")
-    return Combination(raw["value"], tuple(raw["ci95"]), None if own is None else tuple(own))
+def _same(place: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    if set(given) != set(known):
+        raise ValueError(f"{place}: must be {', '.join(known)}, not {', '.join(given) or 'empty'}")
 
 
-def _spread(raw: Mapping[str, Any]) -> Spread:
-    each = tuple(None if one is None else tuple(one) for one in raw["each"])
-    return Spread(**{**raw, "next_flight": tuple(raw["next_flight"]), "each": each})
+def _check_axis(axis: Axis, place: tuple[str, ...]) -> None:
+    """What the types alone cannot tell of an axis."""
+    law = _law(axis.structure, (*place, "structure"))
+    known = {*COEFFICIENTS, *(extra.name for extra in law.extras)}
+    _check_published(axis, known, place)
+    _check_noise(axis.noise, (*place, "noise"))
+    if axis.predictor:
+        _check_predictor(axis.predictor, law, (*place, "predictor"))
+    if axis.plain:
+        _check_published(axis.plain, set(COEFFICIENTS), (*place, "plain"))
+    weighed: list[tuple[tuple[str | int, ...], Weighed]]
+    weighed = [((*place, "laws", i), one) for i, one in enumerate(axis.laws)]
+    if axis.plain and axis.plain.law:
+        weighed.append(((*place, "plain", "law"), axis.plain.law))
+    for at, one in weighed:
+        _check_predictor(one.predictor, _law(one.structure, (*at, "structure")), (*at, "predictor"))
+        if {len(one.stderr)} != {len(one.correlation), *map(len, one.correlation)}:
+            raise ValueError(f"{place_of((*at, 'correlation'))}: must have {len(one.stderr)} rows of as many")
+    for name, part in axis.combinations.items():
+        _check_interval(part.ci95, (*place, "combinations", name, "ci95"))
 
 
-def _plain(raw: Mapping[str, Any]) -> Plain:
-    law = _weighed(raw["law"]) if raw.get("law") else None
-    return Plain(**{**raw, "ci95": {name: tuple(ends) for name, ends in raw["ci95"].items()}, "law": law})
+def _law(name: str, place: tuple[str | int, ...]) -> Structure:
+    try:
+        return structure_named(name)
+    except ModelError as error:
+        raise ValueError(f"{place_of(place)}: {error}") from None
 
 
-def _weighed(raw: Mapping[str, Any]) -> Weighed:
-    return Weighed(
-        **{
-            **raw,
-            "structure": structure_named(raw["structure"]).name,
-            "predictor": Predictor(**raw["predictor"]),
-            "correlation": tuple(tuple(row) for row in raw["correlation"]),
-        }
-    )
+def _check_published(known: Any, names: set[str], place: tuple[str, ...]) -> None:
+    """Errors, intervals and statuses of an axis are of its law's coefficients, each of the first-order law's there."""
+    for part in ("stderr", "ci95", "status", "ci95_flight", "extra"):
+        given = getattr(known, part, {})
+        for name in given:
+            if name not in names:
+                raise ValueError(f"{place_of((*place, part, name))}: unknown key{nearest(name, names)}")
+        if part in ("stderr", "ci95", "status") and (missing := set(COEFFICIENTS) - set(given)):
+            raise ValueError(f"{place_of((*place, part, min(missing)))}: is missing")
+    for name, error in known.stderr.items():
+        if error is not None and error < 0:
+            raise ValueError(f"{place_of((*place, 'stderr', name))}: must not be negative, not {error:g}")
+    for name, ends in known.ci95.items():
+        _check_interval(ends, (*place, "ci95", name))
 
 
-def _candidate(raw: Mapping[str, Any]) -> Candidate:
-    changes = {name: tuple(raw[name]) if raw[name] else None for name in ("velocity_change", "position_change")}
-    return Candidate(**{**raw, **changes})
+def _check_interval(ends: Interval, place: tuple[str, ...]) -> None:
+    low, high = ends
+    if low is not None and high is not None and low > high:
+        raise ValueError(f"{place_of(place)}: {low:g} to {high:g} is no interval")
 
 
-def _source(raw: Mapping[str, Any]) -> Source:
-    return Source(
-        path=raw["path"],
-        sha256=raw["sha256"],
-        span=tuple(raw["span"]),
-        notes=tuple(Note(**note) for note in raw["notes"]),
-        axes=tuple(raw["axes"]),
-    )
+def _check_predictor(point: Predictor, law: Structure, place: tuple[str | int, ...]) -> None:
+    _same(place_of((*place, "extra")), point.extra, tuple(extra.name for extra in law.extras))
+    for name, bound in _BOUNDS.items():
+        if abs(getattr(point, name)) > bound:
+            raise ValueError(f"{place_of((*place, name))}: {getattr(point, name):g} is beyond {bound:g}")
+
+
+_BOUNDS = {"input": 1e6, "damping": 1e4, "delay": 60.0}
+"""Beyond these no vehicle is."""
+
+
+def _check_noise(noise: Mapping[str, float], place: tuple[str, ...]) -> None:
+    if noise and set(noise) not in [{*levels, "trim_variance"} for levels in LEVELS_OF.values()]:
+        raise ValueError(f"{place_of(place)}: has {', '.join(sorted(noise))}")
+    for name, value in noise.items():
+        if value < 0:
+            raise ValueError(f"{place_of((*place, name))}: must not be negative, not {value:g}")

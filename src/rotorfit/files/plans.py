@@ -9,7 +9,8 @@ from typing import Any
 from rotorfit.core.errors import CardError, PlanError, nearest
 from rotorfit.core.flight_plan import AxisExcitation, Chirp, Feedback, Four, Plan, Signal, Sines, Space, Steps
 from rotorfit.core.frames import AXES
-from rotorfit.core.plain import plain_toml
+from rotorfit.core.plain import check_finite, is_number, plain_toml, shown, text_of
+from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.version import __version__
 
@@ -20,6 +21,30 @@ VERSION = 1
 RATES = (5.0, 500.0)
 """Commands a second that can be flown: below, autopilots take a pause for a lost link (PX4 after half a second); above,
 the period is near what an ordinary kernel keeps."""
+
+LONGEST = 1800.0
+"""Longest plan [s]: no battery of these vehicles lasts longer."""
+
+FASTEST = 30.0
+"""Fastest that a plan may allow, along any axis [m/s]."""
+
+WIDEST, FARTHEST = 500.0, 1e7
+"""Longest side of a box, and how far from the origin it may be, of a map for example [m]."""
+
+STIFFEST = 100.0
+"""Stiffness [1/s^2] and damping [1/s] of a feedback; with a delay of 0.1 s a tenth of it swings already."""
+
+SLOWEST = 5.0
+"""Longest delay and filter [s]."""
+
+LARGEST = 100.0
+"""Largest amplitude or level of a signal [unit of the command, m or rad]."""
+
+GAINS = (1e-3, 1e3)
+"""What a command of 1 may be believed to do, in m/s^2 or rad/s^2, whatever its sign; above, also of damping [1/s]."""
+
+MOST_STEPS, MOST_SAMPLES = 100_000, 2e7
+"""Levels of a signal; commands of a plan times sines of its signals, which are worked out before it is flown."""
 
 PLAN_MARK = b'"rotorfit-plan"'
 """What the first bytes of a plan hold."""
@@ -49,9 +74,9 @@ HEAD = """\
 """
 
 
-def save_plan(plan: Plan, path: str | Path) -> None:
-    """Writes a plan file."""
-    Path(path).write_text(plan_text(plan), encoding="utf-8")
+def save_plan(plan: Plan, path: str | Path) -> Path | None:
+    """Writes a plan file; returns where the one that it replaces is kept, if there was one."""
+    return write_whole(path, plan_text(plan))
 
 
 def plan_text(plan: Plan) -> str:
@@ -102,13 +127,13 @@ def load_plan(path: str | Path) -> Plan:
         PlanError: Missing, not TOML, of a newer version, with an unknown key, or with a value that cannot be flown.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = text_of(Path(path))
     except OSError as error:
         raise PlanError(
             f"plan {path}: cannot be read ({error.strerror}); give a file written by `rotorfit plan -o`"
         ) from None
-    except ValueError:  # no UTF-8, or a zero byte in the path
-        raise PlanError(f"plan {path}: not a text file; give one written by `rotorfit plan -o`") from None
+    except ValueError as error:
+        raise PlanError(f"plan {path}: {error}; give one written by `rotorfit plan -o`") from None
     return plan_from_text(text, str(path))
 
 
@@ -210,6 +235,7 @@ def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
 
 def _check_together(plan: Plan, place: str) -> None:
     """What each part alone cannot tell."""
+    _check_sense(plan, place)
     commanded = card_from_mapping(plan.card, place).command
     acting = plan.feedback.axes if plan.feedback else ()
     for each in plan.excitations:
@@ -221,6 +247,69 @@ def _check_together(plan: Plan, place: str) -> None:
         raise PlanError(f"{place}, [feedback]: it acts on {at}, for which the card has no command")
     if acting and "gamma" not in plan.belief:
         raise PlanError(f"{place}: feedback needs gamma under [belief]")
+
+
+def _check_sense(plan: Plan, place: str) -> None:
+    """Refuses numbers that no flight has, before anything is drawn or allocated by them."""
+    space, feedback = plan.space, plan.feedback
+    sizes = [high - low for low, high in zip(space.lower, space.upper, strict=True)]
+    asked: list[tuple[str, float, float]] = [
+        ("duration", plan.duration, LONGEST),
+        ("ramp", plan.ramp, plan.duration),
+        ("seed", plan.seed, 2.0**63),
+        ("[space], speed", space.speed, FASTEST),
+        ("[space], climb", space.climb, FASTEST),
+        *(("[space], the size of the box", size, WIDEST) for size in sizes),
+        *(("[space], a corner", abs(end), FARTHEST) for end in (*space.lower, *space.upper)),
+    ]
+    if feedback:
+        asked += [("[feedback], stiffness", value, STIFFEST) for value in feedback.stiffness]
+        asked += [("[feedback], damping", value, STIFFEST) for value in feedback.damping]
+        asked.append(("[feedback], filter_time", feedback.filter_time, SLOWEST))
+    for number, each in enumerate(plan.excitations, 1):
+        asked += [(f"excitation {number}, {name}", *ends) for name, ends in _bounds(each.signal, plan.rate).items()]
+    for name, value, most in asked:
+        if not value <= most:
+            raise PlanError(f"{place}, {name}: {value:g} is beyond {most:g}: no flight has that")
+    sines = sum(len(each.signal.amplitude) for each in plan.excitations if isinstance(each.signal, Sines))
+    if plan.duration * plan.rate * max(sines, 1) > MOST_SAMPLES:
+        raise PlanError(f"{place}: {sines} sines over {plan.duration:g} s at {plan.rate:g} Hz are too many")
+    _check_believed(plan, place)
+
+
+def _bounds(signal: Signal, rate: float) -> dict[str, tuple[float, float]]:
+    """What a signal has of each kind, and the most that it may; commands tell no frequency beyond half their rate."""
+    if isinstance(signal, Steps):
+        return {"level": (max(map(abs, signal.level)), LARGEST), "time": (len(signal.time), MOST_STEPS)}
+    amplitudes = signal.amplitude if isinstance(signal, Sines) else (signal.amplitude,)
+    return {
+        "amplitude": (sum(map(abs, amplitudes)), LARGEST),
+        "frequency": (max(map(abs, signal.frequency)), math.pi * rate),
+    }
+
+
+def _check_believed(plan: Plan, place: str) -> None:
+    """What feedback, braking and the guard divide by and count on; `belief_from_mapping` checks the rest."""
+    try:
+        check_finite([plan.belief, plan.predicted])
+    except ValueError as error:
+        raise PlanError(f"{place}, [belief] or [predicted]: {error}") from None
+    for name in ("leaving", "allowed"):
+        if name in plan.predicted:
+            value = _number(plan.predicted, name, f"{place}, [predicted]")
+            if not 0 <= value <= 1:
+                raise PlanError(f"{place}, [predicted], {name}: must be a share from 0 to 1, not {value:g}")
+    where = f"{place}, [belief]"
+    if "delay" in plan.belief and not all(0 <= delay <= SLOWEST for delay in _numbers(plan.belief, "delay", where, 4)):
+        raise PlanError(f"{where}, delay: must be from 0 to {SLOWEST:g} s")
+    if "gamma" not in plan.belief:
+        return
+    gamma = _numbers(plan.belief, "gamma", where, 8)
+    for axis, gain, damping in zip(AXES, gamma[::2], gamma[1::2], strict=True):
+        if not GAINS[0] <= abs(gain) <= GAINS[1]:
+            raise PlanError(f"{where}, gamma: an input of {gain:g} on {axis} is none of a vehicle; plan it again")
+        if abs(damping) > GAINS[1]:
+            raise PlanError(f"{where}, gamma: a damping of {damping:g} on {axis} is none of a vehicle; plan it again")
 
 
 def _checked_card(raw: Mapping[str, Any], place: str) -> Mapping[str, Any]:
@@ -278,7 +367,7 @@ def _feedback(raw: Mapping[str, Any], place: str) -> Feedback:
     _check(raw, _FEEDBACK, place)
     axes = raw.get("axes")
     if not isinstance(axes, list) or not set(axes) <= set(AXES):
-        raise PlanError(f"{place}: axes must be some of {', '.join(AXES)}, not {axes!r}")
+        raise PlanError(f"{place}: axes must be some of {', '.join(AXES)}, not {shown(axes)}")
     stiffness, damping = (_four(raw, name, place) for name in ("stiffness", "damping"))
     if min(stiffness + damping) < 0:
         raise PlanError(f"{place}: a negative stiffness or damping drives the vehicle away")
@@ -301,7 +390,7 @@ def _check(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
     """Refuses a key that nobody knows, and names the nearest."""
     for key in raw:
         if key not in known:
-            raise PlanError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+            raise PlanError(f"{place}: unknown key {shown(key)}{nearest(key, known)}")
 
 
 def _value(raw: Mapping[str, Any], key: str, place: str) -> Any:
@@ -313,32 +402,28 @@ def _value(raw: Mapping[str, Any], key: str, place: str) -> Any:
 def _section(raw: Mapping[str, Any], key: str, place: str) -> Mapping[str, Any]:
     value = _value(raw, key, place)
     if not isinstance(value, Mapping):
-        raise PlanError(f"{place}, {key}: must be a section [{key}], not {value!r}")
+        raise PlanError(f"{place}, {key}: must be a section [{key}], not {shown(value)}")
     return value
 
 
 def _text(raw: Mapping[str, Any], key: str, place: str) -> str:
     value = _value(raw, key, place)
     if not isinstance(value, str) or not value:
-        raise PlanError(f"{place}, {key}: must be a text, not {value!r}")
+        raise PlanError(f"{place}, {key}: must be a text, not {shown(value)}")
     return value
 
 
 def _choice(raw: Mapping[str, Any], key: str, known: tuple[str, ...], place: str) -> str:
     value = _text(raw, key, place)
     if value not in known:
-        raise PlanError(f"{place}, {key}: {value!r} is not one of {', '.join(known)}{nearest(value, known)}")
+        raise PlanError(f"{place}, {key}: {shown(value)} is not one of {', '.join(known)}{nearest(value, known)}")
     return value
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _number(raw: Mapping[str, Any], key: str, place: str) -> float:
     value = _value(raw, key, place)
-    if not _is_number(value):
-        raise PlanError(f"{place}, {key}: must be a finite number, not {value!r}")
+    if not is_number(value):
+        raise PlanError(f"{place}, {key}: must be a finite number, not {shown(value)}")
     return float(value)
 
 
@@ -366,14 +451,14 @@ def _not_negative(raw: Mapping[str, Any], key: str, place: str) -> float:
 def _whole(raw: Mapping[str, Any], key: str, place: str) -> int:
     value = _value(raw, key, place)
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise PlanError(f"{place}, {key}: must be a whole number, 0 or more, not {value!r}")
+        raise PlanError(f"{place}, {key}: must be a whole number, 0 or more, not {shown(value)}")
     return value
 
 
 def _numbers(raw: Mapping[str, Any], key: str, place: str, count: int | None = None) -> tuple[float, ...]:
     value = _value(raw, key, place)
-    if not isinstance(value, list) or not value or not all(map(_is_number, value)):
-        raise PlanError(f"{place}, {key}: must be a list of finite numbers, not {value!r}")
+    if not isinstance(value, list) or not value or not all(map(is_number, value)):
+        raise PlanError(f"{place}, {key}: must be a list of finite numbers, not {shown(value)}")
     if count is not None and len(value) != count:
         raise PlanError(f"{place}, {key}: must have {count} numbers, not {len(value)}")
     return tuple(map(float, value))

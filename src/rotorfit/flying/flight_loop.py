@@ -16,6 +16,7 @@ import numpy as np
 from rotorfit.core.errors import LinkError
 from rotorfit.core.flight_plan import Ending, Feedback, Flown, Four, Jitter, Plan, Status
 from rotorfit.core.frames import AXES
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.guard import (
     Coasting,
     GuardVerdict,
@@ -33,7 +34,7 @@ from rotorfit.flying.links.link import Link
 from rotorfit.flying.operator import Abort, hurried
 from rotorfit.flying.preflight import NEAR, TURNED, from_start
 from rotorfit.flying.recorder import Recorder
-from rotorfit.planning.plan_control import begin, instants, obeyed, tracker_of
+from rotorfit.planning.plan_control import begin, instants, largest_command, obeyed, tracker_of
 from rotorfit.planning.plan_control import observed as tracked
 
 OnStatus = Callable[["Status"], None]
@@ -108,6 +109,8 @@ def fly(
             ending = flight.performed(take_off)
         except LinkError as error:
             ending = Ending("link_lost", str(error))
+        except _RefusedError as error:
+            ending = Ending("command", str(error))
         except KeyboardInterrupt:
             ending = Ending("operator", "Ctrl-C")
         finally:
@@ -120,6 +123,10 @@ def fly(
     )  # fmt: skip
 
 
+class _RefusedError(Exception):
+    """A command that is no number, or beyond full scale: it was not sent."""
+
+
 class _Flight:
     """What changes during a flight, and the steps that change it."""
 
@@ -128,6 +135,8 @@ class _Flight:
         self.abort, self.progress = abort, progress
         self.limits, self.watch = limits_of(plan), Watch()
         self.tracker, self.tracking = tracker_of(plan), begin(np.zeros(4))
+        card = card_from_mapping(plan.card, f"of plan {plan.name}")
+        self.most = tuple(largest_command(card, axis) * (1 + 1e-9) for axis in AXES)
         self.period = round(1e9 / plan.rate)
         self.due = link.now
         self.flown, self.late, self.notes = 0.0, 0, list[str]()
@@ -155,7 +164,7 @@ class _Flight:
         self._try(self._send, HOVER)
         recorder.window(self._stamp, False)
         recorder.event(self._stamp, f"end: {ending.text}")
-        if ending.reason not in ("error", "link_lost"):  # what has failed once is not asked again
+        if ending.reason not in ("error", "command", "link_lost"):  # what has failed once is not asked again
             self._try(self._brake, coasting_axes(self.tracker))
         for _ in range(max(10, round(HOVERING * self.plan.rate))):
             self._try(self._listen)
@@ -299,8 +308,9 @@ class _Flight:
 
     def _send(self, command: Sequence[float]) -> None:
         """Sends and records."""
-        if not all(map(math.isfinite, command)):
-            raise ValueError(f"a command of {command}")
+        for axis, value, most in zip(AXES, command, self.most, strict=True):
+            if not abs(value) <= most:  # NaN, too
+                raise _RefusedError(f"a command of {value:g} on {axis} was not sent: {most:g} is the largest")
         self._stamp = self.link.now
         self.link.send(command)
         self.recorder.command(self._stamp, command)
@@ -331,7 +341,7 @@ class _Flight:
         """A step of the exit: a link that is gone does not keep the others from being tried."""
         try:
             step(*arguments)
-        except LinkError as error:
+        except (LinkError, _RefusedError) as error:
             if str(error) not in self.notes:
                 self.notes.append(str(error))
             if self.link.live:

@@ -159,7 +159,7 @@ def _braking(plan: Plan, axis: str) -> tuple[float, float]:
         gain, damping = (float(number) for number in plan.belief["gamma"][2 * place : 2 * place + 2])
         if damping >= SERVO:
             return delay + 1 / damping, math.inf
-        return delay, SHARE * gain * min(full_scale(card, axis), 1.0)
+        return delay, SHARE * abs(gain) * min(full_scale(card, axis), 1.0)
     if meaning_of(card, axis).asked == "tilt":
         return delay, SHARE * GRAVITY * math.tan(card.limits.get("tilt", UNKNOWN_TILT))
     return delay + 1 / UNKNOWN_DAMPING, math.inf

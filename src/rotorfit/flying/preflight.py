@@ -1,21 +1,23 @@
 """Preflight: what must be right before a vehicle moves. Everything that is not is told at once."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
-from rotorfit.core.flight_plan import Plan
-from rotorfit.core.limits import disagreement
+from rotorfit.core.flight_plan import Plan, command_at, reference_at
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import disagreement, expectation, meaning_of
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.plans import plan_from_mapping, plan_mapping
 from rotorfit.flying.guard import Limits, Watch, judged, limits_of, observed, room_left
 from rotorfit.flying.links.link import Link
 from rotorfit.planning.belief import belief_from_mapping
-from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.plan_control import largest_command, tracker_of
 from rotorfit.planning.precision import fly_plan, path
 from rotorfit.simulation.paper_vehicle import noise_free
 
@@ -75,7 +77,9 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
     Raises:
         LinkError: The link is gone.
         CardError: The plan's card is wrong.
+        PlanError: A number of the plan is one that no flight has.
     """
+    plan_from_mapping(plan_mapping(plan), plan.name)  # one made in memory obeys the same rules
     limits, samples, watch = limits_of(plan), [], Watch()
     until = link.now + round(LISTENING * 1e9)
     while (now := link.now) < until:
@@ -90,6 +94,7 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
     if card is not None:
         trouble = disagreement(card_from_mapping(plan.card, f"of plan {plan.name}"), card)
         checks.append(Check("card", not trouble, trouble or f"as planned: {card.name}"))
+    checks.append(_sense(plan, limits))
     checks += _rehearsed(plan, limits)
     clock, notes = _clock(poses)
     return Ready(tuple(checks), clock, notes)
@@ -195,6 +200,51 @@ def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
             text = f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; plan it again"
             return [Check("plan", False, text)]
     return [Check("plan", True, "the likeliest vehicle stays inside, braking distance included")]
+
+
+BELIEVABLE = 5.0
+"""Factor between what is believed that a full tilt does and what the card's limit makes one expect."""
+
+BEYOND = 5.0
+"""Times full scale that signals may ask for: a little is cut, the rest of such a plan would be."""
+
+
+def _sense(plan: Plan, limits: Limits) -> Check:
+    """Whether the numbers of the plan fit the room and the vehicle, so that no guard is without effect."""
+    wrong = [*_beyond_the_room(plan, limits), *_beyond_the_vehicle(plan)]
+    return Check("numbers", not wrong, "; ".join(wrong) or "within what the room and the vehicle allow")
+
+
+def _beyond_the_room(plan: Plan, limits: Limits) -> Iterator[str]:
+    """Speeds at which the vehicle cannot stop in its box, and references outside of it."""
+    space = plan.space
+    sides = [high - low for low, high in zip(space.lower, space.upper, strict=True)]
+    flat = ("speed", space.speed, math.hypot(*sides[:2]), (0, 1))
+    for name, speed, room, axes in (flat, ("climb", space.climb, sides[2], (2,))):
+        way = max(speed * limits.reaction[k] + speed**2 / (2 * limits.deceleration[k]) for k in axes)
+        if way > room:
+            yield f"{name} {speed:g} m/s: stopping from there takes {way:.1f} m, and the box has {room:.1f} m"
+    t = np.arange(0.0, plan.duration, max(1 / plan.rate, 0.02))
+    far = np.abs(reference_at(plan, t)[0]).max(axis=0, initial=0.0)
+    if math.hypot(*far[:2]) > math.hypot(*sides[:2]) or far[2] > sides[2]:
+        yield f"references of {far[0]:.1f}, {far[1]:.1f}, {far[2]:.1f} m from the start lie outside of the box"
+
+
+def _beyond_the_vehicle(plan: Plan) -> Iterator[str]:
+    """Commands far beyond full scale, and a belief that the card contradicts."""
+    card = card_from_mapping(plan.card, f"of plan {plan.name}")
+    t = np.arange(0.0, plan.duration, 1 / plan.rate)
+    most = np.abs(command_at(plan, t)).max(axis=0, initial=0.0)
+    for a, axis in enumerate(AXES):
+        scale = largest_command(card, axis)
+        if most[a] > BEYOND * scale:
+            yield f"a command of {most[a]:.3g} on {axis} is far beyond full scale, {scale:.3g}"
+        meaning = meaning_of(card, axis)
+        expected = expectation(meaning) if meaning.asked == "tilt" and "gamma" in plan.belief else None
+        if expected:
+            believed = abs(float(plan.belief["gamma"][2 * a])) / expected
+            if not 1 / BELIEVABLE <= believed <= BELIEVABLE:
+                yield f"a full tilt on {axis} is believed to do {believed:.2g} times what the card's limit makes it"
 
 
 def _clock(poses: Sequence[Sample]) -> tuple[str, tuple[str, ...]]:

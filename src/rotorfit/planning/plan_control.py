@@ -78,6 +78,16 @@ def full_scale(card: Card, axis: str) -> float:
     return next((card.limits[key] for key in keys.get(meaning.asked, (meaning.asked,)) if key in card.limits), np.inf)
 
 
+UNLIMITED = {"tilt": math.pi / 3, "velocity": 30.0, "vertical_speed": 30.0, "yaw_rate": 2 * math.pi}
+"""Largest command where the card has no limit, SI: beyond what any of these vehicles takes."""
+
+
+def largest_command(card: Card, axis: str) -> float:
+    """The same as `full_scale`, finite for every card: what is never sent more of."""
+    scale = full_scale(card, axis)
+    return scale if math.isfinite(scale) else UNLIMITED[meaning_of(card, axis).asked or "velocity"]
+
+
 def begin(pose: Array) -> Tracking:
     """The start of a plan at a pose, shape (4,), at rest."""
     if pose.shape != (4,):

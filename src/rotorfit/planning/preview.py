@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.writing import write_whole
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.envelope import Envelope, predicted_path
 from rotorfit.planning.precision import excited_axes
@@ -73,7 +75,9 @@ def write_picture(plan: Plan, path: Path) -> None:
     belief = belief_from_mapping(plan.belief, f"plan {plan.name}")
     envelope = predicted_path(plan, belief, seed=plan.seed)
     with mpl.rc_context(STYLE):
-        picture(plan, envelope).savefig(path, format="png", metadata={"Title": "rotorfit plan", "Software": None})
+        drawn = BytesIO()
+        picture(plan, envelope).savefig(drawn, format="png", metadata={"Title": "rotorfit plan", "Software": None})
+        write_whole(path, drawn.getvalue(), keep=False)
 
 
 def picture(plan: Plan, envelope: Envelope) -> Figure:

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rotorfit.assessment.evidence import Evidence
+from rotorfit.core.writing import write_whole
 
 __all__ = ["write_figures", "write_report"]
 
 
-def write_report(evidences: Sequence[Evidence], path: Path) -> None:
+def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
     """Writes one self-contained HTML page: verdict, evidence, what to fly next, coefficients, findings, repairs.
 
     The page asks nothing of the network, works from a mail attachment, prints, and follows the reader's light or dark
@@ -20,12 +21,14 @@ def write_report(evidences: Sequence[Evidence], path: Path) -> None:
 
     Args:
         evidences: As `evidence_of` gives them, for one model or for several on the same flights, side by side.
-        path: Of the page; overwritten.
+        path: Of the page.
+
+    Returns:
+        Where the page that it replaces is kept; None where there was none.
     """
     from rotorfit.reporting.page import page
 
-    # A path of undecodable bytes holds lone surrogates, which UTF-8 has no place for.
-    path.write_bytes(page(evidences).encode("utf-8", "replace"))
+    return write_whole(path, page(evidences))
 
 
 def write_figures(evidence: Evidence, directory: Path) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from rotorfit.assessment.evidence import Evidence, FlightMotion
 from rotorfit.core.frames import AXES
+from rotorfit.core.writing import write_whole
 from rotorfit.reporting.charts import horizon_charts, profile_charts, residual_charts
 from rotorfit.reporting.drawing import log_ticks
 from rotorfit.reporting.views import Chart, flight_view
@@ -99,8 +101,10 @@ def _widest(flights: Sequence[FlightMotion]) -> list[Chart]:
 def _saved(figure: Figure, stem: Path) -> list[Path]:
     """PNG and PDF, without the date, so that the same data give the same bytes."""
     png, pdf = stem.with_suffix(".png"), stem.with_suffix(".pdf")
-    figure.savefig(png)
-    figure.savefig(pdf, metadata={"CreationDate": None})
+    for path, dated in ((png, None), (pdf, {"CreationDate": None})):
+        drawn = BytesIO()
+        figure.savefig(drawn, format=path.suffix[1:], metadata=dated)
+        write_whole(path, drawn.getvalue(), keep=False)
     return [png, pdf]
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 
 from rotorfit.core.errors import VehicleError, nearest
 from rotorfit.core.limits import GRAVITY
-from rotorfit.core.plain import is_file, line_of, plain_toml
+from rotorfit.core.plain import is_file, line_of, plain_toml, shown, text_of
 
 Three = tuple[float, float, float]
 
@@ -284,7 +284,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     if not is_file(path):
         raise VehicleError(f"no vehicle {name_or_path!r}: neither a file nor one of {', '.join(built_in)}")
     try:
-        raw = plain_toml(path.read_text(encoding="utf-8"))
+        raw = plain_toml(text_of(path))
     except (OSError, ValueError) as err:
         raise VehicleError(f"vehicle {name_or_path}: not readable as TOML: {line_of(err)}") from err
     return vehicle_from_mapping(raw, name_or_path)
@@ -318,7 +318,7 @@ def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
     known = {field.name: field for field in fields(noun)}
     for key in raw:
         if key not in known:
-            raise VehicleError(f"{place}: nobody knows key {key!r}{nearest(key, known)}")
+            raise VehicleError(f"{place}: nobody knows key {shown(key)}{nearest(key, known)}")
     missing = [name for name, field in known.items() if name not in raw and field.default is MISSING]
     if missing:
         raise VehicleError(f"{place}: {missing[0]} is missing")
@@ -328,27 +328,27 @@ def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
 def _value(kind: Any, value: Any, place: str) -> Any:
     if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__"):
         if not isinstance(value, Mapping):
-            raise VehicleError(f"{place}: must be a section, not {value!r}")
+            raise VehicleError(f"{place}: must be a section, not {shown(value)}")
         return _read(kind, value, place)
     if kind is bool or kind is str:
         if not isinstance(value, kind):
-            raise VehicleError(f"{place}: must be {'true or false' if kind is bool else 'a text'}, not {value!r}")
+            raise VehicleError(f"{place}: must be {'true or false' if kind is bool else 'a text'}, not {shown(value)}")
         return value
     words = getattr(kind, "__args__", ())
     if getattr(kind, "__origin__", None) is Literal:
         if value not in words:
-            raise VehicleError(f"{place}: {value!r} is not one of {', '.join(words)}")
+            raise VehicleError(f"{place}: {shown(value)} is not one of {', '.join(words)}")
         return value
     if getattr(kind, "__origin__", None) is tuple:
         if not isinstance(value, list) or len(value) != len(words):
-            raise VehicleError(f"{place}: must be {len(words)} numbers, not {value!r}")
+            raise VehicleError(f"{place}: must be {len(words)} numbers, not {shown(value)}")
         return tuple(_number(part, place) for part in value)
     return _number(value, place)
 
 
 def _number(value: Any, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
-        raise VehicleError(f"{place}: must be a number that is not negative, not {value!r}")
+        raise VehicleError(f"{place}: must be a number that is not negative, not {shown(value)}")
     return float(value)
 
 

@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorfit.app.cli.options import JSON, card_option, file_at, print_json, progress_bar, silence, some_axes_of
+from rotorfit.app.cli.options import (
+    JSON,
+    card_option,
+    file_at,
+    print_json,
+    progress_bar,
+    say_kept,
+    silence,
+    some_axes_of,
+)
 from rotorfit.flying.links import LINKS
 
 if TYPE_CHECKING:
@@ -52,7 +61,7 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
     with progress_bar() as progress:
         plans, proposal = planned(request, progress)
     for one, path in zip(plans, files, strict=False):
-        save_plan(one, path)
+        say_kept(save_plan(one, path))
     for one, path in zip(plans, pictures, strict=False):
         write_picture(one, path)
     if as_json:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from rotorfit.app.cli.options import JSON, MODEL, axes_of, file_at, print_json, progress_bar
+from rotorfit.app.cli.options import JSON, MODEL, axes_of, file_at, print_json, progress_bar, say_kept
 
 
 @click.command()
@@ -53,6 +53,7 @@ def export(
     with progress_bar() as progress:
         validation = validate_logs(model, [parse_log(log) for log in logs], progress=progress)[0] if logs else None
     made = write(model_path, to, output, training=training_flights(model)[0], validation=validation, **asked)
+    say_kept(made.kept)
     if as_json:
         return print_json(export_mapping(made, str(output)))
     return show(export_view(made, str(output)))
@@ -101,7 +102,7 @@ def tune(
     model = load(model_path)
     tuning = tuned(model, design, rate=rate, latency=latency, axes=axes, peak=peak, seed=seed)
     if output:
-        save_gains(tuning, model, output)
+        say_kept(save_gains(tuning, model, output))
     scores = None
     if address:
         from rotorfit.control.trial import scores_mapping, try_tuning

@@ -16,6 +16,7 @@ from rotorfit.app.cli.options import (
     file_at,
     print_json,
     progress_bar,
+    say_kept,
     structure_of,
 )
 from rotorfit.estimation.methods import BEST, METHODS
@@ -60,7 +61,7 @@ def fit(
     from rotorfit.app.workflows import MODEL_MARK, check_destination, fit_logs, leave_one_out_logs
     from rotorfit.assessment.leave_one_out import require_two
     from rotorfit.files.log_span import parse_log
-    from rotorfit.files.models import save, to_mapping
+    from rotorfit.files.models import lost_axes, save, to_mapping
 
     if output:
         check_destination(output, MODEL_MARK)
@@ -75,7 +76,8 @@ def fit(
             result, left_out = leave_one_out_logs(result, axes, progress, structure)
     model = result.model
     if output:
-        save(model, output)
+        kept = save(model, output)
+        say_kept(kept, lost_axes(kept, model))
     if as_json:
         return print_json(to_mapping(model))
     from rotorfit.app.terminal import show
@@ -127,13 +129,14 @@ def convert(model_path: str, limits: str, output: Path, as_json: bool) -> None:
     from rotorfit.core.frames import AXES
     from rotorfit.core.limits import limits_from_text
     from rotorfit.dynamics.other_limits import convert as to_limits
-    from rotorfit.files.models import load, save, to_mapping
+    from rotorfit.files.models import load, lost_axes, save, to_mapping
 
     check_destination(output, MODEL_MARK)
     if output.exists() and output.samefile(model_path):
         raise click.UsageError(f"-o {output} is the model that is converted: give the converted one another name")
     model = to_limits(load(model_path), limits_from_text(limits))
-    save(model, output)
+    kept = save(model, output)
+    say_kept(kept, lost_axes(kept, model))
     if as_json:
         return print_json(to_mapping(model))
     from rotorfit.app.terminal import show

@@ -6,7 +6,7 @@ What verbs print beside their tables: JSON, and a bar while the work lasts.
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -88,6 +88,13 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as
 SPAN = click.option(
     "--span", metavar="T0:T1", callback=span_of, help="Part of every log [s], from the start of its common window."
 )
+
+
+def say_kept(kept: Path | None, lost: Sequence[str] = ()) -> None:
+    """Says, beside the result, where the file is that was replaced, and which axes only that one knew."""
+    if kept:
+        only = f", which knew {', '.join(lost)}, too," if lost else ""
+        click.echo(f"Note: the earlier {kept.name[:-1]}{only} is kept as {kept}.", err=True)
 
 
 def print_json(result: Any) -> None:

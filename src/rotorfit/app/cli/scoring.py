@@ -16,6 +16,7 @@ from rotorfit.app.cli.options import (
     horizons_of,
     print_json,
     progress_bar,
+    say_kept,
 )
 
 
@@ -83,7 +84,7 @@ def report(paths: Sequence[str], output: Path, figures: Path | None, as_json: bo
     if figures and len(cases) > 1:
         raise click.UsageError("--figures draws one model: give one, or leave it out")
     evidences = evidence_of(cases)
-    write_report(evidences, output)
+    say_kept(write_report(evidences, output))
     drawn = write_figures(evidences[0], figures) if figures else []
     if as_json:
         return print_json({"report": str(output), "figures": [str(path) for path in drawn], "notes": left_out})

@@ -82,8 +82,8 @@ def with_value(text: str, section: str, key: str, value: Any) -> str:
         place[key] = value
     changed = _with_line(text.splitlines(), section, key, None if value is None else toml_value(value))
     try:
-        kept = tomllib.loads(changed)
-    except tomllib.TOMLDecodeError:
+        kept = plain_toml(changed)
+    except ValueError:
         kept = None
     if kept is not None and {k: v for k, v in kept.items() if v != {}} == {k: v for k, v in wanted.items() if v != {}}:
         return changed

@@ -6,8 +6,9 @@ import sys
 from threading import Lock, Thread
 from typing import Any
 
-from rotorfit.app.web.workspace import FitEntry, Running, Status, Workspace, write_whole
+from rotorfit.app.web.workspace import FitEntry, Running, Status, Workspace
 from rotorfit.core.errors import RotorfitError
+from rotorfit.core.writing import write_whole
 
 
 class BusyError(RotorfitError):

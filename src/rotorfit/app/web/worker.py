@@ -16,7 +16,6 @@ from threading import Thread
 from typing import Any
 
 from rotorfit.app.web.wire import compared_mapping, result_mapping
-from rotorfit.app.web.workspace import write_whole
 from rotorfit.app.workflows import compare_logs, comparison_mapping, fit_logs, validate_logs
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import evidence_of
@@ -25,6 +24,7 @@ from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import CURVE, Validation
+from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import load_card
 from rotorfit.files.log_span import LogSpan
 from rotorfit.files.models import load, save

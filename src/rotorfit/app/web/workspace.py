@@ -17,6 +17,7 @@ from threading import RLock
 from typing import Any, Literal, TypeVar
 
 from rotorfit.core.errors import RotorfitError
+from rotorfit.core.writing import write_whole
 
 MOST_LOGS = 50
 """Logs of a session."""
@@ -151,7 +152,8 @@ class Workspace:
         self._lock = RLock()
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            strangers = [entry.name for entry in self.folder.iterdir() if entry.name not in CONTENT]
+            content = [entry for entry in self.folder.iterdir() if not entry.name.startswith(".session.json.")]
+            strangers = [entry.name for entry in content if entry.name not in CONTENT]
         except OSError as error:
             raise WorkspaceError(
                 f"{folder}: no workspace can be here ({error.strerror}); name another folder"
@@ -314,12 +316,15 @@ class Workspace:
 
     def _changed(self, **parts: Any) -> None:
         session = replace(self._session, revision=self._session.revision + 1, **parts)
-        write_whole(self.folder / "session.json", json.dumps(asdict(session), indent=1, allow_nan=False))
+        text = json.dumps(asdict(session), indent=1, allow_nan=False)
+        write_whole(self.folder / "session.json", text, keep=False)
         self._session = session
 
     def _sweep(self) -> None:
         """Removes what an interrupted upload has left."""
         known = {upload.id for upload in self._session.uploads}
+        for half in self.folder.glob(".session.json.*"):  # of a write that was killed
+            half.unlink(missing_ok=True)
         for folder in (self.folder / "logs").iterdir():
             if folder.name not in known:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -330,13 +335,6 @@ def _one_of(entries: Sequence[Entry], identity: str, what: str) -> Entry:
         if entry.id == identity:
             return entry
     raise WorkspaceError(f"there is no such {what} in this session; another page may have removed it")
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Writes a file so that it is either the old or the new one, whatever happens."""
-    new = path.with_suffix(".new")
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)
 
 
 def safe_name(name: str) -> str:
