@@ -432,7 +432,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         raise OSError(28, "No space left on device")
 
     arguments = ["fit", csv(tmp_path, columns()), "--method", "paper", "-o", tmp_path / "model.json", "--json"]
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(os, "fsync", full)
 
     check_refused(run(*arguments), "No space left on device")
 
