@@ -34,8 +34,12 @@ NOUNS = {
 NOUN_REACH = 3
 KERNEL_REACH = 8
 COMPOSED = (
-    "dynamics.error_bands", "dynamics.other_limits", "dynamics.protocol", "dynamics.trajectory", "simulation.flight_room",
-)  # fmt: skip
+    "dynamics.error_bands",
+    "dynamics.other_limits",
+    "dynamics.protocol",
+    "dynamics.trajectory",
+    "simulation.flight_room",
+)
 """What composes kernels: predictions and their bands, a model under a card of other limits, simulation by a model, the
 virtual flight room."""
 
