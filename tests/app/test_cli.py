@@ -213,9 +213,12 @@ def test_an_earlier_model_may_be_written_over(folder: Path, tmp_path: Path) -> N
     output = tmp_path / "model.json"
     output.write_bytes((folder / "ml.json").read_bytes())
 
-    done("fit", folder / "first.bag", "--method", "paper", "-o", output)
+    result = run("fit", folder / "first.bag", "--method", "paper", "-o", output)
 
+    assert result.exit_code == 0
+    assert result.stderr.splitlines() == [f"Note: the earlier model.json is kept as {output}~."]
     assert load(output).method == "paper"
+    assert (tmp_path / "model.json~").read_bytes() == (folder / "ml.json").read_bytes()
 
 
 def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(folder: Path, tmp_path: Path) -> None:

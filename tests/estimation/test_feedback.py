@@ -51,7 +51,7 @@ def test_open_loop_multisines_of_a_vehicle_with_an_attitude_loop_are_no_feedback
 
 def test_most_loops_that_hold_a_place_are_found_and_no_open_loop_is_taken_for_one() -> None:
     told: dict[bool, list[bool]] = {True: [], False: []}
-    for _, closed, _, flight in clean_flights(range(6)):
+    for _, closed, _, flight in clean_flights(range(12)):
         told[closed] += [found > LOOP_SIGMAS for found in sigmas(fit([flight], structure="first_order_delay")).values()]
 
     assert sum(told[False]) == 0

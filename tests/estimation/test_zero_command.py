@@ -112,7 +112,7 @@ def test_parts_begin_with_a_command_and_end_before_zero() -> None:
         assert np.all(flight.command[inside, 0] != 0)
 
 
-def test_braking_is_found_on_none_of_a_dozen_clean_flights() -> None:
+def test_braking_is_found_on_none_of_six_clean_flights() -> None:
     fits = [fit([flight], structure="first_order_delay") for _, _, _, flight in clean_flights(range(6))]
     found = [test for one in fits for e in one.estimates.values() if (test := braking(e))]
 

@@ -181,7 +181,9 @@ class _LeaveOneOut:
 
 @dataclass(frozen=True)
 class _ModelFile:
-    """What a model file holds; `gamma` and `physics` are for readers of the file and follow from the rest."""
+    """What a model file holds; `gamma` and `physics` are for readers of the file and follow from the rest. Earlier
+    versions wrote no more than has no default here.
+    """
 
     format: str
     version: int
@@ -193,13 +195,13 @@ class _ModelFile:
     axes: Mapping[str, Axis]
     covariance: _Covariance
     paper: _Paper
-    physics: Any
-    conversion: Conversion | None
     findings: tuple[Finding, ...]
     flights: tuple[Source, ...]
-    leave_one_out: _LeaveOneOut | None
-    uncertainty: Uncertainty | None
-    prior: Mapping[str, PriorUse] | None
+    physics: Any = None
+    conversion: Conversion | None = None
+    leave_one_out: _LeaveOneOut | None = None
+    uncertainty: Uncertainty | None = None
+    prior: Mapping[str, PriorUse] | None = None
 
 
 def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
@@ -232,7 +234,7 @@ def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
         uncertainty=read.uncertainty,
         prior=read.prior,
         conversion=read.conversion,
-        leave_one_out=raw["leave_one_out"],
+        leave_one_out=raw.get("leave_one_out"),
         paper_noise=read.paper.noise,
     )
 

@@ -111,7 +111,7 @@ def _mapping(raw: Any, parts: tuple[Any, ...], place: Place) -> Mapping[str, Any
 
 
 def _tuple(raw: Any, parts: tuple[Any, ...], place: Place) -> tuple[Any, ...]:
-    _require(isinstance(raw, list) and len(raw) <= MOST, raw, "a list", place)
+    _require(isinstance(raw, list | tuple) and len(raw) <= MOST, raw, "a list", place)
     kinds = parts[:1] * len(raw) if parts[-1] is Ellipsis else parts
     _require(len(raw) == len(kinds), raw, f"a list of {len(kinds)}", place)
     return tuple(structured(part, kind, (*place, i)) for i, (part, kind) in enumerate(zip(raw, kinds, strict=True)))
