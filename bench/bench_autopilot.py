@@ -4,9 +4,9 @@
 
 Of every flight and axis: steady gain, total lag, and gain and delay at 1, 2, 3 and 4.5 rad/s, each with the model's own
 95 % interval. The truth was measured without rotorfit (truth.json); its own error (gain 0.01, delay 5 ms, 10 ms below
-2 rad/s) is added to the intervals' ends in the second figure of each pair. "clock" takes off what the stamps of the
-poses are early by (clock.json). The steady gain is that of the steps, the total lag the delay at 0.5 rad/s, less what a
-straight line in the square of the frequency takes off towards 0. Prints Markdown.
+2 rad/s) is added to the intervals' ends in the second figure of each pair. The poses of these flights are stamped
+early; reading them puts their clock right. The steady gain is that of the steps, the total lag the delay at 0.5 rad/s,
+less what a straight line in the square of the frequency takes off towards 0. Prints Markdown.
 """
 
 import argparse
@@ -46,26 +46,20 @@ def truth_of(folder: Path) -> dict[str, dict[str, float]]:
     return out
 
 
-def rows_of(model: Model, axis: str, truth: dict[str, float], early: float) -> list[Row]:
-    """Everything that is compared of one axis; delays are longer by what the poses were stamped early."""
+def rows_of(model: Model, axis: str, truth: dict[str, float]) -> list[Row]:
+    """Everything that is compared of one axis."""
     known = model.axes[axis]
     out: list[Row] = []
-    for name, error, shift in (("steady_gain", GAIN_ERROR, 0.0), ("total_lag", SLOW_ERROR, early)):
+    for name, error in (("steady_gain", GAIN_ERROR), ("total_lag", SLOW_ERROR)):
         part = known.combinations.get(name)
         if part is not None:
-            out.append((name, truth[name], part.value + shift, moved(part.ci95, shift), error))
+            out.append((name, truth[name], part.value, part.ci95, error))
     for w in FREQUENCIES if known.predictor else ():
         told = sine_response(model, axis, w)
         out.append((f"gain {w:g}", truth[f"gain {w:g}"], told.gain, told.gain_ci95, GAIN_ERROR))
-        late = moved(told.delay_ci95, early)
         error = SLOW_ERROR if w < 2 else DELAY_ERROR
-        out.append((f"delay {w:g}", truth[f"delay {w:g}"], told.delay + early, late, error))
+        out.append((f"delay {w:g}", truth[f"delay {w:g}"], told.delay, told.delay_ci95, error))
     return out
-
-
-def moved(ends: Interval, shift: float) -> Interval:
-    low, high = ends
-    return None if low is None else low + shift, None if high is None else high + shift
 
 
 def holds(row: Row, error: float) -> bool:
@@ -83,8 +77,8 @@ def main() -> None:
     if not args.folder.is_dir():
         print(f"skipped: {args.folder} is not there; give the folder of arducopter-sitl")
         return
-    truth, clocks = truth_of(args.folder), json.loads((args.folder / "clock.json").read_text())
-    found: dict[tuple[str, bool], list[tuple[str, str, Row]]] = defaultdict(list)
+    truth = truth_of(args.folder)
+    found: dict[str, list[tuple[str, str, Row]]] = defaultdict(list)
     for name in args.flights.split(","):
         flight = load_flight(LogSpan(str(args.folder / f"{name}.mcap"), (None, None)))
         for structure in args.structures.split(","):
@@ -95,25 +89,23 @@ def main() -> None:
                 known = model.axes[axis]
                 laws = ", ".join(f"{law.structure} {law.weight:.2f}" for law in known.laws) or known.structure
                 print(f"  {axis}: {laws}; status {dict(known.status)}")
-                for clock in (False, True):
-                    early = clocks[name]["mean_ms"] / 1000 if clock else 0.0
-                    found[structure, clock] += [(name, axis, row) for row in rows_of(model, axis, truth[axis], early)]
+                found[structure] += [(name, axis, row) for row in rows_of(model, axis, truth[axis])]
     if args.rows:
-        for (structure, clock), rows in found.items():
-            for name, axis, row in rows if not clock else ():
+        for structure, rows in found.items():
+            for name, axis, row in rows:
                 what, true, value, (low, high), error = row
                 ends = ", ".join("open" if end is None else f"{end:.3f}" for end in (low, high))
                 mark = "" if holds(row, 0.0) else (" near" if holds(row, error) else " MISS")
                 print(f"{structure} {name} {axis} {what}: {value:.3f} [{ends}], measured {true:.3f}{mark}")
-    print("\n| structure | clock | what | held | held with the truth's error | of |\n|---|---|---|---|---|---|")
-    for (structure, clock), rows in found.items():
+    print("\n| structure | what | held | held with the truth's error | of |\n|---|---|---|---|---|")
+    for structure, rows in found.items():
         for what, wanted in (
             ("steady gain", ("steady_gain",)), ("total lag", ("total_lag",)), ("gains", ("gain",)),
             ("delays", ("delay",)), ("all", ("",)),
         ):  # fmt: skip
             some = [row for _, _, row in rows if row[0].startswith(wanted)]
             plain, wide = sum(holds(row, 0.0) for row in some), sum(holds(row, row[4]) for row in some)
-            print(f"| `{structure}` | {'corrected' if clock else 'as is'} | {what} | {plain} | {wide} | {len(some)} |")
+            print(f"| `{structure}` | {what} | {plain} | {wide} | {len(some)} |")
 
 
 if __name__ == "__main__":

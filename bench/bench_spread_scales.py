@@ -24,11 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench_real_coverage import NORMAL, VEHICLES, Known, Vehicle, fitted, known_of, row_of
+from bench_real_coverage import VEHICLES, Known, Vehicle, fitted, known_of, row_of
 from bench_real_coverage import Pair as Judged
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
-from rotorfit.estimation.judgement.random_effects import GRID, TAIL, mixed_half_width
+from rotorfit.estimation.judgement.random_effects import GRID, NORMAL, mixed_half_width, posterior
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 
 SCALES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)
@@ -38,10 +38,8 @@ that they differ by many errors."""
 LEAST_PAIRS = 20
 """Pairs below which a coefficient gets no scale of its own."""
 
-PRIOR = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1)) * np.diff(
-    np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
-)
-SHARE = PRIOR / PRIOR.sum()
+SHARE = posterior(np.zeros(GRID.size))
+"""Of the values of the spread before any flight."""
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from collections.abc import Iterable
 from rich.console import Console, RenderableType
 
 from rotorfit.app.terminal.proof import leave_one_out_view, paired_view, residual_line
-from rotorfit.assessment.leave_one_out import LeaveOneOut, Spread
+from rotorfit.assessment.leave_one_out import LeaveOneOut
 from rotorfit.core.residuals import ResidualTests
-from rotorfit.core.results import Difference, FlightScores, Paired, PairedTest
+from rotorfit.core.results import Difference, FlightScores, LeftOut, Paired, PairedTest
 
 BETTER = Difference(150, -0.0123, 0.002, 9.0, 1e-4, -1e-3, 2e-4, "better")
 WORSE = Difference(150, 0.0456, 0.004, 9.0, 1e-4, 1e-3, 2e-4, "worse")
@@ -89,7 +89,10 @@ def test_the_line_of_an_axis_holds_all_three_verdicts() -> None:
 
 
 def test_the_spread_stands_beside_what_the_fit_states() -> None:
-    spread = (Spread("x", "damping", (1.0, 1.2), 1.0, 1.2, 0.1), Spread("x", "total_lag", (None, 0.5), 0.5, 0.5, None))
+    spread = (
+        LeftOut("x", "damping", (1.0, 1.2), 1.0, 1.2, 0.1),
+        LeftOut("x", "total_lag", (None, 0.5), 0.5, 0.5, None),
+    )
     result = LeaveOneOut((), {}, (), spread, ("z: only one flight moves it",))
 
     found = told(leave_one_out_view(result, {"x": {"damping": 0.031}}))

@@ -14,12 +14,14 @@ from flights import flown, steps
 from rotorfit.app.cli import main
 from rotorfit.assessment.law_findings import disagreement_findings
 from rotorfit.assessment.uncertainty import observed_covariance, sandwich_covariance, scatter, with_uncertainty
+from rotorfit.core.accuracy import Uncertainty
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.axis_estimate import estimate_axis
-from rotorfit.files.models import from_mapping, to_mapping, uncertainty_from_mapping
+from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.files.schema import structured
 from rotorfit.planning.signals import two_sines
 from rotorfit.reporting.accuracy import accuracy_lines, error_rows, percent_rows
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, simulate_flight, write_bag
@@ -193,7 +195,7 @@ def test_the_table_survives_the_model_file() -> None:
 
     raw = json.loads(json.dumps(to_mapping(table), allow_nan=False))
     assert asdict(from_mapping(raw, "here").uncertainty) == asdict(table.uncertainty)  # type: ignore[arg-type]
-    assert uncertainty_from_mapping(raw["uncertainty"]).axes["z"].scatter is not None
+    assert structured(raw["uncertainty"], Uncertainty).axes["z"].scatter is not None
 
 
 def test_without_being_asked_for_there_is_no_table_and_the_papers_method_has_none() -> None:

@@ -14,32 +14,9 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import HORIZONS, FlightScores, PairedTest, StartErrors
+from rotorfit.core.results import HORIZONS, FlightScores, LeftOut, PairedTest, StartErrors
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST
-
-
-@dataclass(frozen=True)
-class Spread:
-    """One coefficient in the fits that each leave out one flight.
-
-    Attributes:
-        axis: Name.
-        name: `input`, `damping`, `delay`, `steady_gain` or `total_lag`.
-        values: One each flight that is left out, the predictor's own; None where the flight does not move the axis, or
-            the others cannot tell.
-        low: The smallest.
-        high: The largest.
-        jackknife_stderr: Standard error of a fit to all flights, by how much it changes when one is missing; None
-            unless every flight that moves the axis can be left out.
-    """
-
-    axis: str
-    name: str
-    values: tuple[float | None, ...]
-    low: float
-    high: float
-    jackknife_stderr: float | None
 
 
 @dataclass(frozen=True)
@@ -57,7 +34,7 @@ class LeaveOneOut:
     flights: tuple[FlightScores, ...]
     baselines: Mapping[str, tuple[FlightScores, ...]]
     paired: tuple[PairedTest, ...]
-    spread: tuple[Spread, ...]
+    spread: tuple[LeftOut, ...]
     notes: tuple[str, ...]
 
 
@@ -124,7 +101,7 @@ def _paired(
     return paired_test(("model", name), [each["model"] for each in errors], [each[name] for each in errors], moved)
 
 
-def _spreads(axis: str, models: Sequence[Model], moved: Sequence[tuple[str, ...]]) -> list[Spread]:
+def _spreads(axis: str, models: Sequence[Model], moved: Sequence[tuple[str, ...]]) -> list[LeftOut]:
     """The coefficients and combinations of one axis."""
     out = []
     pairs = list(zip(models, moved, strict=True))
@@ -136,7 +113,7 @@ def _spreads(axis: str, models: Sequence[Model], moved: Sequence[tuple[str, ...]
         movers = sum(axis in moves for moves in moved)
         whole = known.size == movers and movers > 1
         jackknife = float(np.sqrt((movers - 1) / movers * np.sum((known - known.mean()) ** 2))) if whole else None
-        out.append(Spread(axis, name, tuple(values), float(known.min()), float(known.max()), jackknife))
+        out.append(LeftOut(axis, name, tuple(values), float(known.min()), float(known.max()), jackknife))
     return out
 
 

@@ -101,11 +101,11 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
         symbol = f"g{2 * k + COEFFICIENTS.index(part) + 1}" if part in COEFFICIENTS[:2] else ""
         error = axis.stderr.get(part) if kind != "combination" else None
         paper = papers.get(part) if kind != "parameter" else None
-        own = axis.combinations[part].ci95_flight if kind == "combination" else axis.ci95_flight.get(part)
+        flight = axis.combinations[part].ci95_flight if kind == "combination" else axis.ci95_flight.get(part)
         given = axis.predictor is not None and part in given_by_law(axis.structure)
         return CoefficientRow(
             name, part, symbol, kind, unit, per if of_command else "", value, error, *ends,
-            "given" if given else status, paper, own, given,
+            "given" if given else status, paper, flight, given,
         )  # fmt: skip
 
     for part in COEFFICIENTS:

@@ -163,7 +163,7 @@ _CROSS = (
 )
 
 AVERAGED = "averaged"
-"""Asks for the default: delay and lag, or a second order with a zero where the data ask for it; see `average`."""
+"""Asks for the default: delay and lag, or a second order with a zero where the data ask for it; see `law_average`."""
 
 FIRST_ORDER_DELAY = Structure("first_order_delay", "v' = g u(t - tau) - b v + c")
 

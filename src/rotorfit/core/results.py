@@ -341,6 +341,29 @@ SCORE_COLUMNS = (
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """One coefficient in the fits that each leave out one flight.
+
+    Attributes:
+        axis: Name.
+        name: `input`, `damping`, `delay`, `steady_gain` or `total_lag`.
+        values: One each flight that is left out, the predictor's own; None where the flight does not move the axis, or
+            the others cannot tell.
+        low: The smallest.
+        high: The largest.
+        jackknife_stderr: Standard error of a fit to all flights, by how much it changes when one is missing; None
+            unless every flight that moves the axis can be left out.
+    """
+
+    axis: str
+    name: str
+    values: tuple[float | None, ...]
+    low: float
+    high: float
+    jackknife_stderr: float | None
+
+
+@dataclass(frozen=True)
 class Validation:
     """Prediction errors of a model and of the naive baselines on the same flights.
 

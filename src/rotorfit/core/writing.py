@@ -2,7 +2,8 @@
 
 import os
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
@@ -35,14 +36,10 @@ def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Pa
 def _replaced(place: Path, named: Path, data: bytes, keep: bool) -> Path | None:
     earlier = place.with_name(f"{place.name}~") if keep and place.exists() and place.read_bytes() != data else None
     new = _beside(place, data)
-    try:
+    with _gone_on_failure(new):
         if earlier:
             _copied(place, earlier)
         new.replace(place)
-    except BaseException:
-        with suppress(OSError):
-            new.unlink()
-        raise
     _sync(place.parent)
     return earlier if named.is_symlink() else earlier and named.with_name(earlier.name)
 
@@ -51,31 +48,36 @@ def _beside(place: Path, data: bytes) -> Path:
     """A file with these bytes, on the disk, in the folder of its later place and with the rights of what is there."""
     with NamedTemporaryFile(dir=place.parent, prefix=f".{place.name[:100]}.", suffix=".new", delete=False) as file:
         new = Path(file.name)
-        try:
+        with _gone_on_failure(new):
             new.chmod(place.stat().st_mode & 0o7777 if place.exists() else 0o666 & ~_UMASK)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        except BaseException:
-            with suppress(OSError):
-                new.unlink()
-            raise
     return new
 
 
 def _copied(place: Path, earlier: Path) -> None:
     """A second name for a file, in place of what has that name; a copy where the disk knows no second names."""
     second = place.with_name(f".{place.name[:100]}.{os.getpid()}.old")
-    try:
+    with _gone_on_failure(second):
         try:
             os.link(place, second)
         except OSError:
             shutil.copy2(place, second)
         second.replace(earlier)
-    except BaseException:
-        with suppress(OSError):
-            second.unlink()
-        raise
+
+
+@contextmanager
+def _gone_on_failure(path: Path) -> Iterator[None]:
+    """Leaves no half-written file behind, whatever stops the work: a full disk, Ctrl-C."""
+    done = False
+    try:
+        yield
+        done = True
+    finally:
+        if not done:
+            with suppress(OSError):
+                path.unlink()
 
 
 def _sync(folder: Path) -> None:

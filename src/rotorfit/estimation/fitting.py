@@ -58,14 +58,14 @@ def fit(
     """Estimates the coefficients of the axes from one or several flights.
 
     Args:
-        flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held`.
+        flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held_axes`.
         method: A key of `METHODS`: `ml`, the likelihood; `robust`, the same without the poses that are not where the
             vehicle was; `paper`, the regression of the paper; or one of the regressions between.
         axes: Which axes are wanted.
         progress: Called with a fraction and a text; raising in it cancels.
-        structure: `averaged`, the default: delay and lag, or what else the data ask for, see `average`; the name of the
-            law of every axis; or `auto`: what the data earn, axis by axis. `coupled` is of x and y together and leaves
-            the first-order law to every other axis. Methods without a likelihood know that law only.
+        structure: `averaged`, the default: delay and lag, or what else the data ask for, see `law_average`; the name of
+            the law of every axis; or `auto`: what the data earn, axis by axis. `coupled` is of x and y together and
+            leaves the first-order law to every other axis. Methods without a likelihood know that law only.
         prior: Use the priors of the card.
 
     Returns:

@@ -17,17 +17,10 @@ from rotorfit.core.limits import Conversion
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model, Predictor, Source, Weighed
 from rotorfit.core.physics import physics
 from rotorfit.core.plain import place_of, plain_json, text_of
-from rotorfit.core.results import FlightScores, PairedTest
+from rotorfit.core.results import FlightScores, LeftOut, PairedTest
 from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.schema import structured
-
-
-def uncertainty_from_mapping(raw: Mapping[str, Any]) -> Uncertainty:
-    """The table from the plain types of a model file; ValueError where it is not one."""
-    table: Uncertainty = structured(raw, Uncertainty, ("uncertainty",))
-    return table
-
 
 FORMAT = "rotorfit-model"
 
@@ -159,23 +152,13 @@ class _Scored:
 
 
 @dataclass(frozen=True)
-class _LeftOut:
-    axis: str
-    name: str
-    values: tuple[float | None, ...]
-    low: float
-    high: float
-    jackknife_stderr: float | None
-
-
-@dataclass(frozen=True)
 class _LeaveOneOut:
     """As `leave_one_out.leave_one_out_mapping` writes it, which stands above this module."""
 
     flights: tuple[FlightScores, ...]
     baselines: Mapping[str, _Scored]
     paired: tuple[PairedTest, ...]
-    spread: tuple[_LeftOut, ...]
+    spread: tuple[LeftOut, ...]
     notes: tuple[str, ...]
 
 

@@ -11,9 +11,6 @@ from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, st
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
 
-LOGARITHMIC = ("input", "damping", "steady_gain")
-"""What is compared by its logarithm besides further parameters that are estimated by theirs."""
-
 
 @dataclass(frozen=True)
 class Estimand:

@@ -43,8 +43,7 @@ class RandomEffects:
         spread: Median of the spread between flights, after the data.
         reml: Spread by restricted maximum likelihood, the flights alone; None for one flight.
         knapp_hartung: 95 % interval of the mean, the flights alone; None for one flight.
-        heterogeneity: Cochran's Q; 0 for one flight.
-        p_value: Of flights that do not differ giving more; None for one flight.
+        p_value: Of a larger Cochran's Q from flights that do not differ; None for one flight.
     """
 
     mean: float
@@ -54,7 +53,6 @@ class RandomEffects:
     spread: float
     reml: float | None
     knapp_hartung: tuple[float, float] | None
-    heterogeneity: float
     p_value: float | None
 
 
@@ -68,7 +66,7 @@ def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
     """
     tau = np.maximum(scale, 1e-12) * GRID
     restricted, mean, total, misfit = _restricted(value, error, tau)
-    share = _posterior(restricted)
+    share = posterior(restricted)
     center = float(share @ mean)
     # what the spread may be moves the mean, too: that is added to the variance at each spread
     spread = 1 / total + (mean - center) ** 2
@@ -81,7 +79,6 @@ def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
         spread=float(np.interp(0.5, np.cumsum(share), tau)),
         reml=_reml(value, error) if alone else None,
         knapp_hartung=_knapp_hartung(value, error) if alone else None,
-        heterogeneity=float(misfit[0]),
         p_value=_chi_squared(float(misfit[0]), len(value) - 1) if alone else None,
     )
 
@@ -97,8 +94,8 @@ def excess_spread(apart: Array, error: Array, scale: float) -> float:
         scale: Of the half t of the spread.
     """
     tau = np.maximum(scale, 1e-12) * GRID
-    after = mixed_half_width(1 + tau**2, _posterior(_restricted(apart, error, tau)[0]))
-    before = mixed_half_width(1 + tau**2, _posterior(np.zeros(tau.size)))
+    after = mixed_half_width(1 + tau**2, posterior(_restricted(apart, error, tau)[0]))
+    before = mixed_half_width(1 + tau**2, posterior(np.zeros(tau.size)))
     return float(np.sqrt(max(after**2 - before**2, 0.0))) / NORMAL
 
 
@@ -112,7 +109,7 @@ def _restricted(value: Array, error: Array, tau: Array) -> tuple[Array, Array, A
     return -0.5 * (np.log(variance).sum(axis=0) + np.log(total) + misfit), mean, total, misfit
 
 
-def _posterior(log_likelihood: Array) -> Array:
+def posterior(log_likelihood: Array) -> Array:
     """Shares of the values of the spread, prior and the width of each cell of the grid counted."""
     prior = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1))
     edges = np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
