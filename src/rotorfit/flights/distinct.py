@@ -1,4 +1,4 @@
-"""Whether flights are different flights: the same poses twice would count as twice the evidence."""
+"""Whether what is given are flights, and different ones: the same poses twice would count as twice the evidence."""
 
 from collections.abc import Sequence
 
@@ -39,7 +39,9 @@ def check_distinct(flights: Sequence[Flight]) -> None:
     Raises:
         FlightError: Two of them are the same, or overlap.
     """
-    seen: dict[bytes, int] = {}
+    if len(flights) < 2:
+        return
+    seen: dict[int, int] = {}
     for number, flight in enumerate(flights):
         rows = np.ascontiguousarray(np.column_stack([flight.position, flight.yaw]))
         if len(rows) <= RUN:
@@ -47,18 +49,18 @@ def check_distinct(flights: Sequence[Flight]) -> None:
         moving = np.any(np.diff(rows, axis=0) != 0, axis=1)
         changes = np.concatenate([[0], np.cumsum(moving)])
         keys = [
-            rows[i : i + RUN].tobytes() if changes[i + RUN - 1] - changes[i] >= CHANGES - 1 else b""
+            hash(rows[i : i + RUN].tobytes()) if changes[i + RUN - 1] - changes[i] >= CHANGES - 1 else None
             for i in range(len(rows) - RUN + 1)
         ]
         steps = np.diff(flight.pose_time)
         shared: dict[int, float] = {}
         for i, key in enumerate(keys):
-            if key in seen:
+            if key is not None and key in seen:
                 shared[seen[key]] = shared.get(seen[key], 0.0) + float(steps[i])
         for other, time in shared.items():
             if time >= LEAST:
                 raise FlightError(_refusal(flights[other], flight, time))
-        seen |= {key: number for key in keys if key}
+        seen |= {key: number for key in keys if key is not None}
 
 
 def _refusal(one: Flight, other: Flight, time: float) -> str:
