@@ -5,13 +5,18 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from time import process_time
 
+import numpy as np
+import polars as pl
 import pytest
+from scipy.io import savemat
 
 import bombs
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs import read
+from rotorfit.files.logs import content, read
 from rotorfit.files.logs import topics as collector
+from rotorfit.files.logs.parquet_worker import columns_to
 
 pytestmark = pytest.mark.flights
 
@@ -20,7 +25,7 @@ READ = """
 import re, resource, sys
 from pathlib import Path
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs import read
+from rotorfit.files.logs import content, read
 path = sys.argv[1]
 try:
     print(len(next(iter(read(path).tables.values())).columns))
@@ -70,3 +75,82 @@ def test_columns_that_grow_take_little_more_than_they_hold(tmp_path: Path, monke
     tracemalloc.stop()
 
     assert peak < 1.3 * (30 << 20) + (10 << 20)
+
+
+def wide_csv(path: Path, count: int) -> Path:
+    path.write_text("\n".join((",".join(f"c{k}" for k in range(count)), *[",".join(["1.5"] * count)] * 2)))
+    return path
+
+
+def wide_mat(path: Path, count: int) -> Path:
+    savemat(path, {f"c{k}": 1.0 for k in range(count)})
+    return path
+
+
+def linked_groups(path: Path, count: int) -> Path:
+    """As many names as `count` to the third, by a few links to the same groups."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        one = file.create_group("c")
+        for _ in range(3):
+            outer = file.create_group(None)
+            for k in range(count):
+                outer[f"c{k}"] = one
+            one = outer
+        file["all"] = one
+    return path
+
+
+@pytest.mark.parametrize("wide", [wide_csv, wide_mat, linked_groups])
+def test_a_table_of_more_columns_than_anybody_can_look_at_is_one_line(
+    wide: Callable[[Path, int], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(content, "MOST_COLUMNS", 100)
+    with pytest.raises(LogError, match=r"a table of \d+ columns, more than 100; keep those of") as refused:
+        read(wide(tmp_path / "log", 120))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_million_columns_are_refused_before_they_take_time_and_memory(tmp_path: Path) -> None:
+    started = process_time()
+    with pytest.raises(LogError, match="a table of 300000 columns"):
+        read(wide_csv(tmp_path / "log", 300_000))
+    assert process_time() - started < 2
+
+
+def test_wide_parquet_is_refused(tmp_path: Path) -> None:
+    pl.DataFrame({f"c{k}": [0.5] for k in range(10_001)}).write_parquet(tmp_path / "log", statistics=False)
+    with pytest.raises(LogError, match="a table of 10001 columns"):
+        read(tmp_path / "log")
+
+
+def test_a_structure_of_too_many_arrays_is_left_out_with_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(content, "MOST_COLUMNS", 100)
+    savemat(tmp_path / "log", {"x": np.zeros(9), "all": {f"c{k}": 1.0 for k in range(120)}})
+
+    log = read(tmp_path / "log")
+
+    assert list(log.tables["log"].columns) == ["x"]
+    assert "a table of 101 columns" in log.damage[0]
+
+
+def test_many_columns_of_parquet_take_a_few_readings_of_what_describes_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pl.DataFrame({f"c{k}": [float(k)] for k in range(300)}).write_parquet(tmp_path / "log")
+    calls: list[int] = []
+
+    def counted(path: Path, columns: list[str], **more: bool) -> pl.DataFrame:
+        calls.append(len(columns))
+        return whole(path, columns=columns, **more)
+
+    whole = pl.read_parquet
+    monkeypatch.setattr(pl, "read_parquet", counted)
+
+    found = columns_to(tmp_path / "log", tmp_path, 1 << 29)
+
+    assert calls == [300]
+    assert found["names"] == [f"c{k}" for k in range(300)]
+    assert [np.load(tmp_path / f"{k}.npy")[0] for k in (0, 150, 299)] == [0.0, 150.0, 299.0]

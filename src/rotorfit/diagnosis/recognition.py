@@ -11,7 +11,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
 from rotorfit.flights.columns import (
     clock_of,
-    clocks_of,
+    clocks,
     column,
     name_without_unit,
     plain_name,
@@ -299,8 +299,9 @@ def _z_up(body: Recognised) -> Recognised:
 def _named(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:
     """Quantity to the shortest name that fits its pattern; columns as long as a clock go before others."""
     found: dict[str, str] = {}
-    series = series_of(table)
-    for name in sorted(series, key=lambda name: (not clocks_of(table, series[name]), len(name))):
+    series, lengths = series_of(table), set(clocks(table).values())
+    timed = {name for name, count in series.items() if lengths & {count - 1, count, count + 1}}
+    for name in sorted(series, key=lambda name: (name not in timed, len(name))):
         plain = name_without_unit(name)
         for quantity, pattern in patterns.items():
             if quantity not in found and re.fullmatch(pattern, plain):

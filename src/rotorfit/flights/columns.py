@@ -243,10 +243,14 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
 
 def clocks_of(table: Table, count: int) -> list[str]:
     """Columns that are named as clocks, advance, and go with `count` samples; the likeliest first."""
+    return [name for name, size in clocks(table).items() if abs(size - count) <= 1]
+
+
+def clocks(table: Table) -> dict[str, int]:
+    """Columns that are named as clocks and advance, with their lengths; the likeliest first."""
     names = {name_without_unit(name): name for name, values in table.columns.items() if is_series(values)}
-    likely = [names[clock] for clock in _CLOCKS if clock in names]
-    fitting = [name for name in likely if abs(table.columns[name].size - count) <= 1]
-    return [name for name in fitting if np.any(np.diff(table.columns[name].ravel().astype(np.float64)) > 0)]
+    likely = {names[clock]: table.columns[names[clock]] for clock in _CLOCKS if clock in names}
+    return {name: clock.size for name, clock in likely.items() if np.any(np.diff(clock.ravel().astype(float)) > 0)}
 
 
 def is_series(values: Column) -> bool:

@@ -15,7 +15,7 @@ from threading import Event
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
-from rotorfit.files.logs.content import Content, one_line
+from rotorfit.files.logs.content import Content, check_width, one_line
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import join_logs, parts_of
 
@@ -52,6 +52,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
             if source.sniff(path, head):
                 with _hashed(path) as digest:
                     content: Content = source.read(path, None if tables is None else frozenset(tables))
+                    check_width(path, max((len(table.columns) for table in content.tables.values()), default=0))
                     found = (content.tables, content.skipped, content.notes, content.attached, content.events)
                     return Log(path, name, digest(), *found, damage=content.damage)
     except OSError as error:

@@ -16,6 +16,9 @@ BLOCK_LIMIT = 1 << 26
 """Most bytes that one record, or one packed block, of a bag may take: recorders end a chunk at about one MiB. A block
 of tiny messages takes four times as much while it is taken apart."""
 
+MOST_COLUMNS = 10_000
+"""Most columns of one table: ten times the largest log of an autopilot. Each costs a millisecond until it is shown."""
+
 WIDEST = 64
 """Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""
 
@@ -53,6 +56,18 @@ def check_size(path: Path, columns: Iterable[Column]) -> None:
     """Raises `LogError` where the numbers decoded so far take more memory than `LIMIT`."""
     if sum(values.nbytes for values in columns) > LIMIT:
         raise LogError(f"{path}: more than {LIMIT >> 20} MiB of numbers; cut the log to the flight that you need")
+
+
+def too_wide(count: int) -> str:
+    """What is wrong with a table of so many columns; empty where nothing is."""
+    told = f"a table of {count} columns, more than {MOST_COLUMNS}; keep those of time, commands and pose"
+    return told if count > MOST_COLUMNS else ""
+
+
+def check_width(path: Path, count: int) -> None:
+    """Raises `LogError` where a table has more than `MOST_COLUMNS`; called before each of them takes time."""
+    if told := too_wide(count):
+        raise LogError(f"{path}: {told}")
 
 
 def one_line(text: object) -> str:

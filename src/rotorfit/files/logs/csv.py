@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Table
-from rotorfit.files.logs.content import LIMIT, Content, listed, one_line
+from rotorfit.files.logs.content import LIMIT, Content, check_width, listed, one_line
 
 if TYPE_CHECKING:
     import polars as pl
@@ -159,8 +159,9 @@ def columns_below(
         notes: Grows by what was left out.
 
     Raises:
-        LogError: No rows, or no column of numbers.
+        LogError: Too many columns, no rows, or no column of numbers.
     """
+    check_width(path, len(names))
     sheet = _sheet(path, data, part, names, separator, notes)
     columns = _columns(_frame(path, sheet), sheet.names, notes)
     if not columns:

@@ -18,7 +18,16 @@ import numpy as np
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Table
-from rotorfit.files.logs.content import LIMIT, Content, DamageError, column_from, listed, one_line
+from rotorfit.files.logs.content import (
+    LIMIT,
+    Content,
+    DamageError,
+    check_width,
+    column_from,
+    listed,
+    one_line,
+    too_wide,
+)
 
 _Order = Literal["little", "big"]
 
@@ -70,10 +79,12 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     others: list[str] = []
     notes: list[str] = []
     damage: list[str] = []
+    count = 0
     with path.open("rb") as file:
         order = _BYTE_ORDERS[file.read(_HEADER)[126:128]]
         left = path.stat().st_size - _HEADER
         while left > 0:
+            check_width(path, count := count + 1)
             tag = file.read(8)
             kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
             left -= 8 + length
@@ -183,6 +194,8 @@ def _gather(
         for label, content in _fields(matrix, order):
             if len(content):  # MATLAB writes an empty field without a head
                 _gather(_matrix(content, order), f"{name}.{label}", order, columns, others, room, depth + 1)
+    elif told := too_wide(len(columns) + 1):
+        raise DamageError(told)
     elif matrix.kind in _CLASSES and not matrix.flags & _COMPLEX and sum(size != 1 for size in matrix.sizes) <= 2:
         columns[name] = _array(matrix, order, room - _size(columns))
     else:

@@ -3,7 +3,8 @@
 HDF5 stores MATLAB's arrays by rows where MATLAB has columns: they come transposed and are turned back.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from itertools import count
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,16 @@ import numpy as np
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Table
-from rotorfit.files.logs.content import BLOCK_LIMIT, LIMIT, Content, check_size, column_from, listed, one_line
+from rotorfit.files.logs.content import (
+    BLOCK_LIMIT,
+    LIMIT,
+    Content,
+    check_size,
+    check_width,
+    column_from,
+    listed,
+    one_line,
+)
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -42,7 +52,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     others: list[str] = []
     try:
         with h5py.File(path, "r") as file:
-            _gather(file, "", columns, others, 0)
+            _gather(file, "", columns, others, 0, count(1))
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise LogError(f"{path}: damaged HDF5 ({one_line(error)}); copy the file again") from error
     if not columns:
@@ -51,11 +61,14 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     return Content({path.stem: Table(path.stem, columns)}, {}, tuple(notes))
 
 
-def _gather(group: Any, prefix: str, columns: dict[str, Column], others: list[str], depth: int) -> None:
-    """Puts the arrays of a group, and of the structures in it, into the columns."""
+def _gather(
+    group: Any, prefix: str, columns: dict[str, Column], others: list[str], depth: int, seen: Iterator[int]
+) -> None:
+    """Puts the arrays of a group, and of the structures in it, into the columns; one may be linked to many times."""
     import h5py
 
     for label in group:
+        check_width(Path(group.file.filename), next(seen))
         name = f"{prefix}{label}"
         if label.startswith("#"):  # MATLAB's own store of cells and objects
             continue
@@ -63,7 +76,7 @@ def _gather(group: Any, prefix: str, columns: dict[str, Column], others: list[st
         plain = isinstance(group.get(label, getlink=True), h5py.HardLink)
         item = group[label] if plain else None
         if isinstance(item, h5py.Group) and depth < _DEEPEST:
-            _gather(item, f"{name}.", columns, others, depth + 1)
+            _gather(item, f"{name}.", columns, others, depth + 1, seen)
         elif isinstance(item, h5py.Dataset) and _is_numeric(item):
             columns[name] = _array(item)
             check_size(Path(item.file.filename), columns.values())
