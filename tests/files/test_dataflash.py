@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from autopilot_logs import FLASH_ATT, FLASH_FMT, flash, flash_attitudes, flash_format, flash_record
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
-from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.logs import dataflash as reader
 from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
+from rotorfit.flights.columns import card_for, column, unit_note
 from rotorfit.flights.streams import commands_of
 
 STAMPS = np.arange(1_000_000, 3_000_000, 10_000)
@@ -76,6 +78,73 @@ def test_instances_are_tables_of_their_own(tmp_path: Path) -> None:
     assert log.tables["XKF1_1"].columns["PN"].tolist() == [0.25, 1.25, 2.25, 3.25, 4.25]
     assert list(one.tables) == ["XKF1_1"]
     assert one.skipped["XKF1"] == "not asked for"
+
+
+UNITS = [
+    flash_format(3, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
+    flash_format(4, "UNIT", "QbZ", "TimeUS,Id,Label"),
+    flash_format(5, "MULT", "Qbd", "TimeUS,Id,Mult"),
+    *(flash_record(4, "QbZ", 0, ord(mark), name) for mark, name in (("n", b"m/s"), ("h", b"degheading"), ("v", b"V"))),
+    *(flash_record(5, "Qbd", 0, ord(mark), size) for mark, size in (("0", 1.0), ("B", float(np.float32(0.01))))),
+]
+
+
+def guided(multipliers: bytes) -> list[bytes]:
+    """Set-points of 0.5 m/s north; which of their columns were multiplied by what, is said."""
+    return [
+        *UNITS,
+        flash_format(2, "GUIP", "QffCf", "TimeUS,vX,vY,Yaw,Volt"),
+        flash_record(3, "QBNN", 0, 2, b"snnhv", b"F" + multipliers),
+        *(flash_record(2, "QffCf", t, 0.5, 0.0, 4500, 11.0) for t in range(0, 9_000_000, 20_000)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("multipliers", "unit"), [(b"00B0", "m/s"), (b"BBB0", "cm/s"), (b"--B-", None), (b"??B?", None), (b"XX00", None)]
+)
+def test_a_log_says_in_which_units_its_numbers_are(multipliers: bytes, unit: str | None, tmp_path: Path) -> None:
+    log = log_of(tmp_path, flash(guided(multipliers)))
+
+    said = {("GUIP", name): unit for name in ("vX", "vY")} if unit else {}
+    assert log.units == {**said, ("GUIP", "Yaw"): "deg"}  # which its format has divided already
+
+
+def test_the_units_of_the_log_stand_over_those_of_the_card_and_that_is_said(tmp_path: Path) -> None:
+    raw = {
+        "command": {
+            "time": {"from": "GUIP:TimeUS", "unit": "us"},
+            "x": {"from": "GUIP:vX", "unit": "cm/s", "scale": -1, "meaning": "velocity"},
+            "y": {"from": "GUIP:vY", "meaning": "velocity"},
+        },
+        "pose": {
+            "time": {"from": "GUIP:TimeUS", "unit": "us"}, "x": "GUIP:vX", "y": 0, "z": 0,
+            "yaw": {"from": "GUIP:Yaw", "unit": "deg"},
+        },
+    }  # fmt: skip
+    card = card_from_mapping(raw, "test")
+    log = log_of(tmp_path, flash(guided(b"00B0")))
+
+    bound = card_for(log, card)
+
+    assert column(log, bound.command["x"])[0] == -0.5
+    assert (bound.command["y"], bound.pose) == (card.command["y"], card.pose)  # a speed is no place
+    assert unit_note(card, bound) == "by the log's own units, over the card's: GUIP:vX is in m/s, not in cm/s"
+    assert unit_note(card, card_for(log_of(tmp_path, flash(guided(b"BBB0"))), card)).endswith(
+        ": GUIP:vY is in cm/s, not in SI"
+    )
+
+
+def test_set_points_of_a_real_autopilot_are_metres_a_second_as_its_log_says(real_flights: Path) -> None:
+    path = real_flights / "arducopter-sitl" / "s01.BIN"
+    if not path.exists():
+        pytest.skip(f"{path} is absent")
+    flight = flight_from_log(read(path), load_card("arducopter-guided"))
+
+    assert 0.3 < np.abs(flight.command[:, :2]).max() < 0.5
+    assert [note.text for note in flight.notes if note.code == "units"] == [
+        "by the log's own units, over the card's: GUIP:vY is in m/s, not in cm/s; GUIP:vX is in m/s, not in cm/s; "
+        "GUIP:vZ is in m/s, not in cm/s"
+    ]
 
 
 OLD = flash(
@@ -249,9 +318,14 @@ FMT, 2, 6, MODE, MH, Mode,ThrCrs
 FMT, 5, 67, MSG, Z, Message
 FMT, 6, 20, IMU, QBf, TimeUS,I,GyrX
 FMT, 7, 44, FMTU, QBNN, TimeUS,FmtType,UnitIds,MultIds
+FMT, 8, 76, UNIT, QbZ, TimeUS,Id,Label
+FMT, 9, 20, MULT, Qbd, TimeUS,Id,Mult
+UNIT, 0, 69, rad/s
+MULT, 0, 45, 0
+MULT, 0, 48, 1.0
 FMT, 129, 23, PARM, Nf, Name,Value
 PARM, RATE_RLL_P, 0.15
-FMTU, 0, 6, s#E, F--
+FMTU, 0, 6, s#E, F-0
 """
 
 
@@ -273,6 +347,7 @@ def test_the_text_of_a_log_is_read_as_the_log_itself(tmp_path: Path) -> None:
     assert list(log.tables) == ["ATT", "MODE", "IMU", "IMU_1"]
     assert log.tables["ATT"].columns["Roll"][:3].tolist() == [1.0, 1.2, 1.4]
     assert len(log.tables["IMU_1"].columns["GyrX"]) == 3000
+    assert log.units == {("IMU", "GyrX"): "rad/s", ("IMU_1", "GyrX"): "rad/s"}
     mode = log.tables["MODE"].columns
     np.testing.assert_allclose(mode["log_time"] / 1e9, mode["Mode"], atol=0.1)
     assert log.notes == (
@@ -322,9 +397,9 @@ def test_a_real_log_comes_as_pymavlink_reads_it(real_flights: Path) -> None:
     log, compared = read(path), 0
 
     for name, messages in rows.items():
-        for column, values in log.tables[name].columns.items() if name in log.tables else ():
-            if column != "log_time":
-                expected = [getattr(message, column) for message in messages]
+        for label, values in log.tables[name].columns.items() if name in log.tables else ():
+            if label != "log_time":
+                expected = [getattr(message, label) for message in messages]
                 np.testing.assert_allclose(values[: len(messages)], expected, rtol=1e-12)
                 compared += 1
     assert compared > 50

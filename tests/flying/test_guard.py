@@ -177,7 +177,7 @@ def test_speed_climb_battery_and_duration_each_have_their_limit() -> None:
     assert verdict(replace(fine, velocity=(2.2, 2.2, 0.0, 0.0)), 10.0, limits=wide) == "speed"
     assert verdict(replace(fine, velocity=(0.0, 0.0, -2.1, 0.0)), 10.0, limits=wide) == "climb"
     assert verdict(replace(fine, battery=0.1), 10.0) == "battery"
-    assert verdict(fine, 10.0, flown=61.0) == "too_long"
+    assert verdict(fine, 10.0, flown=121.0) == "too_long"
 
 
 def test_braking_follows_the_belief() -> None:

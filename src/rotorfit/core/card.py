@@ -139,5 +139,8 @@ LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS = (
     ("rad/s", "deg/s"),
 )
 
+KINDS = (LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS)
+"""Units that can stand for each other."""
+
 LIMIT_UNITS = {"tilt": ANGLE_UNITS, "vertical_speed": SPEED_UNITS, "yaw_rate": RATE_UNITS, "speed": SPEED_UNITS}
 """Limit to the units that it may be given in, SI first."""

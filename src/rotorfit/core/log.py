@@ -61,6 +61,7 @@ class Log:
         retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
             clock, or straightened. Empty as read.
         damage: What was lost because the file is damaged or cut short, one line each.
+        units: Table and column to the unit that the log itself says its numbers have, one of `frames.UNIT_SCALE`.
     """
 
     path: Path
@@ -74,6 +75,7 @@ class Log:
     file_of: Mapping[str, str] = field(default_factory=dict)
     retimed: Mapping[tuple[str, str], npt.NDArray[np.int64]] = field(default_factory=dict)
     damage: tuple[str, ...] = ()
+    units: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Log({str(self.path)!r}, {self.format}, {counted(len(self.tables), 'table')})"

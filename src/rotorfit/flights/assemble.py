@@ -17,6 +17,7 @@ from rotorfit.core.log import Log
 from rotorfit.flights.clocks.arrival import with_sound_stamps
 from rotorfit.flights.clocks.sender_drift import on_the_recorders_clock
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF, on_one_clock
+from rotorfit.flights.columns import unit_note
 from rotorfit.flights.command_hold import with_judged_hold
 from rotorfit.flights.low_pass import without_low_pass
 from rotorfit.flights.onboard_velocity import in_the_world, velocities_of, with_travel
@@ -141,7 +142,8 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
             less than two seconds, or yaw in degrees taken for radians.
     """
-    card = bound(card, log)
+    written, card = card, bound(card, log)
+    units = unit_note(written, card)
     log, stamped = with_sound_stamps(log, card)
     log, corrected, stamp_error = on_the_recorders_clock(log, card)
     log, clocks = on_one_clock(log, card)
@@ -163,6 +165,7 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
     segments = _segments(command_time, command_end)
     _check_duration(log, segments, pose_time)
     notes = (
+        *([Note("units", units, 1)] if units else []),
         *stamped,
         *corrected,
         *_clock_notes(clocks, len(commands.stamps)),

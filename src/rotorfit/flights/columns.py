@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from rotorfit.core.card import Card, Channel
+from rotorfit.core.card import KINDS, Card, Channel
 from rotorfit.core.errors import CardError, nearest
 from rotorfit.core.frames import UNIT_SCALE, Array
 from rotorfit.core.log import Column, Log, Table
@@ -36,6 +36,8 @@ def fitting_cards(log: Log) -> dict[str, Card]:
 def card_for(log: Log, card: Card) -> Card:
     """The card with each column by the name that it has in this log, and without optional conditions that it lacks.
 
+    Where the log itself says the unit of a column, that one holds.
+
     Args:
         log: Where the columns are.
         card: What may name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`),
@@ -54,24 +56,66 @@ def card_for(log: Log, card: Card) -> Card:
         known = (one for one in map(bare, (channel, *channel.others)) if _holds(log, one.source))
         return replace(next(known, channel), others=())
 
-    def all_named(channels: Mapping[str, Channel]) -> dict[str, Channel]:
-        return {key: named(channel) for key, channel in channels.items()}
+    def all_named(channels: Mapping[str, Channel], units: Mapping[str, str] = _NO_UNITS) -> dict[str, Channel]:
+        return {key: _as_logged(log, named(channel), units.get(key)) for key, channel in channels.items()}
 
     window = [replace(part, channel=named(part.channel)) for part in card.window]
     return replace(
         card,
         command_time=named(card.command_time),
-        command=all_named(card.command),
+        command=all_named(
+            card.command, {axis: _ASKED.get(one.meaning or "", "") for axis, one in card.command.items()}
+        ),
         pose_time=named(card.pose_time),
-        pose=all_named(card.pose),
-        velocity=all_named(card.velocity),
+        pose=all_named(card.pose, _PLACE),
+        velocity=all_named(card.velocity, _SPEED),
         velocity_time=named(card.velocity_time) if card.velocity_time else None,
-        attitude=all_named(card.attitude),
+        attitude=all_named(card.attitude, _PLACE),
         attitude_time=named(card.attitude_time) if card.attitude_time else None,
         reference=all_named(card.reference),
         window=tuple(part for part in window if not part.optional or _holds(log, part.channel.source)),
         resets=tuple(named(channel) for channel in card.resets),
     )
+
+
+_NO_UNITS: Mapping[str, str] = {}
+
+_PLACE, _SPEED = ({"x": unit, "y": unit, "z": unit, "yaw": turn} for unit, turn in (("m", "rad"), ("m/s", "rad/s")))
+
+_ASKED = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+
+
+def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
+    """The channel in the unit that the log says its column has; as it is where the log says none, or another quantity.
+
+    Args:
+        log: Where the column is.
+        channel: By the name that it has there.
+        si: Its unit where the card gives none.
+    """
+    said = log.units.get(split_source(channel.source))
+    own = channel.unit or si
+    plain = abs(channel.scale) == 1 and channel.offset == 0 and channel.full_scale is None
+    if said is None or said == own or not plain or not any(said in kind and own in kind for kind in KINDS):
+        return channel
+    return replace(channel, unit=said)
+
+
+def unit_note(before: Card, after: Card) -> str:
+    """Where the log's own units have replaced those of a card; empty where they agree.
+
+    Args:
+        before: The card as written.
+        after: As `card_for` has it for a log.
+    """
+    changed = [
+        f"{channel.source} is in {channel.unit}, not in {known[axis].unit or 'SI'}"
+        for part in ("command", "pose", "velocity", "attitude", "reference")
+        for known, found in [(getattr(before, part), getattr(after, part))]
+        for axis, channel in found.items()
+        if channel.unit not in {one.unit for one in (known[axis], *known[axis].others)}
+    ]
+    return f"by the log's own units, over the card's: {'; '.join(changed)}" if changed else ""
 
 
 def _holds(log: Log, source: str | float) -> bool:

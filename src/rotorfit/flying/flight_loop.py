@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from rotorfit.core.errors import LinkError
-from rotorfit.core.flight_plan import Ending, Feedback, Flown, Four, Jitter, Plan, Status
+from rotorfit.core.flight_plan import Ending, Flown, Four, Jitter, Plan, Status
 from rotorfit.core.frames import AXES
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying.approach import approach, led, measured
 from rotorfit.flying.guard import (
     Coasting,
     GuardVerdict,
@@ -47,14 +48,11 @@ HOVERING = 1.0
 WATCHING = 3.0
 """How long a landing is recorded [s]."""
 
-APPROACH_SPEED, APPROACH_TURN = 0.3, 0.5
-"""Of the point that leads the vehicle to its start [m/s, rad/s]."""
+ARRIVED, RESTING = 0.1, 0.5
+"""An approach ends so near to the start [m], at rest for so long in a row [s]."""
 
-LEANING = 0.2
-"""Rate at which that point then moves on against what is still missing [1/s]."""
-
-SETTLING = 15.0
-"""How long the vehicle may then take to be there and at rest [s]."""
+SETTLING = 45.0
+"""How long the vehicle may take to rest there once its reference does [s]."""
 
 TAKE_OFF, CLIMBED = 15.0, 0.3
 """Longest take-off [s]; height gained and rest, in a row for a second, end it [m]."""
@@ -209,7 +207,7 @@ class _Flight:
         return None
 
     def _approached(self) -> Ending | None:
-        """To the plan's start, behind a point that goes there slowly; at once where the vehicle is near."""
+        """To the plan's start, and to rest there; nothing where the vehicle is near."""
         while self.watch.pose is None:
             if (ending := self._wait(self.limits)) is not None:
                 return ending
@@ -221,31 +219,25 @@ class _Flight:
                 "start", f"the vehicle is {distance:.2f} m from the plan's start, and the plan has no feedback"
             )
         self._enter("approach")
-        feedback = replace(self.plan.feedback or Feedback(AXES), axes=AXES)
-        leader = tracker_of(replace(self.plan, excitations=(), feedback=feedback))
-        self._steer_from_here(True)
-        here, there = self.tracking.origin.copy(), np.array(self.plan.space.start)
-        way = there - here
-        way[3] = math.remainder(way[3], math.tau)
-        needed = max(float(np.linalg.norm(way[:3])) / APPROACH_SPEED, abs(way[3]) / APPROACH_TURN)
-        lean = np.zeros(4)
-        still = instants(leader.plan, np.zeros(1))[0]
-        while True:
+        loop, guess = approach(self.plan, np.array(self.watch.pose), np.array(self.watch.velocity))
+        seen, rest = self.watch.stamp, 0
+        while rest < RESTING * self.plan.rate:
             if (ending := self._wait(self.limits)) is not None:
                 return ending
+            if self.watch.stamp > seen:
+                guess = measured(loop, guess, np.array(self.watch.pose), (self.watch.stamp - seen) / 1e9)
+                seen = self.watch.stamp
             since = self._since()
-            if since > needed:  # against a steady wind, to which the feedback yields
-                lean += LEANING * self.period / 1e9 * (here + way - self.tracking.pose)
-            self.tracking = replace(self.tracking, origin=here + min(1.0, since / needed) * way + lean)
-            self.tracking, command = obeyed(leader, self.tracking, still)
+            guess, command = led(loop, guess, since)
             self._send(command.tolist())
             distance, angle = from_start(self.plan, self.watch)
-            if since > needed and distance <= NEAR and angle <= TURNED and self._speed() < BRAKED:
-                return None
-            if since > needed + SETTLING:
+            there = since > loop.duration and distance <= ARRIVED and angle <= TURNED and self._speed() < BRAKED
+            rest = rest + 1 if there else 0
+            if since > loop.duration + SETTLING:
                 return Ending(
                     "start", f"the start was not reached: still {distance:.2f} m away, {self._speed():.2f} m/s"
                 )
+        return None
 
     def _excited(self) -> Ending | None:
         """The plan."""

@@ -51,7 +51,7 @@ UNKNOWN_TILT = math.radians(10)
 UNKNOWN_DAMPING = 1.5
 """Of a velocity loop of which nothing is believed [1/s]."""
 
-SPARE = 60.0
+SPARE = 120.0
 """What a flight may last beyond its plan, for the approach [s]."""
 
 FILTER = 0.1

@@ -54,7 +54,7 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
                     content: Content = source.read(path, None if tables is None else frozenset(tables))
                     check_width(path, max((len(table.columns) for table in content.tables.values()), default=0))
                     found = (content.tables, content.skipped, content.notes, content.attached, content.events)
-                    return Log(path, name, digest(), *found, damage=content.damage)
+                    return Log(path, name, digest(), *found, damage=content.damage, units=content.units)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({one_line(error)}); check the path and its permissions") from error
     if path.is_dir():

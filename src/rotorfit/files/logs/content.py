@@ -42,6 +42,7 @@ class Content:
         attached: As `Log.attached`.
         events: As `Log.events`.
         damage: What was lost because the file is damaged or cut short, one sentence each.
+        units: As `Log.units`.
     """
 
     tables: Mapping[str, Table]
@@ -50,6 +51,7 @@ class Content:
     attached: Mapping[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     damage: tuple[str, ...] = ()
+    units: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
 
 def check_size(path: Path, columns: Iterable[Column]) -> None:

@@ -8,14 +8,17 @@ Source: https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.ht
 libraries/AP_Logger/LogStructure.h that it refers to.
 """
 
+import math
 import struct
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from rotorfit.core.card import KINDS
 from rotorfit.core.errors import LogError
+from rotorfit.core.frames import UNIT_SCALE
 from rotorfit.core.log import Column, Table
 from rotorfit.files.logs.autopilot_records import Damage, Leaf, RecordLayout, Rows, columns_of, gathered, walk
 from rotorfit.files.logs.content import LIMIT, Content, listed, one_line
@@ -29,6 +32,14 @@ _MARK = int.from_bytes(_MAGIC, "little")
 _FMT_TYPE, _FMT = 128, struct.Struct("<BB4s16s64s")
 
 _FMTU = struct.Struct("<QB16s16s")
+
+_UNIT, _MULT = struct.Struct("<Qb64s"), struct.Struct("<Qbd")
+
+_SAME = {"degheading": "deg"}
+"""Names of units that ArduPilot has beside those of `frames.UNIT_SCALE`."""
+
+_SILENT = b"-?"
+"""Multipliers that say nothing."""
 
 _FORMATS = {
     "a": ("<i2", 32, 1.0), "b": ("i1", None, 1.0), "B": ("u1", None, 1.0), "h": ("<i2", None, 1.0),
@@ -73,6 +84,7 @@ class Message:
         labels: All columns, texts among them.
         clock: Column that tells the time, and what it counts in; None where there is none.
         instance: Column that tells sensors or cores of the same kind apart; empty where there is none.
+        marks: Of each column its unit and its multiplier, one character each; empty where the log does not say.
         places: Where its records begin, kept for those without a clock.
     """
 
@@ -83,9 +95,18 @@ class Message:
     labels: list[str]
     clock: TimeColumn | None
     instance: str = ""
+    marks: tuple[bytes, bytes] = (b"", b"")
     count: int = 0
     rows: Rows = field(default_factory=Rows)
     places: list[Column] = field(default_factory=list)
+
+
+@dataclass
+class Units:
+    """What the marks of columns stand for: names of units, and multipliers."""
+
+    names: dict[int, str] = field(default_factory=dict)
+    multipliers: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -98,6 +119,7 @@ class _Log:
         lengths: Length of the records of a type; 0 where it is not defined.
         anchors: Offsets of messages with a clock and what it says [ns]: the autopilot's, and that of satellites.
         redefined: Types that a second, other definition was ignored of.
+        units: What the marks of columns stand for.
         damage: Breaks in the chain.
     """
 
@@ -106,6 +128,7 @@ class _Log:
     lengths: list[int] = field(default_factory=lambda: [0] * 256)
     anchors: tuple[list[Anchors], list[Anchors]] = field(default_factory=lambda: ([], []))
     redefined: set[str] = field(default_factory=set)
+    units: Units = field(default_factory=Units)
     damage: Damage = field(default_factory=Damage)
 
 
@@ -255,6 +278,7 @@ def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> Non
                 message.places.append(np.array(found) + offset)
         if message.name == "FMTU" and message.length == _HEAD.size + _FMTU.size:
             _units(log, data, found)
+        _take_units(log.units, message, data, found)
         if untimed and message.clock is not None:
             found_anchors[message.clock.satellites].append(_anchors(data, found, message.clock))
     for anchors, parts in zip(log.anchors, found_anchors, strict=True):
@@ -298,15 +322,46 @@ def _instances(message: Message, columns: dict[str, Column]) -> dict[str, dict[s
 
 
 def _units(log: _Log, data: bytes, found: list[int]) -> None:
-    """Takes from FMTU which column tells instances apart: its unit is `#`."""
+    """Takes from FMTU the marks of columns, and which one tells instances apart: its unit is `#`."""
     for position in found:
-        _, kind, units, _ = _FMTU.unpack_from(data, position + _HEAD.size)
+        _, kind, units, multipliers = _FMTU.unpack_from(data, position + _HEAD.size)
         message = log.messages.get(kind)
+        if message is None:
+            continue
+        message.marks = units, multipliers
         mark = units.find(b"#")
-        if message is not None and message.layout is not None and 0 <= mark < len(message.labels):
+        if message.layout is not None and 0 <= mark < len(message.labels):
             numbers = [leaf.name for leaf in message.layout.leaves if leaf.format == "u1" and leaf.count is None]
             if message.labels[mark] in numbers:
                 message.instance = message.labels[mark]
+
+
+def _take_units(units: Units, message: Message, data: bytes, found: list[int]) -> None:
+    """Takes from UNIT and MULT what the marks in FMTU stand for."""
+    for position in found:
+        if message.name == "UNIT" and message.length == _HEAD.size + _UNIT.size:
+            _, mark, name = _UNIT.unpack_from(data, position + _HEAD.size)
+            units.names[mark] = name.partition(b"\0")[0].decode("ascii", errors="replace")
+        elif message.name == "MULT" and message.length == _HEAD.size + _MULT.size:
+            _, mark, units.multipliers[mark] = _MULT.unpack_from(data, position + _HEAD.size)
+
+
+def _units_of(message: Message, units: Units) -> Iterator[tuple[str, str]]:
+    """The columns of a message whose unit the log says, with that unit.
+
+    What is written as a whole number was divided as its format says, which is its multiplier.
+    """
+    if message.layout is None:
+        return
+    leaves = {leaf.name: leaf for leaf in message.layout.leaves}
+    for label, unit, multiplier in zip(message.labels, *message.marks, strict=False):
+        name = units.names.get(unit, "")
+        kind = next((kind for kind in KINDS if _SAME.get(name, name) in kind), ())
+        if label not in leaves or multiplier in _SILENT:
+            continue
+        factor = 1.0 if leaves[label].divisor != 1.0 else units.multipliers.get(multiplier, 0.0)
+        size = factor * UNIT_SCALE[_SAME.get(name, name)] if kind else 0.0
+        yield from ((label, one) for one in kind if math.isclose(size, UNIT_SCALE[one], rel_tol=1e-6))
 
 
 def _content(path: Path, log: _Log, size: int) -> Content:
@@ -318,7 +373,8 @@ def _content(path: Path, log: _Log, size: int) -> Content:
     def columns(message: Message) -> dict[str, Column]:
         return message.rows.columns(message.layout) if message.layout is not None else {}
 
-    return content_of(path, log.wanted, log.messages.values(), columns, _timeline(log), notes, log.damage.texts(size))
+    damage = log.damage.texts(size)
+    return content_of(path, log.wanted, log.messages.values(), columns, _timeline(log), notes, damage, log.units)
 
 
 def content_of(
@@ -329,6 +385,7 @@ def content_of(
     timeline: Anchors | None,
     notes: list[str],
     damage: tuple[str, ...],
+    units: Units,
 ) -> Content:
     """Tables of messages; those without a time get `log_time` from their places.
 
@@ -340,6 +397,7 @@ def content_of(
         timeline: Places in the file and the time there [ns]; None where nothing tells it.
         notes: What was left out so far.
         damage: As `Content.damage`.
+        units: What the marks of columns stand for.
 
     Raises:
         LogError: No message besides definitions.
@@ -352,6 +410,7 @@ def content_of(
         )
     tables: dict[str, Table] = {}
     skipped: dict[str, str] = {}
+    told: dict[tuple[str, str], str] = {}
     placed: list[str] = []
     for message in messages:
         columns = columns_of_message(message) if message.count and message.layout is not None else {}
@@ -366,8 +425,9 @@ def content_of(
         for name, part in _instances(message, columns).items():
             if wanted is None or name in wanted:
                 tables[name] = Table(name, part)
+                told |= {(name, label): unit for label, unit in _units_of(message, units)}
             else:
                 skipped[name] = "not asked for"
     if placed:
         notes.append(f"no time in {listed(placed)}: their log_time is told by their place among messages that have one")
-    return Content(tables, skipped, tuple(notes), damage=damage)
+    return Content(tables, skipped, tuple(notes), damage=damage, units=told)

@@ -14,7 +14,7 @@ from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column
 from rotorfit.files.logs.content import LIMIT, Content
 from rotorfit.files.logs.csv import columns_below
-from rotorfit.files.logs.dataflash import Anchors, Message, content_of, message_of, without_time
+from rotorfit.files.logs.dataflash import Anchors, Message, Units, content_of, message_of, without_time
 
 _FIRST = re.compile(rb"^FMT, ?128, ?\d+, ?FMT,", re.MULTILINE)
 
@@ -38,6 +38,7 @@ class _Log:
         numbers: Name of a message without a time to where its lines stand.
         anchors: Lines of messages with a clock and what it says [ns]: the autopilot's, and that of satellites.
         torn: Lines that are left out.
+        units: What the marks of columns stand for.
     """
 
     messages: dict[bytes, Message] = field(default_factory=dict)
@@ -46,6 +47,7 @@ class _Log:
     numbers: dict[bytes, list[int]] = field(default_factory=dict)
     anchors: tuple[list[tuple[int, float]], list[tuple[int, float]]] = field(default_factory=lambda: ([], []))
     torn: int = 0
+    units: Units = field(default_factory=Units)
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
@@ -75,7 +77,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     def columns(message: Message) -> dict[str, Column]:
         return _columns(path, message, bytes(log.texts.get(message.name.encode(), b"")), notes)
 
-    return content_of(path, tables, log.messages.values(), columns, _timeline(log), notes, ())
+    return content_of(path, tables, log.messages.values(), columns, _timeline(log), notes, (), log.units)
 
 
 def _take(log: _Log, wanted: Collection[str] | None, number: int, line: bytes) -> None:
@@ -93,6 +95,8 @@ def _take(log: _Log, wanted: Collection[str] | None, number: int, line: bytes) -
         message.count += 1
         if message.name == "FMTU":
             _units(log, [cell.strip() for cell in rest.decode("ascii", errors="replace").split(",")])
+        if message.name in ("UNIT", "MULT"):
+            _take_unit(log.units, message.name, rest.decode("ascii", errors="replace").split(","))
         if not message.reason:
             log.texts.setdefault(name, bytearray()).extend(rest.replace(b" ", b"") + b"\n")
             if without_time(message):
@@ -113,11 +117,24 @@ def _define(log: _Log, wanted: Collection[str] | None, cells: list[str]) -> None
 
 
 def _units(log: _Log, cells: list[str]) -> None:
-    """Takes from FMTU which column tells instances apart: its unit is `#`."""
+    """Takes from FMTU the marks of columns, and which one tells instances apart: its unit is `#`."""
     message = log.types.get(int(cells[1])) if len(cells) > 2 and cells[1].isdecimal() and len(cells[1]) < 4 else None
     mark = cells[2].find("#") if message else -1
+    if message is not None and len(cells) > 3:
+        message.marks = cells[2].encode(), cells[3].encode()
     if message is not None and 0 <= mark < len(message.labels):
         message.instance = message.labels[mark]
+
+
+def _take_unit(units: Units, name: str, cells: list[str]) -> None:
+    """Takes from UNIT or MULT what a mark in FMTU stands for."""
+    _, mark, text = (cell.strip() for cell in (*cells, "", "")[:3])
+    if not (mark.isdecimal() and len(mark) < 4):
+        return
+    if name == "UNIT":
+        units.names[int(mark)] = text
+    elif re.fullmatch(r"[0-9.]{1,20}(e-?\d{1,2})?", text):
+        units.multipliers[int(mark)] = float(text)
 
 
 def _anchor(log: _Log, message: Message, number: int, rest: bytes) -> None:

@@ -37,6 +37,7 @@ def join_logs(logs: Sequence[Log]) -> Log:
     names = [name for log in logs for name in log.tables]
     tables: dict[str, Table] = {}
     file_of: dict[str, str] = {}
+    units: dict[tuple[str, str], str] = {}
     skipped: dict[str, str] = {}
     for log in logs:
         for name, table in log.tables.items():
@@ -44,6 +45,7 @@ def join_logs(logs: Sequence[Log]) -> Log:
             while own in tables:
                 own += "'"
             tables[own], file_of[own] = replace(table, name=own), str(log.path)
+            units |= {(own, column): unit for (of, column), unit in log.units.items() if of == name}
         skipped |= {name: reason for name, reason in log.skipped.items() if name not in names}
     return Log(
         path=Path("+".join(str(log.path) for log in logs)),
@@ -56,6 +58,7 @@ def join_logs(logs: Sequence[Log]) -> Log:
         file_of=file_of,
         attached={name: text for log in logs for name, text in log.attached.items()},
         events=tuple(event for log in logs for event in log.events),
+        units=units,
     )
 
 
