@@ -164,10 +164,12 @@ def _ahead(loop: Approach, guess: Guess, periods: Indices) -> tuple[Array, Array
     gain, b = loop.tracker.gamma[::2], np.maximum(loop.tracker.gamma[1::2], 1e-3)
     k = np.arange(int(periods.max()))[:, None]
     acts = k < periods
-    left = np.where(acts, (periods - k) * h, h)  # from the begin of each period to the end of all
+    left = np.asarray(
+        np.where(acts, (periods - k) * h, h), np.float64
+    )  # from the begin of each period to the end of all
     row = np.clip(loop.lags - k - 1, 0, len(guess.sent) - 1)
     force = gain * np.take_along_axis(guess.sent, row, axis=0) * acts
-    horizon = periods * h
+    horizon = np.asarray(periods * h, np.float64)
     v0, c0 = _turned(guess.velocity, -yaw), _turned(guess.push, -yaw)
     speed = np.exp(-b * horizon) * v0 + _slowed(b, horizon) * c0
     speed += np.sum(force * (_slowed(b, left) - _slowed(b, left - h)), axis=0)
