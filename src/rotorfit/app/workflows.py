@@ -17,7 +17,7 @@ from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.plausibility import findings_of_settings
 from rotorfit.assessment.prior_influence import with_influence
 from rotorfit.assessment.uncertainty import with_uncertainty
-from rotorfit.assessment.validation import to_mapping, validate
+from rotorfit.assessment.validation import dynamics_from_model, to_mapping, validate
 from rotorfit.core.card import Card
 from rotorfit.core.display import FrameLibrary, columns_of, frame
 from rotorfit.core.errors import CardError, LogError, ModelError, RotorfitError
@@ -28,6 +28,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Log
 from rotorfit.core.model import Model, with_findings
+from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
 from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
@@ -41,6 +42,7 @@ from rotorfit.files.logs import read
 from rotorfit.files.models import is_model_file, load
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import fits, tables_of
+from rotorfit.flights.distinct import check_distinct
 from rotorfit.flights.several_files import flights_of
 
 if TYPE_CHECKING:
@@ -206,6 +208,35 @@ def validate_logs(
     own = card_from_mapping(model.card.raw, "the model's card")
     flights = tuple(without_held_axes(load_flights(logs, card, own), beside))
     return validate(model, flights, horizons, progress), flights
+
+
+def usable_logs(
+    models: Sequence[Model], logs: Sequence[LogSpan], card: str | Card | None = None
+) -> tuple[list[LogSpan], list[str]]:
+    """The logs that all of some models can be scored on together, and one line about each of the others.
+
+    Logs that can only be read together, as parts of one flight, are tried once more as such.
+    """
+    kept: list[list[Flight]] = [[] for _ in models]
+
+    def trouble(group: Sequence[LogSpan]) -> str:
+        try:
+            new = [load_flights(group, card, card_from_mapping(each.card.raw, "the model's card")) for each in models]
+            for model, flights, more in zip(models, kept, new, strict=True):
+                check_distinct((*flights, *more))
+                for flight in more:
+                    dynamics_from_model(model, flight)
+        except RotorfitError as error:
+            return line_of(error)
+        for flights, more in zip(kept, new, strict=True):
+            flights += more
+        return ""
+
+    told = {number: line for number, log in enumerate(logs) if (line := trouble([log]))}
+    if len(told) > 1 and not trouble([logs[number] for number in told]):
+        told = {}
+    lines = [line if logs[n].path in line else f"{logs[n].path}: {line}" for n, line in told.items()]
+    return [log for number, log in enumerate(logs) if number not in told], lines
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def _replaced(place: Path, named: Path, data: bytes, keep: bool) -> Path | None:
         if earlier:
             _copied(place, earlier)
         new.replace(place)
-    _sync(place.parent)
+    sync_folder(place.parent)
     return earlier if named.is_symlink() else earlier and named.with_name(earlier.name)
 
 
@@ -80,8 +80,8 @@ def _gone_on_failure(path: Path) -> Iterator[None]:
                 path.unlink()
 
 
-def _sync(folder: Path) -> None:
-    """The new name reaches the disk, too; some file systems cannot be asked."""
+def sync_folder(folder: Path) -> None:
+    """The names in a folder reach the disk, too; some file systems cannot be asked."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,12 +1,13 @@
 """The routes: what the page may ask for. Ids only, never paths; every known error is one line of JSON."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, BinaryIO
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -19,7 +20,7 @@ from rotorfit.app.web.gate import SANDBOX, Gate, cookie_name, refused
 from rotorfit.app.web.runner import BusyError, Runner
 from rotorfit.app.web.shelf import Shelf
 from rotorfit.app.web.windowed import Series, packed, window_of
-from rotorfit.app.web.wire import UNTOLD, constants_mapping, flight_mapping, log_mapping, session_mapping
+from rotorfit.app.web.wire import UNTOLD, constants_mapping, flight_mapping, log_mapping, raw_of, session_mapping
 from rotorfit.app.web.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 from rotorfit.core.errors import ExportError, LogError, RotorfitError
 from rotorfit.core.frames import AXES
@@ -93,14 +94,14 @@ class Studio:
         session, running = self.workspace.session, self.runner.running
         if request.query_params.get("seen") == str(session.revision):
             return {"revision": session.revision, "running": None if running is None else asdict(running)}
-        return session_mapping(session, running)
+        return {**session_mapping(session, running), "told": self.workspace.told}
 
     async def upload(self, request: Request) -> Response:
         """Receives a log as the body of the request, and keeps it if it can be read."""
         name = request.query_params.get("name", "")[-200:] or "log"
         declared = request.headers.get("content-length", "")
         limit = min(LARGEST_LOG, self.workspace.room())
-        if declared.isdigit() and int(declared) > limit:
+        if declared.isdecimal() and int(declared[:20]) > limit:
             return _too_large(name, limit)
         with self.workspace.incoming(name) as (log_id, path):
             size = 0
@@ -111,6 +112,7 @@ class Studio:
                         if size > limit:
                             return _too_large(name, limit)
                         await run_in_threadpool(file.write, chunk)
+                    await run_in_threadpool(_synced, file)
             except ClientDisconnect:
                 return refused(400, f"{name}: the upload was broken off")
             kept = await run_in_threadpool(self._kept, Upload(log_id, name, path.name, size, ""))
@@ -176,18 +178,23 @@ class Studio:
 
     def card(self, _: Request, body: Any) -> Any:
         """Changes the card: by a text, by single values, by a built-in card, or by a draft for a log."""
+        if "draft" in body and body.get("seen") == 0:  # on a session without a card, by every page that looks at it
+            if not self.workspace.session.card:
+                self.workspace.first_card(self._drafted(str(body["draft"])))
+            return
         change, seen = edits_from(body, self._drafted)
         self.workspace.set_card(change, seen)
 
     def _drafted(self, log_id: str) -> str:
-        """The card that a log carries, else one drafted from its names and its motion."""
+        """The card that a log carries, if it is one, else one drafted from its names and its motion."""
         log = self.shelf.log(self.workspace.upload(log_id))
-        return log.attached.get("card") or draft_card(log)
+        carried = log.attached.get("card", "")
+        return carried if carried and raw_of(carried) is not None else draft_card(log)
 
     def card_file(self, _: Request) -> Response:
         """The card, to keep."""
         return Response(
-            self.workspace.session.card,
+            self.workspace.session.card.encode("utf-8", "replace"),
             media_type="application/toml",
             headers={"content-disposition": 'attachment; filename="card.toml"'},
         )
@@ -319,6 +326,12 @@ def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]
         return _json(await run_in_threadpool(change, request, asked) or {})
 
     return endpoint
+
+
+def _synced(file: BinaryIO) -> None:
+    """What was received reaches the disk before it is called kept."""
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def _too_large(name: str, limit: int) -> Response:

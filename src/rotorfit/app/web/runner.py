@@ -8,6 +8,7 @@ from typing import Any
 
 from rotorfit.app.web.workspace import FitEntry, Running, Status, Workspace
 from rotorfit.core.errors import RotorfitError
+from rotorfit.core.plain import is_number, plain_json
 from rotorfit.core.writing import write_whole
 
 
@@ -42,21 +43,29 @@ class Runner:
             fit = self._workspace.begin_fit(
                 {name: value for name, value in request.items() if name not in ("train", "validate")}, logs
             )
-            folder = self._workspace.fit_folder(fit)
-            write_whole(folder / "request.json", json.dumps(request, allow_nan=False))
-            write_whole(folder / "card.toml", card)
-            with (folder / "trace.txt").open("w") as trace:
-                process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "rotorfit.app.web.worker", str(self._workspace.folder), fit.id],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=trace,
-                    text=True,
-                )
+            try:
+                process = self._process_of(fit, request, card)
+            except OSError as error:
+                self._workspace.end_fit(fit.id, "failed", f"the fit could not be started: {error.strerror}")
+                raise
             self._process, self._cancelled = process, False
             self._running = Running(fit.id, 0.0, "starting", process.pid)
         Thread(target=self._listen, args=(fit, process), daemon=True).start()
         return fit
+
+    def _process_of(self, fit: FitEntry, request: dict[str, Any], card: str) -> subprocess.Popen[str]:
+        folder = self._workspace.fit_folder(fit)
+        write_whole(folder / "request.json", json.dumps(request, allow_nan=False))
+        write_whole(folder / "card.toml", card)
+        with (folder / "trace.txt").open("w") as trace:
+            return subprocess.Popen(
+                [sys.executable, "-P", "-m", "rotorfit.app.web.worker", str(self._workspace.folder), fit.id],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=trace,
+                encoding="utf-8",
+                errors="replace",
+            )
 
     def cancel(self, fit_id: str) -> None:
         """Ends the running fit, if it is this one; nothing of it is kept."""
@@ -75,13 +84,10 @@ class Runner:
         assert process.stdout is not None
         assert process.stdin is not None
         for line in process.stdout:
-            try:
-                told = json.loads(line)
-            except ValueError:
-                continue
+            told = _told(line)
             said |= told
-            if "fraction" in told:
-                self._running = Running(fit.id, float(told["fraction"]), str(told["text"]), process.pid)
+            if is_number(told.get("fraction")):
+                self._running = Running(fit.id, float(told["fraction"]), str(told.get("text", "")), process.pid)
         code = process.wait()
         process.stdin.close()
         process.stdout.close()
@@ -106,3 +112,12 @@ class Runner:
             )
         trace = self._workspace.fit_folder(fit) / "trace.txt"
         return "failed", f"this is a bug of rotorfit; please report it with its trace, {trace}"
+
+
+def _told(line: str) -> dict[str, Any]:
+    """What the worker says in a line; nothing where a library printed it."""
+    try:
+        told = plain_json(line)
+    except ValueError:
+        return {}
+    return told if isinstance(told, dict) else {}

@@ -16,12 +16,14 @@ from threading import Thread
 from typing import Any
 
 from rotorfit.app.web.wire import compared_mapping, result_mapping
-from rotorfit.app.workflows import compare_logs, comparison_mapping, fit_logs, validate_logs
+from rotorfit.app.web.workspace import WorkspaceError
+from rotorfit.app.workflows import compare_models, comparison_mapping, fit_logs, usable_logs, validate_logs
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import evidence_of
 from rotorfit.assessment.validation import BASELINES, to_mapping
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.plain import plain_json, text_of
 from rotorfit.core.progress import Progress
 from rotorfit.core.results import CURVE, Validation
 from rotorfit.core.writing import write_whole
@@ -47,7 +49,10 @@ def run(workspace: Path, fit_id: str, progress: Progress) -> str:
     """
     os.chdir(workspace)  # so that models and reports name logs by short paths
     folder = Path("fits") / fit_id
-    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
+    try:
+        request = plain_json(text_of(folder / "request.json"))
+    except ValueError as error:
+        raise WorkspaceError(f"what was asked for is damaged ({error}); start the fit again") from None
     if request["kind"] == "compare":
         return _compare(folder, request, progress)
     return _fit(folder, request, progress)
@@ -74,26 +79,45 @@ def _fit(folder: Path, request: dict[str, Any], progress: Progress) -> str:
 
     validation: Validation = UNPROVEN
     flights: tuple[Flight, ...] = ()
+    left: list[str] = []
     if tested:
-        validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
+        try:
+            validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
+        except RotorfitError:
+            tested, left = usable_logs([fitted.model], tested, card)
+            if tested:
+                validation, flights = validate_logs(fitted.model, tested, card, CURVE, proving, fitted.flights)
+    if tested:
         write_whole(folder / "validation.json", json.dumps(to_mapping(validation), indent=1, allow_nan=False))
     progress(PROVING, "drawing")
     (evidence,) = evidence_of([Case("model.json", fitted.model, fitted.flights, validation, flights)])
     result = result_mapping(evidence)
-    _write_result(folder, result)
+    _write_result(folder, {**result, "left_out": left})
     progress(PROVING + 0.02, "writing the report")
     write_report([evidence], folder / "report.html")
-    return f"{result['horizon']:g} s ahead: {result['headline']}"
+    return f"{result['horizon']:g} s ahead: {result['headline']}{_without(left)}"
 
 
 def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
     paths = [f"fits/{fit}/model.json" for fit in request["models"]]
     models = [load(path) for path in paths]
-    spans = [f"{path}@{'' if a is None else a}:{'' if b is None else b}" for path, a, b in request["validate"]]
-    comparison = compare_logs([*paths, *spans], progress=progress)
+    spans = [LogSpan(path, (start, end)) for path, start, end in request["validate"]]
+    left: list[str] = []
+    try:
+        comparison = compare_models(paths, models, spans, progress=progress)
+    except RotorfitError:
+        spans, left = usable_logs(models, spans)
+        if not spans:
+            raise
+        comparison = compare_models(paths, models, spans, progress=progress)
     result = compared_mapping(comparison, request["models"], models, comparison_mapping(comparison))
-    _write_result(folder, result)
-    return f"{len(paths)} models on {len(spans)} stretches"
+    _write_result(folder, {**result, "left_out": left})
+    return f"{len(paths)} models on {len(spans)} stretches{_without(left)}"
+
+
+def _without(left: list[str]) -> str:
+    """The end of the line that says what came of it."""
+    return _PLACE.sub("", f"; left out: {' / '.join(left)}") if left else ""
 
 
 def _write_result(folder: Path, result: dict[str, Any]) -> None:

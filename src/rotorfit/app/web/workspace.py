@@ -9,15 +9,17 @@ import json
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import RLock
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from rotorfit.core.errors import RotorfitError
-from rotorfit.core.writing import write_whole
+from rotorfit.core.plain import LARGEST_JSON, is_number, line_of, plain_json, shown, text_of
+from rotorfit.core.writing import sync_folder, write_whole
 
 MOST_LOGS = 50
 """Logs of a session."""
@@ -31,7 +33,7 @@ LARGEST_LOG = 2 << 30
 LARGEST_WORKSPACE = 16 << 30
 """Bytes of all logs together."""
 
-CONTENT = ("session.json", "session.new", "lock", "logs", "fits")
+CONTENT = ("session.json", "session.new", "lock", "logs", "fits", "set-aside")
 """What a workspace consists of."""
 
 VERSION = 1
@@ -143,37 +145,47 @@ class Workspace:
     Args:
         folder: Made where it is missing, for its owner only.
 
+    Attributes:
+        told: What happened to the session that was here, one line; empty where nothing did.
+
     Raises:
-        WorkspaceError: Another studio uses it, or what it holds is damaged.
+        WorkspaceError: Another studio uses it, a newer one wrote it, or no workspace can be there.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
+        self.told = ""
         self._lock = RLock()
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             content = [entry for entry in self.folder.iterdir() if not entry.name.startswith(".session.json.")]
             strangers = [entry.name for entry in content if entry.name not in CONTENT]
+            if strangers and not (self.folder / "session.json").exists():
+                raise WorkspaceError(
+                    f"{folder}: holds other things ({strangers[0]}); name an empty folder or a workspace"
+                )
+            self._held = (self.folder / "lock").open("w")
+            self._take(folder)
+            self._session = self._loaded()
+            for place in ("logs", "fits"):
+                (self.folder / place).mkdir(exist_ok=True)
         except OSError as error:
             raise WorkspaceError(
                 f"{folder}: no workspace can be here ({error.strerror}); name another folder"
             ) from None
-        if strangers and not (self.folder / "session.json").exists():
-            raise WorkspaceError(f"{folder}: holds other things ({strangers[0]}); name an empty folder or a workspace")
-        self._held = (self.folder / "lock").open("w")
-        try:
-            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise WorkspaceError(f"{folder}: another studio uses this workspace; close it, or name another") from None
-        self._session = _loaded(self.folder / "session.json")
-        for place in ("logs", "fits"):
-            (self.folder / place).mkdir(exist_ok=True)
         left = tuple(
             replace(fit, status="stopped", text="stopped: the studio was closed") if fit.status == "running" else fit
             for fit in self._session.fits
         )
-        self._changed(fits=left)
+        self._happened(fits=left)
         self._sweep()
+
+    def _take(self, folder: Path) -> None:
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._held.close()
+            raise WorkspaceError(f"{folder}: another studio uses this workspace; close it, or name another") from None
 
     def close(self) -> None:
         """Lets another studio use the folder."""
@@ -241,15 +253,16 @@ class Workspace:
                 )
             taken = any(part.role == "train" for one in self._session.uploads for part in one.ranges)
             upload = replace(upload, ranges=(Range("validate" if taken else "train"),))
+            for place in (self.path_of(upload).parent, self.folder / "logs"):
+                sync_folder(place)
             self._changed(uploads=(*self._session.uploads, upload))
             return upload
 
     def remove_log(self, log_id: str) -> None:
         """Removes a log and its file."""
         with self._lock:
-            upload = self.upload(log_id)
-            self._changed(uploads=tuple(one for one in self._session.uploads if one.id != log_id))
-        shutil.rmtree(self.path_of(upload).parent, ignore_errors=True)
+            folder = self.path_of(self.upload(log_id)).parent
+            self._removed(folder, uploads=tuple(one for one in self._session.uploads if one.id != log_id))
 
     def set_ranges(self, log_id: str, ranges: tuple[Range, ...], seen: int) -> None:
         """Says what of a log is used.
@@ -263,6 +276,12 @@ class Workspace:
                 raise StaleError(f"the ranges of {upload.name} were changed in another window: those are shown now")
             new = replace(upload, ranges=ranges, revision=seen + 1)
             self._changed(uploads=tuple(new if one.id == log_id else one for one in self._session.uploads))
+
+    def first_card(self, text: str) -> None:
+        """Gives a session without a card its first one; a card that is there stands, for another page was faster."""
+        with self._lock:
+            if not self._session.card:
+                self.set_card(lambda _: text, self._session.card_revision)
 
     def set_card(self, change: Callable[[str], str], seen: int) -> None:
         """Changes the text of the card.
@@ -288,14 +307,14 @@ class Workspace:
                 raise WorkspaceError(f"a session holds at most {MOST_FITS} fits; remove one first")
             number = self._session.next_fit
             fit = FitEntry(str(number), settings, logs)
-            self.fit_folder(fit).mkdir()
+            self.fit_folder(fit).mkdir(exist_ok=True)  # of a beginning that the disk refused
             self._changed(fits=(*self._session.fits, fit), next_fit=number + 1)
             return fit
 
     def end_fit(self, fit_id: str, status: Status, text: str) -> None:
         """Says what came of a fit."""
         with self._lock:
-            self._changed(
+            self._happened(
                 fits=tuple(
                     replace(fit, status=status, text=text) if fit.id == fit_id else fit for fit in self._session.fits
                 )
@@ -307,27 +326,73 @@ class Workspace:
             fit = self.fit(fit_id)
             if fit.status == "running":
                 raise WorkspaceError("the fit is running; cancel it first")
-            self._changed(fits=tuple(one for one in self._session.fits if one.id != fit_id))
-        shutil.rmtree(self.fit_folder(fit), ignore_errors=True)
+            self._removed(self.fit_folder(fit), fits=tuple(one for one in self._session.fits if one.id != fit_id))
 
     def room(self) -> int:
         """Bytes that may still be uploaded."""
         return LARGEST_WORKSPACE - sum(upload.size for upload in self._session.uploads)
 
     def _changed(self, **parts: Any) -> None:
+        """A change that somebody wants: it holds once it is on the disk."""
         session = replace(self._session, revision=self._session.revision + 1, **parts)
-        text = json.dumps(asdict(session), indent=1, allow_nan=False)
-        write_whole(self.folder / "session.json", text, keep=False)
+        self._write(session)
         self._session = session
 
+    def _happened(self, **parts: Any) -> None:
+        """A change that has happened, whether or not the disk has room for it: the next one writes it, too."""
+        self._session = replace(self._session, revision=self._session.revision + 1, **parts)
+        with suppress(OSError, WorkspaceError):
+            self._write(self._session)
+
+    def _removed(self, folder: Path, **parts: Any) -> None:
+        """A change after which a folder is not wanted; on a full disk it goes first, and makes room for the change."""
+        try:
+            self._changed(**parts)
+        except OSError:
+            shutil.rmtree(folder, ignore_errors=True)
+            self._changed(**parts)
+        shutil.rmtree(folder, ignore_errors=True)
+
+    def _write(self, session: Session) -> None:
+        text = json.dumps(asdict(session), indent=1, allow_nan=False)
+        if len(text) > LARGEST_JSON:
+            raise WorkspaceError("the session holds too many ranges and fits; remove some first")
+        write_whole(self.folder / "session.json", text, keep=False)
+
+    def _loaded(self) -> Session:
+        """The session of the folder, or a new one; what cannot be shown is set aside with its logs and fits.
+
+        Raises:
+            WorkspaceError: A newer studio wrote it.
+        """
+        path = self.folder / "session.json"
+        if not path.exists():
+            return Session()
+        try:
+            return _session_from(plain_json(text_of(path)))
+        except ValueError as error:
+            trouble = line_of(error, 200)
+        aside = self.folder / "set-aside"
+        aside.mkdir(exist_ok=True)
+        place = next(new for n in range(1, sys.maxsize) if not (new := aside / str(n)).exists())
+        place.mkdir()
+        for name in ("logs", "fits", "session.json"):  # the session last: a kill between them ends here again
+            with suppress(FileNotFoundError):
+                (self.folder / name).rename(place / name)
+        self.told = (
+            f"the session was damaged ({trouble}); it lies in {place}, with its logs and fits; this is a new one"
+        )
+        return Session()
+
     def _sweep(self) -> None:
-        """Removes what an interrupted upload has left."""
-        known = {upload.id for upload in self._session.uploads}
-        for half in self.folder.glob(".session.json.*"):  # of a write that was killed
+        """Removes what an interrupted upload, removal or write has left."""
+        for half in self.folder.glob(".session.json.*"):
             half.unlink(missing_ok=True)
-        for folder in (self.folder / "logs").iterdir():
-            if folder.name not in known:
-                shutil.rmtree(folder, ignore_errors=True)
+        for place, entries in (("logs", self._session.uploads), ("fits", self._session.fits)):
+            known = {entry.id for entry in entries}
+            for folder in (self.folder / place).iterdir():
+                if folder.name not in known:
+                    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _one_of(entries: Sequence[Entry], identity: str, what: str) -> Entry:
@@ -348,15 +413,59 @@ def default_folder() -> Path:
     return Path(home) / "rotorfit" / "studio"
 
 
-def _loaded(path: Path) -> Session:
-    if not path.exists():
-        return Session()
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-        if raw["version"] != VERSION:
-            raise ValueError(f"version {raw['version']}")
-        uploads = tuple(Upload(**{**one, "ranges": tuple(Range(**r) for r in one["ranges"])}) for one in raw["uploads"])
-        fits = tuple(FitEntry(**{**one, "logs": tuple(one["logs"])}) for one in raw["fits"])
-        return Session(**{**raw, "uploads": uploads, "fits": fits})
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        raise WorkspaceError(f"{path}: damaged ({error}); name another folder, or remove this one") from None
+def _session_from(raw: Any) -> Session:
+    """A session as it was written.
+
+    Raises:
+        ValueError: It is none, with what is wrong.
+        WorkspaceError: Of a newer version.
+    """
+    version = _part(raw, "version", int)
+    if version > VERSION:
+        raise WorkspaceError(f"the session is of version {version}; this studio knows {VERSION}: install a newer one")
+    uploads = tuple(_upload_from(one) for one in _part(raw, "uploads", list))
+    fits = tuple(_fit_from(one) for one in _part(raw, "fits", list))
+    for entries in (uploads, fits):
+        if len({entry.id for entry in entries}) < len(entries):
+            raise ValueError("two entries have one id")
+    numbers = {name: _part(raw, name, int) for name in ("revision", "card_revision", "next_log", "next_fit")}
+    return Session(uploads=uploads, card=_part(raw, "card", str), fits=fits, **numbers)
+
+
+def _upload_from(raw: Any) -> Upload:
+    texts = {name: _part(raw, name, str) for name in ("name", "file", "format")}
+    if texts["file"] != safe_name(texts["file"]):
+        raise ValueError(f"file: no harmless name, {shown(texts['file'])}")
+    ranges = tuple(_range_from(one) for one in _part(raw, "ranges", list))
+    size, revision = _part(raw, "size", int), _part(raw, "revision", int)
+    return Upload(id=_id_of(raw), **texts, size=size, ranges=ranges, revision=revision)
+
+
+def _range_from(raw: Any) -> Range:
+    role = _part(raw, "role", str)
+    ends = [raw.get(name) for name in ("start", "end")]
+    if role not in get_args(Role) or not all(end is None or is_number(end) for end in ends):
+        raise ValueError("a range that is none")
+    return Range(role, *ends)
+
+
+def _fit_from(raw: Any) -> FitEntry:
+    logs, status = _part(raw, "logs", list), _part(raw, "status", str)
+    if status not in get_args(Status) or not all(isinstance(one, str) for one in logs):
+        raise ValueError("a fit that is none")
+    settings, text = _part(raw, "settings", dict), _part(raw, "text", str)
+    return FitEntry(_id_of(raw), settings, tuple(logs), status, text)
+
+
+def _id_of(raw: Any) -> str:
+    identity: str = _part(raw, "id", str)
+    if not re.fullmatch("[0-9]{1,18}", identity):
+        raise ValueError(f"id: no number, {shown(identity)}")
+    return identity
+
+
+def _part(raw: Any, name: str, kind: type) -> Any:
+    value = raw.get(name) if isinstance(raw, dict) else None
+    if type(value) is not kind:
+        raise ValueError(f"{name}: must be of the kind {kind.__name__}, not {shown(value)}")
+    return value

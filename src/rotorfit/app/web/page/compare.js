@@ -33,7 +33,7 @@ export function comparePanel(place, studio) {
       stretches.map(one => h("tbody", {}, h("tr", {}, h("th", {colSpan: across}, h("span", {className: "stays"}, one))),
         rows.filter(row => stretch(row) === one).map(row => h("tr", {}, h("td", {}, row.axis), cells(row, "velocity"), cells(row, "position"), h("td", {className: "number"}, String(row.n)))))))),
       h("p", {className: "muted"}, "Bold: the smallest. hold keeps the velocity of the start; paper uses the paper's coefficients. * fitted to part of this stretch."),
-      paired(), found.notes.map(note => h("p", {className: "muted"}, note))));
+      paired(), [...(found.left_out ?? []).map(line => `left out: ${line}`), ...found.notes].map(note => h("p", {className: "muted"}, note))));
   }
 
   function paired() { // a fold for each pair: its verdicts stand on it, the figures in it, those of other horizons one fold deeper

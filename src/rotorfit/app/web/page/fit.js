@@ -7,7 +7,7 @@ import {resultView} from "./result.js";
 export function fitPanel(place, studio) {
   const {constants} = studio;
   const method = options(h("select", {}), Object.entries(constants.methods), "ml");
-  const structure = options(h("select", {}), constants.structures.map(name => [name, name.replaceAll("_", " ")]), "first_order_delay");
+  const structure = options(h("select", {}), constants.structures.map(name => [name, name.replaceAll("_", " ")]), constants.structures[0]);
   const axes = constants.axes.map(axis => h("input", {type: "checkbox", id: `axis-${axis}`, value: axis, checked: true}));
   const uncertainty = h("input", {type: "checkbox", id: "uncertainty"});
   const start = h("button", {type: "submit", className: "primary"}, "Fit");

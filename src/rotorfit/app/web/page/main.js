@@ -40,7 +40,7 @@ const studio = {
     const log = this.log();
     if (!log || this.session.card || this.drafting === log.id) return;
     this.drafting = log.id;
-    await this.change("PUT", "/api/card", {draft: log.id, seen: this.session.card_revision});
+    await this.change("PUT", "/api/card", {draft: log.id, seen: 0});
   },
   async refresh() {
     const seen = this.session ? `?seen=${this.session.revision}` : "";
@@ -48,6 +48,7 @@ const studio = {
     const was = this.session;
     if (was && found.revision === was.revision) this.session = {...was, running: found.running};
     else this.session = found;
+    if (!was && found.told) notice("warning", found.told);
     this.draw();
   },
   draw() {

@@ -20,6 +20,7 @@ export function resultView(fit, found, {exports, untold}) {
         light.error ? h("p", {className: "error-figure"}, h("strong", {}, light.error), ` off, ${found.horizon} s ahead`) : null,
         light.sentences.map(line => h("p", {}, line)),
         h("ul", {className: "lamps"}, light.lamps.map(lamp => h("li", {className: lamp.colour}, h("strong", {}, lamp.question), " ", h("span", {className: "word"}, lamp.word), lamp.colour === "green" ? null : h("p", {className: "muted"}, lamp.text))))))),
+      found.left_out?.length ? h("div", {className: "notice warning"}, h("div", {}, h("p", {}, "Left out, as nothing can be proved on them:"), h("ul", {}, found.left_out.map(line => h("li", {}, line))))) : null,
       h("p", {}, found.whole),
       h("p", {className: "muted"}, found.summary),
       h("div", {className: "bar downloads"},
