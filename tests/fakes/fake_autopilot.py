@@ -33,6 +33,8 @@ class Autopilot:
         self.refuse: set[int] = set()  # commands that are denied, for tests
         self.deaf = False  # sends nothing, for tests
         self.requests: list[int] = []
+        self.says: list[tuple[int, str]] = []  # severity and text, for tests
+        self.clock = 0  # by which its clock has stepped [ns], for tests
 
     def step(self, wait: float = 0.002) -> None:
         ready, _, _ = select.select((self.connection.fd,), (), (), wait)
@@ -44,7 +46,7 @@ class Autopilot:
             self._tell(samples)
 
     def boot_ms(self, instant: int) -> int:
-        return (instant + BOOT) // 1_000_000
+        return (instant + BOOT + self.clock) // 1_000_000
 
     def _fly(self) -> None:
         now, flying = self._room.now(), self._room.mode()
@@ -57,6 +59,11 @@ class Autopilot:
 
     def _tell(self, samples: list[Any]) -> None:
         mav, now = self.connection.mav, self._room.now()
+        for number, (severity, text) in enumerate(self.says, 1):
+            parts = [text[start : start + 50] for start in range(0, len(text), 50)]
+            for place, part in enumerate(parts):
+                mav.statustext_send(severity, part.encode(), number if len(parts) > 1 else 0, place)
+        self.says.clear()
         if now - self._beat >= SECOND:
             self._beat = now
             custom = self.mode[0] if self.ardupilot else self.mode[0] << 16 | self.mode[1] << 24
@@ -87,7 +94,7 @@ class Autopilot:
 
     def _on_timesync(self, message: Any) -> None:
         if message.tc1 == 0:
-            self.connection.mav.timesync_send(self._room.now() + BOOT, message.ts1)
+            self.connection.mav.timesync_send(self._room.now() + BOOT + self.clock, message.ts1)
 
     def _on_command_long(self, message: Any) -> None:
         self.requests.append(message.command)

@@ -149,6 +149,31 @@ def test_a_refusal_is_an_error_that_names_the_step(bench: Bench) -> None:
     assert bench.room.asked == []
 
 
+def test_a_refusal_is_told_in_the_autopilots_own_words(bench: Bench) -> None:
+    bench.autopilot.refuse.add(400)
+    bench.link.greet()
+    long = "PreArm: the compass is not healthy and its offsets are too large to be believed"
+    bench.autopilot.says += [(6, "Initialising"), (4, "EKF3 IMU0 stopped aiding"), (2, long)]
+    bench.link.act("take_off")
+
+    with pytest.raises(LinkError) as told:
+        bench.fly(2.0)
+    assert f"did not arm: denied; it says: EKF3 IMU0 stopped aiding; {long}" in str(told.value)
+    assert "Initialising" not in str(told.value)
+
+
+def test_what_the_autopilot_says_and_a_step_of_its_clock_come_with_the_samples(bench: Bench) -> None:
+    bench.room.flight_mode = "flying"
+    bench.link.greet()
+    bench.autopilot.says.append((3, "EKF variance"))
+    first = bench.fly(2.0)
+    bench.autopilot.clock += SECOND // 10
+    texts = [sample.text for sample in first + bench.fly(1.0) if sample.stream == "said"]
+
+    assert texts[0].endswith(" says: EKF variance")
+    assert texts[1].startswith("the autopilot's clock stepped by +0.1")
+
+
 def test_silence_is_a_lost_link(bench: Bench) -> None:
     bench.link.greet()
     bench.fly(1.0)
@@ -232,7 +257,42 @@ def test_a_senders_clock_is_found_from_the_least_delayed_message() -> None:
 
     ours = [clock.ours(stamp, stamp + true_offset + 2 * MS + round(rng.exponential(3 * MS))) for stamp in stamps]
 
-    assert ours[-1] - stamps[-1] - true_offset == pytest.approx(2 * MS, abs=0.2 * MS)
+    assert ours[-1] - stamps[-1] - true_offset == pytest.approx(2 * MS, abs=0.5 * MS)  # it may drift
+
+
+def exchanges(drift: float, step_at: float = math.inf, step: int = 0, seconds: float = 60.0) -> tuple[list[int], int]:
+    """Errors of stamps [ns] by a clock that drifts and steps, asked five times a second over a jittered radio."""
+    clock, rng = SenderClock(), np.random.default_rng(2)
+    errors, told, asked = [], 0, 0
+
+    def theirs(ours: int) -> int:
+        return round((1 - drift) * ours) + 3 * SECOND + (step if ours >= step_at * SECOND else 0)
+
+    for now in range(0, round(seconds * SECOND), 20 * MS):
+        if now - asked >= SECOND // 5:
+            asked = now
+            there, back = (MS + round(rng.exponential(2 * MS)) for _ in range(2))
+            told += abs(clock.exchanged(now, theirs(now + there), now + there + back)) // MS
+        stamp = now - 8 * MS
+        errors.append(clock.ours(theirs(stamp) // MS * MS, now) - stamp)
+    return errors, told
+
+
+@pytest.mark.parametrize("drift", [0.25e-3, -0.25e-3])
+def test_a_clock_that_drifts_is_followed(drift: float) -> None:
+    errors, told = exchanges(drift)
+
+    assert told == 0
+    assert max(map(abs, errors[250:])) < 2 * MS
+    assert abs(np.mean(errors[-500:])) < MS  # which the stamps themselves are cut to
+
+
+@pytest.mark.parametrize("step", [100 * MS, -100 * MS])
+def test_a_clock_that_steps_is_told_and_followed(step: int) -> None:
+    errors, told = exchanges(0.1e-3, 30.0, step)
+
+    assert told == pytest.approx(100, abs=4)
+    assert max(map(abs, errors[31 * 50 :])) < 3 * MS
 
 
 def test_an_exchange_of_stamps_removes_the_least_delay_too() -> None:

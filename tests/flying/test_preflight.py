@@ -74,6 +74,21 @@ def test_a_dead_link_and_a_dark_room_are_told() -> None:
         preflight(plan_of(), gone)
 
 
+def test_a_battery_of_which_nobody_tells_is_said() -> None:
+    link = Watched(room_link())
+    link.samples = lambda _, samples: [sample for sample in samples if sample.stream == "pose"]
+
+    (text,) = (check.text for check in preflight(plan_of(), link).checks if check.name == "battery")
+    assert text == "not known: nothing was told of it within 1 s; look at it yourself"
+
+
+def test_what_the_vehicle_says_meanwhile_is_told_once() -> None:
+    link = Watched(room_link())
+    link.samples = lambda _, samples: [*samples, Sample("said", 0, link.now, (), "PX4 says: low battery")]
+
+    assert preflight(plan_of(), link).notes == ("PX4 says: low battery",)
+
+
 def test_slow_poses_and_a_vehicle_that_drifts_are_told() -> None:
     slow = preflight(plan_of(), Watched(room_link(Conditions(mocap=Mocap(rate=5.0)))))
     assert wrong(slow) == {"pose": "5 a second, 0% of them repeat; at least 8 a second are needed"}

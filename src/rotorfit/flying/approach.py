@@ -109,7 +109,7 @@ def approach(plan: Plan, pose: Array, velocity: Array) -> tuple[Approach, Guess]
 def _delay_sd(plan: Plan, axis: str) -> float:
     """How far the believed delay may be off, one standard deviation [s]."""
     known = plan.belief.get("covariance", {})
-    return math.sqrt(float(known[axis][2][2])) if axis in known else DELAY[1]
+    return float(math.sqrt(known[axis][2][2])) if axis in known else DELAY[1]
 
 
 def _duration(plan: Plan, way: Array, band: Array) -> float:
@@ -118,7 +118,7 @@ def _duration(plan: Plan, way: Array, band: Array) -> float:
     fast = min(SPEED, plan.space.speed / SHARE), min(SPEED, plan.space.climb / SHARE), TURN
     by_speed = max(way / speed for way, speed in zip((flat, up, turn), fast, strict=True))
     by_band = max(UNHURRIED / w * min(1.0, abs(part) / LONG_WAY) for part, w in zip(way, band, strict=True))
-    return max(by_speed, by_band, 1.0)
+    return float(max(by_speed, by_band, 1.0))
 
 
 def measured(loop: Approach, guess: Guess, pose: Array, since: float) -> Guess:

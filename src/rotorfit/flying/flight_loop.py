@@ -69,6 +69,9 @@ ASKED = 1e-3
 LATE = 3.0
 """A command that comes so many periods late is counted."""
 
+SAID = 20
+"""So many different texts of the vehicle are told at the end; the recording holds all."""
+
 TOLD = 0.2
 """Between two reports of progress [s]."""
 
@@ -293,6 +296,8 @@ class _Flight:
         """Receives, records, and takes in."""
         for sample in self.link.receive(until):
             self.recorder.sample(sample)
+            if sample.text and sample.text not in self.notes and len(self.notes) < SAID:
+                self.notes.append(sample.text)
             self.watch, believed = observed(self.watch, sample, self.limits)
             if believed and self._steering and self.watch.pose is not None:
                 since = (self.watch.stamp - self._zero) / 1e9

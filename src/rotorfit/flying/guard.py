@@ -178,7 +178,7 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
     """
     if sample.stream == "battery":
         return replace(watch, battery=sample.values[0], heard_other=sample.received), False
-    if sample.stream == "velocity":
+    if sample.stream in ("velocity", "said"):
         return replace(watch, heard_other=sample.received), False
     if sample.values == watch.raw or (watch.pose is not None and sample.stamp <= watch.stamp):
         return replace(watch, heard=sample.received), False

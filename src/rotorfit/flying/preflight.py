@@ -90,14 +90,14 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
     checks = [Check("link", bool(samples), f"{len(samples)} samples came in {LISTENING:g} s"), _rate(poses)]
     if watch.pose is not None:
         checks += [_inside(watch, limits, link.now, take_off), _start(plan, watch, take_off), _still(watch)]
-    checks += _battery(watch)
+    checks.append(_battery(watch))
     if card is not None:
         trouble = disagreement(card_from_mapping(plan.card, f"of plan {plan.name}"), card)
         checks.append(Check("card", not trouble, trouble or f"as planned: {card.name}"))
     checks.append(_sense(plan, limits))
     checks += _rehearsed(plan, limits)
     clock, notes = _clock(poses)
-    return Ready(tuple(checks), clock, notes)
+    return Ready(tuple(checks), clock, (*notes, *dict.fromkeys(sample.text for sample in samples if sample.text)))
 
 
 def refuse(ready: Ready) -> None:
@@ -169,12 +169,12 @@ def _still(watch: Watch) -> Check:
     return Check("rest", speed <= REST, text if speed <= REST else text + more)
 
 
-def _battery(watch: Watch) -> list[Check]:
+def _battery(watch: Watch) -> Check:
     if watch.battery is None:
-        return []
+        return Check("battery", True, f"not known: nothing was told of it within {LISTENING:g} s; look at it yourself")
     text = f"{watch.battery:.0%} left"
     ok = watch.battery >= CHARGE
-    return [Check("battery", ok, text if ok else f"{text}; at least {CHARGE:.0%} are needed")]
+    return Check("battery", ok, text if ok else f"{text}; at least {CHARGE:.0%} are needed")
 
 
 def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:

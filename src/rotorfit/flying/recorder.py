@@ -145,6 +145,8 @@ class Recorder:
             self._add(POSE, sample.received, data)
         elif sample.stream == "velocity":
             self._add(VELOCITY, sample.received, _twist(sample.stamp, sample.values))
+        elif sample.stream == "said":
+            self.event(sample.received, sample.text)
         else:
             self._add(BATTERY, sample.received, _NUMBER.pack(_CDR, sample.values[0]))
 

@@ -33,6 +33,7 @@ from rotorfit.flying.links.mavlink_messages import (
     TEMPORARILY_REJECTED,
     AutopilotProtocol,
     Poses,
+    SpokenTexts,
     battery,
     command_parameters,
     mavlink_commands,
@@ -53,6 +54,15 @@ STREAMED, STREAM_PERIOD = int(1.2 * SECOND), SECOND // 20
 """How long setpoints are sent before the mode is asked for, and how often those that nobody obeys yet [ns]."""
 
 TRIES = 5
+
+SYNC_PERIOD = SECOND // 5
+"""Between two questions for the autopilot's clock [ns]."""
+
+EXPLAINING = SECOND // 2
+"""How long an autopilot that refuses a step may take to say why [ns]."""
+
+TEXTS = 5
+"""So many of its last texts explain a refusal."""
 
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
 
@@ -97,6 +107,8 @@ class MavlinkLink:
         self._start = wall_clock()
         self._autopilot: AutopilotProtocol | None = None
         self._target = (0, 0)
+        self._texts, self._said = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
+        self._refused: tuple[int, str] | None = None  # when, and what
         self._heard = self._beaten = self._synced = 0
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
         self._asked, self._tries = 0, 0
@@ -213,7 +225,17 @@ class MavlinkLink:
             if self._known.name == "ArduPilot" and not self._steps and message.landed_state == IN_AIR:
                 self._climbing = False
         elif kind == "TIMESYNC" and message.tc1 > 0 and message.ts1 == self._synced:
-            self._poses.clock.exchanged(message.ts1, message.tc1, received)
+            step = self._poses.clock.exchanged(message.ts1, message.tc1, received)
+            if step:
+                self._tell(
+                    f"the autopilot's clock stepped by {step / 1e9:+.3f} s: poses before that are mistimed", received
+                )
+        elif kind == "STATUSTEXT" and (text := self._texts.take(message)):
+            self._said.append((received, text))
+            self._tell(f"{self._known.name} says: {text}", received)
+
+    def _tell(self, text: str, received: int) -> None:
+        self._inbox.append(Sample("said", received, received, (), text))
 
     def _meet(self, kind: int, source: tuple[int, int]) -> None:
         if kind in AUTOPILOTS:
@@ -286,15 +308,24 @@ class MavlinkLink:
     def _give_up(self, why: str) -> None:
         step = STEP_NAMES.get(self._steps.popleft(), f"enter {self._known.mode_name}")
         self._steps.clear()
-        self._trouble = f"mavlink: {self._known.name} did not {step}: {why}; its own messages say why (ground station)"
+        self._refused = wall_clock(), f"mavlink: {self._known.name} did not {step}: {why}"
+
+    def _explained(self, refused: int, text: str) -> str:
+        """A refusal in the autopilot's own words, as far as it has said any."""
+        words = dict.fromkeys(said for at, said in self._said if at > refused - PATIENCE)
+        return f"{text}; it says: {'; '.join(words)}" if words else f"{text}; its own messages say why (ground station)"
 
     def _keep_alive(self) -> None:
         """Our heartbeat and a question for their clock once a second, and a step again that nobody answered."""
         now = wall_clock()
-        if now - self._beaten >= SECOND and self._autopilot is not None:
-            self._beaten = self._synced = now
+        if self._autopilot is not None and now - self._beaten >= SECOND:
+            self._beaten = now
             self._say("heartbeat", 18, 8, 0, 0, 4)  # onboard controller, no autopilot, active
+        if self._autopilot is not None and now - self._synced >= SYNC_PERIOD:
+            self._synced = now
             self._say("timesync", 0, now)
+        if self._refused is not None and now - self._refused[0] >= EXPLAINING:
+            self._trouble, self._refused = self._trouble or self._explained(*self._refused), None
         # PX4 enters its mode only when setpoints have come for a second; in any other mode it does not obey them
         idle = self._heard and self._known.streams and not self._sending and not self._in_our_mode
         if idle and self._commands is not None and now - self._last_setpoint >= STREAM_PERIOD:

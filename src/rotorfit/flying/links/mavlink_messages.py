@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import linear_regression
 from typing import Any
 
 from rotorfit.core.card import Card
@@ -33,7 +34,7 @@ ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5
 
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 
-STREAMS = {32: 50.0, 31: 50.0, 1: 1.0, 245: 2.0}
+STREAMS = {32: 50.0, 31: 50.0, 1: 4.0, 245: 2.0}
 """Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, SYS_STATUS, EXTENDED_SYS_STATE [Hz]."""
 
 TAKE_OFF_HEIGHT = 1.5
@@ -147,28 +148,74 @@ def command_parameters(step: str, autopilot: AutopilotProtocol) -> tuple[int, tu
     return TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, TAKE_OFF_HEIGHT)
 
 
-class SenderClock:
-    """Moves the sender's stamps (time since its start) to our clock.
+FASTEST_DRIFT = 0.5e-3
+"""Of one clock against another [s/s]: twice what was seen of an autopilot in software."""
 
-    The offset comes from the TIMESYNC exchange with the shortest round trip, which is right to half of that; before the
-    first one from the message that was least delayed, which is right to that delay. Stamps keep the sender's spacing.
+REMEMBERED, LIKE_THE_BEST = 30_000_000_000, 1_000_000
+"""How long exchanges count, and how much longer than the shortest round trip one may take [ns]."""
+
+ENOUGH, LONG_ENOUGH = 5, 3_000_000_000
+"""Exchanges, and time between first and last [ns], that tell the drift."""
+
+STEP = 2_000_000
+"""What exchanges may differ by, besides half of their round trip and the drift, before a clock has stepped [ns]."""
+
+
+class SenderClock:
+    """Moves the sender's stamps (time since its start) to our clock, and follows where the two drift apart.
+
+    An exchange by TIMESYNC is right to half of its round trip. Of those of the last half minute the quick ones count: a
+    straight line through them, or while they are few, the one that can be wrong by least now. One that cannot be true
+    together with them is a step: from there everything begins anew. Before the first exchange the message that was
+    least delayed tells, which is right to that delay.
     """
 
     def __init__(self) -> None:
-        self._least: int | None = None
-        self._exchange: tuple[int, int] | None = None  # round trip, offset
+        self._least: tuple[int, int] | None = None  # when it arrived, offset
+        self._exchanges: deque[tuple[int, int, int]] = deque()  # middle by our clock, round trip, offset
 
     def ours(self, theirs: int, received: int) -> int:
         """A stamp of the sender on our clock [ns], never later than when it arrived."""
-        self._least = received - theirs if self._least is None else min(self._least, received - theirs)
-        offset = self._least if self._exchange is None else min(self._exchange[1], self._least)
+        if self._exchanges:
+            return min(theirs + self._offset(received), received)
+        offset = received - theirs
+        if self._least is not None:
+            since, before = self._least
+            offset = min(offset, before + round(FASTEST_DRIFT * (received - since)))
+        self._least = received, offset
         return theirs + offset
 
-    def exchanged(self, sent: int, theirs: int, received: int) -> None:
-        """Takes an answer to TIMESYNC: when we asked, what their clock showed, when the answer came [ns]."""
-        trip = received - sent
-        if trip >= 0 and (self._exchange is None or trip < self._exchange[0]):
-            self._exchange = (trip, sent + trip // 2 - theirs)
+    def exchanged(self, sent: int, theirs: int, received: int) -> int:
+        """Takes an answer to TIMESYNC: when we asked, what their clock showed, when the answer came [ns].
+
+        Returns:
+            By how much their clock has stepped since the one before [ns]; 0 where it has not.
+        """
+        trip, middle = received - sent, (sent + received) // 2
+        if trip < 0:
+            return 0
+        offset, step = middle - theirs, 0
+        if self._exchanges:
+            last = self._exchanges[-1]
+            expected, drifted = self._offset(middle), round(FASTEST_DRIFT * (middle - last[0]))
+            sure = min(one[1] for one in self._exchanges) // 2
+            if abs(offset - expected) > trip // 2 + sure + drifted + STEP:
+                step = expected - offset
+                self._exchanges.clear()
+        self._exchanges.append((middle, trip, offset))
+        while middle - self._exchanges[0][0] > REMEMBERED:
+            self._exchanges.popleft()
+        return step
+
+    def _offset(self, now: int) -> int:
+        """What is added to the sender's stamps now [ns]."""
+        best = min(trip for _, trip, _ in self._exchanges)
+        quick = [one for one in self._exchanges if one[1] <= best + LIKE_THE_BEST]
+        if len(quick) < ENOUGH or quick[-1][0] - quick[0][0] < LONG_ENOUGH:
+            return min(self._exchanges, key=lambda one: one[1] / 2 + FASTEST_DRIFT * (now - one[0]))[2]
+        start, _, base = quick[0]
+        slope, rest = linear_regression([at - start for at, _, _ in quick], [offset - base for *_, offset in quick])
+        return base + round(rest + max(-FASTEST_DRIFT, min(FASTEST_DRIFT, slope)) * (now - start))
 
 
 class Poses:
@@ -274,3 +321,26 @@ def between(first: Sequence[float], second: Sequence[float], share: float) -> tu
 def battery(message: Any) -> float | None:
     """What is left, 0 to 1, by SYS_STATUS or BATTERY_STATUS; None where the autopilot does not know (-1)."""
     return message.battery_remaining / 100 if message.battery_remaining >= 0 else None
+
+
+WARNING = 4
+"""MAV_SEVERITY_WARNING: what is as grave, or graver, is told."""
+
+_WHOLE = 50  # characters of a STATUSTEXT; a longer text comes in parts
+
+
+class SpokenTexts:
+    """Puts the parts of STATUSTEXT together."""
+
+    def __init__(self) -> None:
+        self._parts: dict[int, str] = {}
+
+    def take(self, message: Any) -> str:
+        """The text that a message completes, where it is at least a warning; else nothing."""
+        number, text = getattr(message, "id", 0), str(message.text).partition("\0")[0]
+        whole = self._parts.pop(number, "") + text
+        if number and len(text) == _WHOLE:
+            self._parts = {number: whole}
+            return ""
+        printable = "".join(letter if letter.isprintable() else " " for letter in whole).strip()
+        return printable if message.severity <= WARNING else ""
