@@ -18,7 +18,7 @@ from rotorfit.core.flight_plan import Four, Plan
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Sample
 from rotorfit.files.logs import read
-from rotorfit.flying.links.link import Action
+from rotorfit.flying.links.link import Action, Silence
 from rotorfit.planning.belief import Belief, belief_mapping, sample_vehicles
 from rotorfit.simulation.paper_vehicle import Truth
 
@@ -118,7 +118,7 @@ def cases(count: int, seed: int) -> Iterator[Case]:
 class BelievedVehicle:
     """The vehicle of a case as a link."""
 
-    live, fail_safe = False, ""
+    live, fail_safe, silence = False, "", Silence()
 
     def __init__(self, case: Case) -> None:
         self._truth, self._push, self._gusts = case.truth, np.array([*case.push, 0.0]), case.gusts

@@ -33,6 +33,7 @@ class Autopilot:
         self.refuse: set[int] = set()  # commands that are denied, for tests
         self.deaf = False  # sends nothing, for tests
         self.requests: list[int] = []
+        self.goes_on = 0.5
         self.says: list[tuple[int, str]] = []  # severity and text, for tests
         self.clock = 0  # by which its clock has stepped [ns], for tests
 
@@ -91,6 +92,10 @@ class Autopilot:
         fits = message.coordinate_frame == BODY_NED and message.type_mask == VELOCITY_AND_YAW_RATE
         if fits and self.mode in ((OFFBOARD, 0), (4,)) and self._room.mode() == "flying":
             self._room.send((message.vx, -message.vy, -message.vz, -message.yaw_rate))
+
+    def _on_param_request_read(self, message: Any) -> None:
+        if message.param_id in ("GUID_TIMEOUT", "COM_OF_LOSS_T"):  # as a careful owner has set it
+            self.connection.mav.param_value_send(message.param_id.encode(), self.goes_on, 9, 1, 0)
 
     def _on_timesync(self, message: Any) -> None:
         if message.tc1 == 0:

@@ -174,6 +174,16 @@ def test_what_the_autopilot_says_and_a_step_of_its_clock_come_with_the_samples(b
     assert texts[1].startswith("the autopilot's clock stepped by +0.1")
 
 
+def test_how_long_the_vehicle_goes_on_is_read_of_its_own_setting(bench: Bench) -> None:
+    bench.autopilot.goes_on = 0.75
+    bench.link.greet()
+    name = "GUID_TIMEOUT" if bench.autopilot.ardupilot else "COM_OF_LOSS_T"
+    assert (bench.link.silence.goes_on or 0) >= 1.0  # as it comes, until it has answered
+    bench.fly(0.5)
+
+    assert (bench.link.silence.goes_on, bench.link.silence.parameter) == (0.75, name)
+
+
 def test_silence_is_a_lost_link(bench: Bench) -> None:
     bench.link.greet()
     bench.fly(1.0)

@@ -8,7 +8,7 @@ import pytest
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links import poses_apart
-from rotorfit.flying.links.link import Action
+from rotorfit.flying.links.link import Action, Silence
 from rotorfit.flying.links.poses_apart import Joined, join
 
 
@@ -16,7 +16,7 @@ class Half:
     """A link that remembers."""
 
     def __init__(self, *samples: Sample, live: bool = True) -> None:
-        self.now, self.live, self.fail_safe = 5, live, "It hovers."
+        self.now, self.live, self.fail_safe, self.silence = 5, live, "It hovers.", Silence(1.0)
         self.samples = list(samples)
         self.sent: list[Sequence[float]] = []
         self.acted: list[str] = []

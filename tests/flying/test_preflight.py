@@ -9,8 +9,10 @@ from rotorfit.core.errors import LinkError, PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Steps
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying.links.link import Silence
 from rotorfit.flying.preflight import Ready, preflight, refuse
 from rotorfit.planning.belief import belief_from_card, belief_mapping
+from rotorfit.planning.run_on import run_on
 from rotorfit.simulation.flight_room import Conditions
 from rotorfit.simulation.sensors import Mocap, SenderClock
 
@@ -37,6 +39,7 @@ def test_a_vehicle_that_hovers_at_the_start_may_fly_and_nothing_was_sent() -> No
         "battery",
         "card",
         "numbers",
+        "commands",
         "plan",
     ]
     assert (ready.pose_clock, ready.notes) == ("header.stamp", ())
@@ -87,6 +90,37 @@ def test_what_the_vehicle_says_meanwhile_is_told_once() -> None:
     link.samples = lambda _, samples: [*samples, Sample("said", 0, link.now, (), "PX4 says: low battery")]
 
     assert preflight(plan_of(), link).notes == ("PX4 says: low battery",)
+
+
+def test_how_far_the_vehicle_runs_on_without_commands_is_told_and_that_room_is_kept() -> None:
+    plan = believed()
+    link = Watched(room_link())
+
+    def told(silence: Silence, live: bool = False) -> tuple[bool, str]:
+        link.silence, link.live = silence, live
+        (check,) = (check for check in preflight(plan, link, CARD).checks if check.name == "commands")
+        return check.ok, check.text
+
+    short, long = run_on(plan, 0.5), run_on(plan, 9.0)
+    assert told(Silence(0.5)) == (
+        True,
+        "when they stop at the worst instant, the vehicle goes on as last told for 0.5 s and comes to rest "
+        f"{short.sideways:.1f} m sideways and 0.0 m up or down from there, inside of the box",
+    )
+    assert long.sideways > 3 * short.sideways
+    ok, text = told(Silence(9.0, "GUID_TIMEOUT"), live=True)
+    assert not ok
+    assert f"{long.outside:.1f} m outside of the box (at {long.instant:.1f} s); GUID_TIMEOUT of the autopilot" in text
+    assert told(Silence(15.0), live=True)[0]  # nothing can be set, so it is told
+    assert "commands" not in [check.name for check in preflight(plan, SilentNobody(link), CARD).checks]
+
+
+class SilentNobody(Watched):
+    """A link that does not know what its vehicle does."""
+
+    def __init__(self, link: Watched) -> None:
+        super().__init__(link)
+        self.silence = Silence()
 
 
 def test_slow_poses_and_a_vehicle_that_drifts_are_told() -> None:

@@ -19,6 +19,7 @@ from rotorfit.flying.links.link import Link
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.plan_control import largest_command, tracker_of
 from rotorfit.planning.precision import fly_plan, path
+from rotorfit.planning.run_on import run_on
 from rotorfit.simulation.paper_vehicle import noise_free
 
 LISTENING = 1.0
@@ -95,6 +96,7 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
         trouble = disagreement(card_from_mapping(plan.card, f"of plan {plan.name}"), card)
         checks.append(Check("card", not trouble, trouble or f"as planned: {card.name}"))
     checks.append(_sense(plan, limits))
+    checks += _silent(plan, link)
     checks += _rehearsed(plan, limits)
     clock, notes = _clock(poses)
     return Ready(tuple(checks), clock, (*notes, *dict.fromkeys(sample.text for sample in samples if sample.text)))
@@ -200,6 +202,31 @@ def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
             text = f"the likeliest vehicle would be stopped after {time / 1e9:.1f} s by {verdict.text}; plan it again"
             return [Check("plan", False, text)]
     return [Check("plan", True, "the likeliest vehicle stays inside, braking distance included")]
+
+
+BEHIND = 0.5
+"""Room behind the box that everybody keeps, see docs/flying.md [m]."""
+
+
+def _silent(plan: Plan, link: Link) -> list[Check]:
+    """How far the vehicle runs on when commands stop, as when this program or its computer dies.
+
+    It must come to rest no further outside of the box than what is kept free there, where a setting of it can see to
+    that. Nothing where the plan has no belief, or nobody knows what the vehicle does.
+    """
+    goes_on, parameter = link.silence.goes_on, link.silence.parameter
+    if goes_on is None or "covariance" not in plan.belief:
+        return []
+    far = run_on(plan, goes_on)
+    ok = far.outside <= BEHIND or not (link.live and parameter)
+    text = (
+        f"when they stop at the worst instant, the vehicle goes on as last told for {goes_on:g} s and comes to rest "
+        f"{far.sideways:.1f} m sideways and {far.upright:.1f} m up or down from there, "
+        + (f"{far.outside:.1f} m outside of the box (at {far.instant:.1f} s)" if far.outside else "inside of the box")
+    )
+    if parameter and far.outside:
+        text += f"; {parameter} of the autopilot shortens it"
+    return [Check("commands", ok, text if ok else f"{text}, or give a smaller --amplitude or a larger box")]
 
 
 BELIEVABLE = 5.0

@@ -19,6 +19,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, Interval
 from rotorfit.planning.next_flight import NextFlight
 from rotorfit.planning.preview import EXPECTED_HEADS, UNITS, expected_rows
+from rotorfit.planning.run_on import run_on
 
 
 def plan_view(plan: Plan) -> View:
@@ -35,6 +36,7 @@ def plan_view(plan: Plan) -> View:
     yield ""
     yield _errors(plan)
     yield from bullets([*plan.predicted.get("notes", ()), *plan.belief.get("notes", ())])
+    yield from bullets(_run_on(plan))
     yield Text(
         f"+-: half of the 95 % interval that is expected, over {plan.predicted['vehicles']} vehicles that are believed "
         f"possible. Middle 95 %: of {plan.predicted['draws']} of them, with wind and trim; 2.5 % reach further down, "
@@ -60,6 +62,23 @@ def _loop(plan: Plan) -> str:
         if axes
     ]
     return f"Feedback on the measured pose {'; '.join(parts)}."
+
+
+RUN_ON = (0.5, 1.0, 3.0)
+"""How long vehicles go on as last told, as `rotorfit fly` reads it of the link: of the Bebop's driver and the flight
+room, PX4's and ArduPilot's default [s]."""
+
+
+def _run_on(plan: Plan) -> list[str]:
+    """How far the vehicle runs on when commands stop at the worst instant."""
+    if "covariance" not in plan.belief:
+        return []
+    parts = []
+    for seconds in RUN_ON:
+        far = run_on(plan, seconds)
+        where = f", {far.outside:.1f} m outside of the box" if far.outside else ""
+        parts.append(f"{seconds:g} s: {far.sideways:.1f} m sideways, {far.upright:.1f} m up or down{where}")
+    return [f"if commands stop at the worst instant, and the vehicle goes on as last told for {'; '.join(parts)}"]
 
 
 def _signals(plan: Plan) -> Table:

@@ -5,11 +5,25 @@ The clock of live links: the time of day when the process started, running evenl
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from rotorfit.core.log import Sample
 
 Action = Literal["take_off", "land", "close"]
+
+
+@dataclass(frozen=True)
+class Silence:
+    """What happens when commands stop coming.
+
+    Attributes:
+        goes_on: So long the vehicle may go on as last told [s]; None where nobody knows.
+        parameter: Its setting that says how long; empty where there is none.
+    """
+
+    goes_on: float | None = None
+    parameter: str = ""
 
 
 class Link(Protocol):
@@ -19,6 +33,7 @@ class Link(Protocol):
         now: The link's clock [ns]: the wall clock of a live link, simulated time of a simulated one.
         live: Whether `now` is the wall clock, so that the flight is paced by it and something real may move.
         fail_safe: What the vehicle does by itself when the link is lost, for people, one or two sentences.
+        silence: How long it goes on as last told before that.
     """
 
     @property
@@ -34,6 +49,11 @@ class Link(Protocol):
     @property
     def fail_safe(self) -> str:
         """What the vehicle does when the link is lost."""
+        ...
+
+    @property
+    def silence(self) -> Silence:
+        """How long it goes on as last told before that."""
         ...
 
     def send(self, command: Sequence[float]) -> None:

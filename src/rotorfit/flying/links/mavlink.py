@@ -18,7 +18,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields
-from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.mavlink_messages import (
     ACCEPTED,
     AUTOPILOTS,
@@ -109,6 +109,7 @@ class MavlinkLink:
         self._target = (0, 0)
         self._texts, self._said = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
         self._refused: tuple[int, str] | None = None  # when, and what
+        self._goes_on: float | None = None  # as the autopilot is set
         self._heard = self._beaten = self._synced = 0
         self._steps: deque[str] = deque()  # what we ask for, in order; the first is waiting for its answer
         self._asked, self._tries = 0, 0
@@ -130,6 +131,12 @@ class MavlinkLink:
         """What this autopilot does when commands stop."""
         return self._autopilot.fail_safe if self._autopilot else ""
 
+    @property
+    def silence(self) -> Silence:
+        """How long it goes on as last told before that: as it is set, or else by default."""
+        known = self._autopilot
+        return Silence(self._goes_on or known.goes_on, known.parameter) if known else Silence()
+
     def greet(self) -> None:
         """Waits for a heartbeat, then asks for the messages that it needs.
 
@@ -142,6 +149,7 @@ class MavlinkLink:
         if self._autopilot is None:
             self._close()
             raise LinkError(self._trouble or "mavlink: no heartbeat; check address, baud rate and the port's mode")
+        self._say("param_request_read", *self._target, self._known.parameter.encode(), -1)
         for message, rate in STREAMS.items():
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
 
@@ -230,6 +238,8 @@ class MavlinkLink:
                 self._tell(
                     f"the autopilot's clock stepped by {step / 1e9:+.3f} s: poses before that are mistimed", received
                 )
+        elif kind == "PARAM_VALUE" and message.param_id == self._known.parameter and message.param_value > 0:
+            self._goes_on = float(message.param_value)
         elif kind == "STATUSTEXT" and (text := self._texts.take(message)):
             self._said.append((received, text))
             self._tell(f"{self._known.name} says: {text}", received)

@@ -54,6 +54,8 @@ class AutopilotProtocol:
         steps: What a take-off takes, in order; names of `command_parameters`.
         streams: Whether setpoints must come before the mode is entered.
         fail_safe: What it does when commands stop.
+        goes_on: How long it goes on as last told before that, unless its parameter says otherwise [s].
+        parameter: That one.
     """
 
     name: str
@@ -62,6 +64,8 @@ class AutopilotProtocol:
     steps: tuple[str, ...]
     streams: bool
     fail_safe: str
+    goes_on: float
+    parameter: str
 
 
 AUTOPILOTS = {
@@ -73,6 +77,8 @@ AUTOPILOTS = {
         True,
         "PX4 leaves OFFBOARD when setpoints come at less than 2 Hz for COM_OF_LOSS_T (1 s by default), and does what "
         "COM_OBL_RC_ACT says (default: Position mode, which holds with a remote control). Set it to Land or Hold.",
+        1.0,
+        "COM_OF_LOSS_T",
     ),
     3: AutopilotProtocol(
         "ArduPilot",
@@ -80,7 +86,10 @@ AUTOPILOTS = {
         "GUIDED",
         ("mode", "arm", "take_off"),
         False,
-        "ArduPilot Copter stops and hovers 3 s after the last velocity in GUIDED; it does not land by itself.",
+        "ArduPilot Copter stops and hovers GUID_TIMEOUT (3 s by default) after the last velocity in GUIDED; it does "
+        "not land by itself.",
+        3.0,
+        "GUID_TIMEOUT",
     ),
 }
 """MAV_AUTOPILOT to how it is flown."""

@@ -35,7 +35,7 @@ class Joined:
 
     def __init__(self, commands: Link, poses: Link) -> None:
         self.live = True
-        self.fail_safe = commands.fail_safe
+        self.fail_safe, self.silence = commands.fail_safe, commands.silence
         self._commands = commands
         self._poses = poses
 

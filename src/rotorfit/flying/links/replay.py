@@ -15,7 +15,7 @@ from rotorfit.diagnosis.card_choice import card_of
 from rotorfit.files.logs import read
 from rotorfit.flights.columns import card_for, column
 from rotorfit.flights.stamps import stamps_of
-from rotorfit.flying.links.link import Action
+from rotorfit.flying.links.link import Action, Silence
 
 
 def open_link(address: str, card: Card) -> "ReplayLink":
@@ -48,7 +48,7 @@ class ReplayLink:
     """A vehicle that does again what it did; implements `links.Link`."""
 
     live = False
-    fail_safe = "A log is played back: no vehicle moves."
+    fail_safe, silence = "A log is played back: no vehicle moves.", Silence(0.0)
 
     def __init__(self, samples: Sequence[Sample], name: str) -> None:
         self._samples, self._name, self._next = samples, name, 0

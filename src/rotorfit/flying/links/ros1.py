@@ -17,7 +17,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields, PoseFields
-from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.ros_messages import (
     ACTIONS,
     FAIL_SAFE,
@@ -50,7 +50,7 @@ def open_link(address: str, card: Card) -> "Ros1Link":
     if address:
         raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
     commands, poses = ros_commands(card), ros_poses(card)
-    return Ros1Link(_node(), commands, poses, card.fail_safe or FAIL_SAFE)
+    return Ros1Link(_node(), commands, poses, card.fail_safe or FAIL_SAFE, card.hold)
 
 
 def open_poses(address: str) -> "Ros1Link":
@@ -70,8 +70,10 @@ def open_poses(address: str) -> "Ros1Link":
 class Ros1Link:
     """A vehicle on a ROS 1 graph; implements `links.Link`."""
 
-    def __init__(self, rospy: Any, commands: CommandFields | None, poses: PoseFields, fail_safe: str) -> None:
-        self.fail_safe = fail_safe
+    def __init__(
+        self, rospy: Any, commands: CommandFields | None, poses: PoseFields, fail_safe: str, hold: float | None = None
+    ) -> None:
+        self.fail_safe, self.silence = fail_safe, Silence(hold)
         self.live = True
         self._rospy = rospy
         self._commands = commands

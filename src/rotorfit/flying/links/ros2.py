@@ -12,7 +12,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields, PoseFields
-from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.ros_messages import (
     ACTIONS,
     FAIL_SAFE,
@@ -44,7 +44,7 @@ def open_link(address: str, card: Card) -> "Ros2Link":
     """
     if address:
         raise LinkError(f"ros2 takes no address ({address!r}); set ROS_DOMAIN_ID, and name topics in the card")
-    return Ros2Link(ros_commands(card), ros_poses(card), card.fail_safe or FAIL_SAFE)
+    return Ros2Link(ros_commands(card), ros_poses(card), card.fail_safe or FAIL_SAFE, card.hold)
 
 
 def open_poses(address: str) -> "Ros2Link":
@@ -60,8 +60,10 @@ def open_poses(address: str) -> "Ros2Link":
 class Ros2Link:
     """A vehicle on a ROS 2 graph; implements `links.Link`. All of it runs in the caller's thread."""
 
-    def __init__(self, commands: CommandFields | None, poses: PoseFields | str, fail_safe: str) -> None:
-        self.fail_safe = fail_safe
+    def __init__(
+        self, commands: CommandFields | None, poses: PoseFields | str, fail_safe: str, hold: float | None = None
+    ) -> None:
+        self.fail_safe, self.silence = fail_safe, Silence(hold)
         self.live = True
         self._rclpy = importlib.import_module("rclpy")
         self._rclpy.init()

@@ -17,7 +17,7 @@ from rotorfit.core.flight_plan import Four
 from rotorfit.core.limits import disagreement
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.flying.links.link import Action
+from rotorfit.flying.links.link import Action, Silence
 from rotorfit.simulation.air import wind_of
 
 if TYPE_CHECKING:
@@ -81,6 +81,7 @@ class SimLink:
         self._room = room
         pilot = room.vehicle.autopilot
         lands = f", and lands after {pilot.land_after:g} s" if math.isfinite(pilot.land_after) else ""
+        self.silence = Silence(pilot.command_timeout)
         self.fail_safe = (
             f"Simulated: the vehicle goes on as last told for {pilot.command_timeout:g} s, then hovers{lands}."
         )

@@ -22,7 +22,7 @@ from rotorfit.flying.links.card_fields import (
     pose_values,
     raw_values,
 )
-from rotorfit.flying.links.link import Action, seconds_until, wall_clock
+from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 
 HOST, COMMAND_PORT, STATE_PORT = "192.168.10.1", 8889, 8890
 
@@ -34,6 +34,9 @@ SILENCE = 1.0
 """The state comes at 10 Hz; so long without it and the link is lost [s]."""
 
 PATIENCE, TRIES = 1.0, 5
+
+LANDS = 15.0
+"""So long after the last command a Tello lands, and may fly on before [s]."""
 
 FAIL_SAFE = (
     "A Tello lands 15 s after the last command (Tello SDK 2.0). Nothing says that its sticks return to zero before: "
@@ -64,7 +67,7 @@ class TelloLink:
 
     def __init__(self, card: Card, host: str, state_port: int) -> None:
         self.live = True
-        self.fail_safe = card.fail_safe or FAIL_SAFE
+        self.fail_safe, self.silence = card.fail_safe or FAIL_SAFE, Silence(card.hold or LANDS)
         self._commands, self._poses = tello_commands(card), pose_fields(card)
         self._drone = (host, COMMAND_PORT)
         self._talk, self._state = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))

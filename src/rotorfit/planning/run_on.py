@@ -1,0 +1,73 @@
+"""Run on: where the likeliest vehicle comes to rest when commands stop at the worst instant of a plan.
+
+It goes on as it was last told for some seconds, then stops:
+
+    v' = g u - b v with the last command u held, then v t + v |v| / (2 a)
+
+with g, b and the delay t as believed; a velocity loop stops within 1 / b, a tilt brakes with half of a full command.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.flight_plan import Plan
+from rotorfit.core.frames import Array, world_from_heading
+from rotorfit.planning.belief import belief_from_mapping
+from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.precision import fly_plan, path
+from rotorfit.simulation.paper_vehicle import noise_free
+
+SERVO, SHARE = 1.0, 0.5
+"""Damping from which an axis stops by itself [1/s]; share of a full command that braking counts on."""
+
+
+@dataclass(frozen=True)
+class RunOn:
+    """The worst of all instants, each quantity for itself.
+
+    Attributes:
+        sideways: Way from where commands stopped, along the floor [m].
+        upright: The same, up or down [m].
+        outside: How far outside of the box the vehicle comes to rest [m]; 0 where it stays.
+        instant: When commands stop for that, or else for the longest way [s from the start of the plan].
+    """
+
+    sideways: float
+    upright: float
+    outside: float
+    instant: float
+
+
+def run_on(plan: Plan, goes_on: float) -> RunOn:
+    """How far a vehicle runs on that goes on as last told for so long [s].
+
+    Raises:
+        PlanError: The plan's belief is not whole.
+        CardError: Its card is wrong.
+    """
+    tracker = tracker_of(plan)
+    flight = fly_plan(tracker, noise_free(belief_from_mapping(plan.belief, f"plan {plan.name}").truth), plan.seed)
+    at, seen = flight.command_stamp, flight.pose_stamp
+    place = np.stack([np.interp(at, seen, column) for column in path(plan, flight).T], axis=1)
+    speed = np.stack([np.interp(at, seen, column) for column in flight.velocity[:, :3].T], axis=1)
+    yaw = place[:, 3]
+    speed[:, :2] = world_from_heading(speed[:, :2], -yaw)
+    gain, b = tracker.gamma[:6:2], np.maximum(tracker.gamma[1:6:2], 1e-3)
+    push = gain * flight.command[:, :3]
+    faded, delay = -np.expm1(-b * goes_on) / b, np.array(plan.belief["delay"][:3])
+    way = speed * faded + push * (goes_on - faded) / b
+    speed = speed * np.exp(-b * goes_on) + push * faded
+    way += speed * (delay + np.where(b >= SERVO, 1 / b, 0.0))
+    brake = SHARE * np.abs(gain) * np.minimum(tracker.full_scale[:3], 1.0)
+    way += np.where(b >= SERVO, 0.0, speed * np.abs(speed) / (2 * brake))
+    way[:, :2] = world_from_heading(way[:, :2], yaw)
+    return _worst(plan, at * 1e-9, place[:, :3], way)
+
+
+def _worst(plan: Plan, time: Array, place: Array, way: Array) -> RunOn:
+    flat, up = np.hypot(way[:, 0], way[:, 1]), np.abs(way[:, 2])
+    rest = place + way
+    beyond = np.maximum(np.array(plan.space.lower) - rest, rest - np.array(plan.space.upper)).max(axis=1)
+    worst = int(np.argmax(beyond if beyond.max() > 0 else np.hypot(flat, up)))
+    return RunOn(float(flat.max()), float(up.max()), float(max(beyond.max(), 0.0)), float(time[worst]))
