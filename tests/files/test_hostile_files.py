@@ -1,6 +1,7 @@
 """Files that anybody may have written: what is wrong is one line with its place, and nothing is run or hangs."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from files.version_0_1.numbers_of import FOLDER
 from rotorfit.core.errors import CardError, ModelError, PlanError, RotorfitError, VehicleError
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import from_mapping, load
-from rotorfit.files.plans import load_plan
+from rotorfit.files.plans import load_plan, plan_from_text
 from rotorfit.simulation.vehicle import load_vehicle
 
 DEEP = "a" + ".a" * 3000 + " = 1\n"
@@ -122,6 +123,15 @@ def test_cards_plans_and_vehicles_of_no_sense_are_one_line(kind: str, bad: str, 
         load_it(str(path))
     assert "\n" not in str(refused.value)
     assert str(refused.value).isprintable()
+
+
+def test_axes_of_a_feedback_that_are_lists_are_one_line() -> None:
+    text = (FOLDER / "plan.toml").read_text(encoding="utf-8")
+    changed = re.sub(r"(\[feedback\]\naxes = \[)", r'\1["x"], ', text)
+    assert changed != text
+
+    with pytest.raises(PlanError, match=r"\[feedback\]: axes must be some of x, y, z, yaw, not a list of"):
+        plan_from_text(changed, "here")
 
 
 @pytest.mark.parametrize("kind", ["model", *LOADERS])

@@ -14,7 +14,7 @@ from scipy.io import savemat
 
 import bombs
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs import content, read
+from rotorfit.files.logs import content, csv, read
 from rotorfit.files.logs import topics as collector
 from rotorfit.files.logs.parquet_worker import columns_to
 
@@ -25,7 +25,7 @@ READ = """
 import re, resource, sys
 from pathlib import Path
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs import content, read
+from rotorfit.files.logs import content, csv, read
 path = sys.argv[1]
 try:
     print(len(next(iter(read(path).tables.values())).columns))
@@ -116,6 +116,39 @@ def test_a_million_columns_are_refused_before_they_take_time_and_memory(tmp_path
     with pytest.raises(LogError, match="a table of 300000 columns"):
         read(wide_csv(tmp_path / "log", 300_000))
     assert process_time() - started < 2
+
+
+def test_more_cells_than_memory_holds_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(csv, "_MOST_CELLS", 1 << 20)
+    (tmp_path / "log").write_text("a,b\n" + "1,1\n" * (1 << 20))
+    with pytest.raises(LogError, match="more than 1 million cells; cut the log"):
+        read(tmp_path / "log")
+
+
+def test_columns_of_long_texts_are_left_out_by_their_first_rows(tmp_path: Path) -> None:
+    rows = "".join(f"{k},1.5,{'no number ' * 100}\n" for k in range(1000))
+    (tmp_path / "log").write_text(f"time,x,note\n{rows}")
+
+    log = read(tmp_path / "log")
+
+    assert list(log.tables["log"].columns) == ["time", "x"]
+    assert log.notes == ("columns left out because they hold text: note",)
+
+
+SPARSE = {
+    "csv": b"time,x\n1,2\n",
+    "motive": b"Format Version,1.23\n",
+    "dataflash_text": b"FMT, 128, 89, FMT, BBnNZ, a\n",
+}
+
+
+@pytest.mark.parametrize("head", SPARSE.values(), ids=SPARSE)
+def test_ten_gigabytes_of_text_are_refused_at_once(head: bytes, tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as file:
+        file.write(head)
+        file.truncate(10 << 30)
+    with pytest.raises(LogError, match="MiB of text; cut the log"):
+        read(tmp_path / "log")
 
 
 def test_wide_parquet_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,9 +59,9 @@ def load_card(name_or_path: str | Path) -> Card:
     Raises:
         CardError: Neither a name nor a file; not TOML; or what `card_from_mapping` refuses.
     """
-    built_in, name_or_path = builtin_cards(), str(name_or_path)
+    built_in, name_or_path = _builtin_files(), str(name_or_path)
     if name_or_path in built_in:
-        return built_in[name_or_path]
+        return card_from_mapping(plain_toml(built_in[name_or_path].read_text(encoding="utf-8")), name_or_path)
     path = Path(name_or_path)
     if not is_file(path):
         raise CardError(
@@ -76,13 +77,15 @@ def load_card(name_or_path: str | Path) -> Card:
 
 def builtin_cards() -> dict[str, Card]:
     """All cards that ship with rotorfit, by name, sorted."""
-    files = (
-        entry
-        for entry in resources.files("rotorfit.files").joinpath("builtin_cards").iterdir()
-        if entry.name.endswith(".toml")
-    )
-    texts = {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in files}
-    return {name: card_from_mapping(plain_toml(texts[name]), name) for name in sorted(texts)}
+    texts = {name: file.read_text(encoding="utf-8") for name, file in _builtin_files().items()}
+    return {name: card_from_mapping(plain_toml(text), name) for name, text in texts.items()}
+
+
+def _builtin_files() -> dict[str, Traversable]:
+    """Files of the built-in cards by name, sorted."""
+    folder = resources.files("rotorfit.files").joinpath("builtin_cards")
+    files = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
+    return dict(sorted(files.items()))
 
 
 def builtin_card_text(name: str) -> str:
@@ -91,10 +94,10 @@ def builtin_card_text(name: str) -> str:
     Raises:
         CardError: There is none of that name; the nearest is named.
     """
-    known = builtin_cards()
+    known = _builtin_files()
     if name not in known:
         raise CardError(f"no built-in card {name!r}{nearest(name, known)} (`rotorfit cards` lists them)")
-    return resources.files("rotorfit.files").joinpath("builtin_cards", f"{name}.toml").read_text(encoding="utf-8")
+    return known[name].read_text(encoding="utf-8")
 
 
 def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:

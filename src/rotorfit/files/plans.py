@@ -366,7 +366,7 @@ def _signal(kind: str, raw: Mapping[str, Any], place: str) -> Signal:
 def _feedback(raw: Mapping[str, Any], place: str) -> Feedback:
     _check(raw, _FEEDBACK, place)
     axes = raw.get("axes")
-    if not isinstance(axes, list) or not set(axes) <= set(AXES):
+    if not isinstance(axes, list) or not all(axis in AXES for axis in axes):
         raise PlanError(f"{place}: axes must be some of {', '.join(AXES)}, not {shown(axes)}")
     stiffness, damping = (_four(raw, name, place) for name in ("stiffness", "damping"))
     if min(stiffness + damping) < 0:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -277,9 +278,9 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     Raises:
         VehicleError: Neither a name nor a file; not TOML; or what `vehicle_from_mapping` refuses.
     """
-    built_in = builtin_vehicles()
+    built_in = _builtin_files()
     if name_or_path in built_in:
-        return built_in[name_or_path]
+        return vehicle_from_mapping(plain_toml(built_in[name_or_path].read_text(encoding="utf-8")), name_or_path)
     path = Path(name_or_path)
     if not is_file(path):
         raise VehicleError(f"no vehicle {name_or_path!r}: neither a file nor one of {', '.join(built_in)}")
@@ -292,13 +293,15 @@ def load_vehicle(name_or_path: str) -> Vehicle:
 
 def builtin_vehicles() -> dict[str, Vehicle]:
     """All vehicles that ship with rotorfit, by name, sorted."""
+    texts = {name: file.read_text(encoding="utf-8") for name, file in _builtin_files().items()}
+    return {name: vehicle_from_mapping(plain_toml(text), name) for name, text in texts.items()}
+
+
+def _builtin_files() -> dict[str, Traversable]:
+    """Files of the vehicles that ship with rotorfit by name, sorted."""
     folder = resources.files("rotorfit.simulation").joinpath("vehicles")
-    texts = {
-        entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8")
-        for entry in folder.iterdir()
-        if entry.name.endswith(".toml")
-    }
-    return {name: vehicle_from_mapping(plain_toml(texts[name]), name) for name in sorted(texts)}
+    files = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
+    return dict(sorted(files.items()))
 
 
 def vehicle_from_mapping(raw: Mapping[str, Any], where: str) -> Vehicle:

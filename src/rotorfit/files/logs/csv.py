@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Table
-from rotorfit.files.logs.content import LIMIT, Content, check_width, listed, one_line
+from rotorfit.files.logs.content import Content, check_width, listed, one_line
 
 if TYPE_CHECKING:
     import polars as pl
@@ -28,6 +28,12 @@ _SEPARATORS = ",;\t"
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 
 _BLOCK = 1 << 20
+
+_LARGEST = 1 << 28  # bytes of a text, which takes four times as much while it is parsed: three hours of 20 columns
+
+_MOST_CELLS = 1 << 25
+
+_SAMPLE = 100
 
 _EMPTY = ("", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None")
 
@@ -138,8 +144,10 @@ def text_of(path: Path) -> bytes:
     Raises:
         LogError: Too large, or not UTF-8.
     """
-    if path.stat().st_size > LIMIT:
-        raise LogError(f"{path}: more than {LIMIT >> 20} MiB of text; cut the log to the flight that you need")
+    if path.stat().st_size > _LARGEST:
+        raise LogError(
+            f"{path}: more than {_LARGEST >> 20} MiB of text; cut the log to the flight that you need, or give Parquet"
+        )
     data = path.read_bytes().removeprefix(UTF8_MARK)
     _check_text(path, data)
     return data
@@ -176,6 +184,8 @@ def _sheet(
     body = data[part[0] : part[1]]
     if not body.strip():
         raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
+    if body.count(separator.encode()) + body.count(b"\n") > _MOST_CELLS:
+        raise LogError(f"{path}: more than {_MOST_CELLS >> 20} million cells; cut the log to the flight that you need")
     lines = _Lines(body, separator)
     first = body[lines.starts[lines.filled][0] :][: lines.lengths[lines.filled][0]].strip(b"\r\n")
     if lines.cells[lines.filled][0] == len(names) + 1 and first.endswith(separator.encode()):
@@ -209,8 +219,8 @@ class _Lines:
         self.quoted = b'"' in text and text.count(b'"') % 2 == 0
         after = _places(text, "\n", self.quoted) + 1
         if not len(after) or after[-1] < len(text):
-            after = np.append(after, len(text))
-        self.starts = np.append(0, after[:-1])
+            after = np.append(after, np.int32(len(text)))
+        self.starts = np.append(np.int32(0), after[:-1])
         self.lengths = after - self.starts
         self.cells = _counts(_places(text, separator, self.quoted), after) + 1
         self.zeros = _counts(_places(text, "\0", False), after) > 0
@@ -219,9 +229,9 @@ class _Lines:
             self.filled[row] = bool(text[self.starts[row] : after[row]].strip())
 
 
-def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int64]:
+def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int32]:
     """Offsets of a character, outside quotation marks if these count; block by block, to spare memory."""
-    places, parity = [np.zeros(0, np.int64)], np.uint8(0)
+    places, parity = [np.zeros(0, np.int32)], np.uint8(0)
     for start in range(0, len(text), _BLOCK):
         block = np.frombuffer(text, np.uint8, min(_BLOCK, len(text) - start), start)
         found = block == ord(mark)
@@ -229,11 +239,11 @@ def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int64]:
             inside = (np.cumsum(block == ord('"'), dtype=np.uint8) + parity) & np.uint8(1)
             found &= inside == 0
             parity = inside[-1]
-        places.append(np.flatnonzero(found) + start)
+        places.append((np.flatnonzero(found) + start).astype(np.int32))
     return np.concatenate(places)
 
 
-def _counts(places: npt.NDArray[np.int64], after: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _counts(places: npt.NDArray[np.int32], after: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
     """How many of the places lie in each line."""
     return np.diff(np.searchsorted(places, after), prepend=0)
 
@@ -341,6 +351,8 @@ def _numbers(series: "pl.Series") -> Column | None:
     import polars as pl
 
     if series.dtype == pl.String:
+        if len(series) > _SAMPLE and _numbers(series.head(_SAMPLE)) is None:  # spares copies of long texts
+            return None
         series = series.str.strip_chars()
         series = series.set(series.is_in(_EMPTY).fill_null(False), None)
         folded = series.str.to_lowercase()
