@@ -22,8 +22,8 @@ from rotorfit.app.web.workspace import Session, Workspace
 from rotorfit.files.cards import builtin_card_text
 from studio_room import client_of, opened, settled
 
-LONGEST = 0.4
-"""Seconds until the kill, at most."""
+MOST = 4
+"""Changes before the kill, at most."""
 
 
 def content_of(name: str) -> bytes:
@@ -91,7 +91,7 @@ def change_for_ever(folder: Path, rng: random.Random, say: Callable[[str, Any], 
 def killed(folder: Path, rng: random.Random) -> list[tuple[str, Any]]:
     """What a studio said until it was killed."""
     reading, writing = os.pipe()
-    seed, moment = rng.random(), rng.uniform(0, LONGEST)
+    seed, changes, share = rng.random(), rng.randrange(MOST + 1), rng.random()
     child = os.fork()
     if not child:
         try:
@@ -102,25 +102,17 @@ def killed(folder: Path, rng: random.Random) -> list[tuple[str, Any]]:
         finally:
             os._exit(1)
     os.close(writing)
-    end, said, ended = time.monotonic() + moment, b"", False
-    late = rng.random() < 0.8  # else the kill may come while the session is opened
-    os.set_blocking(reading, False)
-    while not ended:
-        if time.monotonic() > end:
-            os.kill(child, signal.SIGKILL)
-            ended = os.waitpid(child, 0)[1] == signal.SIGKILL
-            assert ended, "the studio ended by itself"
-        try:
-            more = os.read(reading, 1 << 16)
-            end = time.monotonic() + moment if late and not said else end
-            said += more
-        except BlockingIOError:
-            time.sleep(0.001)
-    os.set_blocking(reading, True)
-    while more := os.read(reading, 1 << 16):
-        said += more
-    os.close(reading)
-    return [(kind, state) for kind, state in map(json.loads, said.decode().split("\n")[:-1])]
+    with os.fdopen(reading) as lines:
+        said: list[tuple[str, Any]] = []
+        begun = ended = time.monotonic()
+        while sum(kind == "kept" for kind, _ in said) < changes:
+            said.append(tuple(json.loads(lines.readline())))
+            begun, ended = ended, time.monotonic()
+        time.sleep(share * max(2 * (ended - begun), 0.05))  # somewhere in the next change, however busy the machine
+        os.kill(child, signal.SIGKILL)
+        assert os.waitpid(child, 0)[1] == signal.SIGKILL, "the studio ended by itself"
+        said += [tuple(json.loads(line)) for line in lines if line.endswith("\n")]
+    return said
 
 
 def main(folder: Path, times: int, seed: int) -> None:

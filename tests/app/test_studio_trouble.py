@@ -3,7 +3,6 @@
 import json
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,6 +21,7 @@ from rotorfit.app.web.workspace import MOST_LOGS, Workspace, WorkspaceError
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import builtin_card_text
 from rotorfit.flying.recorder import record
+from studio_requests import Hostile
 from studio_room import added, bag, client_of, opened, session_of, settled
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -284,7 +285,7 @@ def test_a_fit_that_a_full_disk_stops_is_told_and_can_be_removed(
     (fit,) = session_of(page)["fits"]
     assert (fit["status"], fit["text"]) == ("failed", "the fit could not be started: No space left on device")
     assert page.delete("/api/fits/1").status_code == 200
-    monkeypatch.setattr("rotorfit.app.web.runner.sys.executable", shutil.which("true"))
+    monkeypatch.setattr("rotorfit.app.web.runner.sys", SimpleNamespace(executable="true"))
     assert page.post("/api/fits", json={}).json() == {"id": "2"}
     settled(studio)
     assert session_of(page)["fits"][0]["status"] == "failed"
@@ -321,14 +322,14 @@ def killed(folder: Path, times: int) -> dict[str, int]:
 
 @pytest.mark.flights
 def test_a_studio_that_is_killed_while_it_writes_keeps_what_it_acknowledged(folder: Path) -> None:
-    assert killed(folder, 4)["killed_inside"] > 0
+    assert killed(folder, 4)["acknowledged"] > 0
 
 
 @pytest.mark.slow
 def test_a_hundred_kills_lose_nothing_that_was_acknowledged(folder: Path) -> None:
     told = killed(folder, 100)
-    assert told["acknowledged"] > 20
-    assert told["killed_inside"] > 50
+    assert told["acknowledged"] > 100
+    assert told["killed_inside"] > 30
 
 
 @pytest.mark.slow
@@ -378,3 +379,31 @@ def test_a_log_for_validation_that_does_not_match_is_named_and_the_others_go_on(
         assert "twice.bag" in second
     flights = page.get("/api/fits/1/result.json").json()["flights"]
     assert [(one["role"], one["path"]) for one in flights] == [("validation", "proof.bag"), ("training", "train.bag")]
+
+
+# Hostile requests
+
+
+@pytest.mark.flights
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of columns of extreme numbers
+@pytest.mark.parametrize("seed", [1, 5])
+def test_no_request_ends_in_a_trace_or_spoils_the_session(
+    studio: Studio, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rotorfit.app.web.runner.sys", SimpleNamespace(executable="true"))  # fits that end at once
+    page = Hostile(studio, seed)
+    for _ in range(60):
+        page.once()
+
+
+@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e20"])
+def test_positions_beyond_all_measure_count_as_absent(page: TestClient, number: str) -> None:
+    rows = [f"{0.02 * i:.2f},{0.1 * (i % 7)},0,1,0,{(i // 20) % 2},0,0,0" for i in range(300)]
+    rows[70] = f"1.40,{number},0,1,0,0,0,0,0"
+    text = "\n".join(["time,x,y,z,yaw,cmd_x,cmd_y,cmd_z,cmd_yaw", *rows]) + "\n"
+    log = added(page, "far.csv", text.encode())
+
+    assert page.put("/api/card", json={"draft": log, "seen": 0}).status_code == 200
+    told = page.get(f"/api/logs/{log}/flight").json()
+    assert page.get(f"/api/logs/{log}/findings").status_code == 200
+    assert any("1 of 300 rows hold no pose (blank, NaN or beyond 1e+12)" in note for note in told["notes"]), told

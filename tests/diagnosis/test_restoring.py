@@ -97,3 +97,11 @@ def test_the_height_of_a_recorded_flight_is_held_by_a_law_that_is_known_to_four_
     assert law.lag < EARLY
     assert restoring_law(flight, "x") is None
     assert np.ptp(flight.command[:, 2]) > 0
+
+
+def test_a_flight_of_whose_motion_nothing_is_known_has_no_law() -> None:
+    flight = held()
+    motion = motion_from_flight(flight, least=10**6)
+
+    assert motion.time.size == 0
+    assert restoring_law(flight, "x", motion) is None

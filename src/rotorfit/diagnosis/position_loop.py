@@ -65,8 +65,10 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
     if axis not in flight.axes or flight.velocity_only or not np.ptp(flight.command[:, k]) > 0:
         return None
     motion = motion or motion_from_flight(flight)
+    if not motion.time.size:
+        return None
     inside = (flight.command_time + LAGS[0] > motion.time[0]) & (flight.command_time + LAGS[-1] < motion.time[-1])
-    rows = np.flatnonzero(inside) if len(motion.time) else np.zeros(0, np.int64)
+    rows = np.flatnonzero(inside)
     if rows.size < LEAST_COMMANDS:
         return None
     rows = rows[:: max(1, rows.size // THINNED)]

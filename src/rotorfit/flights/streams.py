@@ -41,6 +41,9 @@ from rotorfit.flights.stamps import (
 SLOWEST_COMMANDS = 5.0
 """Median period of the commands [s] beyond which their clock is taken to lack its unit."""
 
+LARGEST = 1e12
+"""Metres, radians or commands beyond which a number is none: squares of such are no numbers any more."""
+
 BRIDGED = 10_000_000
 """Time beyond its hold [ns] for which a command acts on until the next: what else could act so shortly moves nothing
 that is measured, and to split the flight there costs the 0.6 s that a segment needs to start."""
@@ -241,10 +244,10 @@ def keep_samples(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
 
 
 def numbers(stream: Stream, log: Log) -> Stream:
-    """Without samples that hold NaN or have no stamp: they count as absent."""
+    """Without samples that hold no number, or have no stamp: they count as absent."""
     stamped = stream.stamps != MISSING_STAMP
     stream = keep_samples(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
-    finite = np.isfinite(stream.values)
+    finite = np.abs(stream.values) <= LARGEST
     if not np.any(np.all(finite, axis=1)):
         never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
         which = f" ({', '.join(never)} never is)" if never else ""
@@ -255,7 +258,7 @@ def numbers(stream: Stream, log: Log) -> Stream:
     numbers, absent = keep_samples(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
     if not absent:
         return stream
-    text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank or NaN): absent samples"
+    text = f"{absent} of {len(whole)} rows hold no {stream.what} (blank, NaN or beyond {LARGEST:g}): absent samples"
     return replace(numbers, notes=(*stream.notes, Note(f"nan_{stream.what}s", text, absent)))
 
 
