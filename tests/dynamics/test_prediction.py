@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from flights import STILL, flown, steps
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.predictor import free_run, predict
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
@@ -36,6 +37,7 @@ def predicted(
     yaw = pose[:, 3] if pair == (0, 1) else np.zeros(t.size)
     index = np.minimum(first[:, None] + np.arange((last - first).max()), t.size - 1)
     gain, damping = np.array(gamma)[::2][list(pair)], np.array(gamma)[1::2][list(pair)]
+    law = np.array([law_of(FIRST_ORDER_DELAY, *each, delay, {}) for each in zip(gain, damping, strict=True)])
     out, begin, _ = predict(
         flight.command_time,
         np.ascontiguousarray(flight.command[:, list(pair)]),
@@ -43,15 +45,17 @@ def predicted(
         np.ascontiguousarray(pose[:, list(pair)]),
         np.ascontiguousarray(yaw),
         *distinct_steps(t),
-        gain,
-        damping,
-        np.full(2, delay),
-        damping,
+        law,
+        law,
+        np.zeros(2),
         levels[None, None],
         np.full(2, trim_variance),
         first,
         last,
         np.ascontiguousarray(yaw[index]),
+        np.empty((0, 2)),
+        np.ones((t.size, 2), bool),
+        np.zeros(2, bool),
     )
     return out, begin, first, last
 
@@ -160,10 +164,10 @@ def test_the_filter_with_its_trim_gives_the_mean_of_the_dense_gaussian() -> None
 
 def coasted(damping: Array, time: Array, yaw_rate: float = 0.0) -> Array:
     command_time, command = np.array([0.0, 0.5, 1.1]), np.array([[0.2, -0.1], [-0.3, 0.2], [0.1, 0.3]])
+    law = np.array([law_of(FIRST_ORDER_DELAY, 3.0 + k, damping[k], (0.2, 0.05)[k], {}) for k in range(2)])
     out: Array = free_run(
-        command_time, command, np.array([3.0, 4.0]), damping, np.array([0.2, 0.05]),
-        np.array([1.0, -2.0]), np.array([0.3, 0.1]), time, yaw_rate * time,
-    )  # fmt: skip
+        command_time, command, law, np.array([1.0, -2.0]), np.array([0.3, 0.1]), time, yaw_rate * time
+    )
     return out
 
 

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask, world_from_heading
+from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import (
     axis_start,
     predict_covariance,
@@ -50,7 +50,7 @@ MOST = 12
 """Passes that a climb may take."""
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: Array, levels: Array) -> Array:
     """The inverse of `disturbance.whiten_axis`: positions (B, R) whose standardised innovations are these (B, R)."""
     B, R = innovations.shape
@@ -76,7 +76,7 @@ def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: 
     return out
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def colour_plane(
     steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, innovations: Array, levels: Array
 ) -> Array:

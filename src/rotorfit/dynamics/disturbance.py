@@ -12,10 +12,10 @@ information matrix falls into two blocks. The position starts unknown, s and s' 
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
+from rotorfit.dynamics.compiled import inner, kernel
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
 """q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
@@ -40,7 +40,7 @@ _TERMS = 14
 _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 3)])
 
 
-@numba.njit(cache=True)
+@inner()
 def _impulse_response(series: Array, t: float) -> Any:
     """n, s and s' at time t after a unit impulse into s'; `series` holds the derivatives of s' at 0."""
     n = s = d = 0.0
@@ -51,7 +51,7 @@ def _impulse_response(series: Array, t: float) -> Any:
     return n * t * t, s * t, d
 
 
-@numba.njit(cache=True)
+@kernel()
 def discretize(damping: float, stiffness: float, dt: float, F: Array, Q: Array) -> None:
     """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, s') over dt for a unit q.
 
@@ -70,21 +70,33 @@ def discretize(damping: float, stiffness: float, dt: float, F: Array, Q: Array) 
     F[0, 0], F[0, 1], F[0, 2] = 1.0, s + damping * n, n
     F[1, 0], F[1, 1], F[1, 2] = 0.0, d + damping * s, s
     F[2, 0], F[2, 1], F[2, 2] = 0.0, -stiffness * s, d
-    Q[:] = 0.0
+    q00 = q01 = q02 = q11 = q12 = q22 = 0.0
     for i in range(4):
         n, s, d = _impulse_response(series, _NODE[i] * step)
         scale = _NODE_WEIGHT[i] * step
-        Q[0, 0] += scale * n * n
-        Q[0, 1] += scale * n * s
-        Q[0, 2] += scale * n * d
-        Q[1, 1] += scale * s * s
-        Q[1, 2] += scale * s * d
-        Q[2, 2] += scale * d * d
-    Q[1, 0], Q[2, 0], Q[2, 1] = Q[0, 1], Q[0, 2], Q[1, 2]
-    for _ in range(doublings):
-        before = F.copy()
-        Q += before @ Q @ before.T
-        F[:] = before @ before
+        q00 += scale * n * n
+        q01 += scale * n * s
+        q02 += scale * n * d
+        q11 += scale * s * s
+        q12 += scale * s * d
+        q22 += scale * d * d
+    for _ in range(doublings):  # Q <- Q + F Q F^T, then F <- F F
+        f01, f02, f11, f12, f21, f22 = F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 1], F[2, 2]
+        a00, a01, a02 = q00 + f01 * q01 + f02 * q02, q01 + f01 * q11 + f02 * q12, q02 + f01 * q12 + f02 * q22
+        a11, a12 = f11 * q11 + f12 * q12, f11 * q12 + f12 * q22
+        a21, a22 = f21 * q11 + f22 * q12, f21 * q12 + f22 * q22
+        q00 += a00 + a01 * f01 + a02 * f02
+        q01 += a01 * f11 + a02 * f12
+        q02 += a01 * f21 + a02 * f22
+        q11 += a11 * f11 + a12 * f12
+        q12 += a11 * f21 + a12 * f22
+        q22 += a21 * f21 + a22 * f22
+        F[0, 1], F[0, 2] = f01 + f01 * f11 + f02 * f21, f02 + f01 * f12 + f02 * f22
+        F[1, 1], F[1, 2] = f11 * f11 + f12 * f21, f11 * f12 + f12 * f22
+        F[2, 1], F[2, 2] = f21 * f11 + f22 * f21, f21 * f12 + f22 * f22
+    Q[0, 0], Q[0, 1], Q[0, 2] = q00, q01, q02
+    Q[1, 0], Q[1, 1], Q[1, 2] = q01, q11, q12
+    Q[2, 0], Q[2, 1], Q[2, 2] = q02, q12, q22
 
 
 def distinct_steps(time: Array) -> tuple[Array, Indices]:
@@ -101,23 +113,29 @@ def distinct_steps(time: Array) -> tuple[Array, Indices]:
     return values * STEP_GRAIN, index.astype(np.int64)
 
 
-@numba.njit(cache=True)
+@kernel()
 def step_tables(steps: Array, damping: float, overlap: float) -> Any:
     """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3)."""
     F, Q = np.zeros((steps.size, 3, 3)), np.zeros((steps.size, 3, 3))
-    for i in range(steps.size):
-        discretize(damping, 0.25 * overlap * damping * damping, steps[i], F[i], Q[i])
+    fill_step_tables(steps, damping, overlap, F, Q)
     return F, Q
 
 
-@numba.njit(cache=True)
+@inner()
+def fill_step_tables(steps: Array, damping: float, overlap: float, F: Array, Q: Array) -> None:
+    """Fills those tables, (U, 3, 3) each."""
+    for i in range(steps.size):
+        discretize(damping, 0.25 * overlap * damping * damping, steps[i], F[i], Q[i])
+
+
+@kernel()
 def stationary(levels: Array) -> Any:
     """Variances of s, never beyond what flies, and of s', uncorrelated, in the stationary state of levels (4,)."""
     variance = levels[0] / (2 * levels[2])
     return min(variance / (0.25 * levels[3] * levels[2] * levels[2]), LARGEST_SPEED**2), variance
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array) -> Any:
     """Passes columns of one axis through the filter's gains.
 
@@ -181,7 +199,7 @@ def whiten_axis(steps: Array, step: Any, count: Array, fresh: Any, columns: Arra
     return out, variance
 
 
-@numba.njit(cache=True)
+@inner()
 def rotate(vector: Array, c: float, s: float) -> None:
     """Turns the frame of a (6,) state (n, s, s' of x, then of y) by the angle of cosine c and sine s, in place."""
     for k in range(3):
@@ -190,7 +208,7 @@ def rotate(vector: Array, c: float, s: float) -> None:
         vector[3 + k] = c * y - s * x
 
 
-@numba.njit(cache=True)
+@inner()
 def propagate(vector: Array, fx: Array, fy: Array) -> None:
     """Moves a (6,) state one step by the transitions (3, 3) of x and y, in place."""
     for a in range(2):
@@ -201,7 +219,7 @@ def propagate(vector: Array, fx: Array, fy: Array) -> None:
         vector[3 * a + 2] = F[2, 1] * s + F[2, 2] * w
 
 
-@numba.njit(cache=True)
+@inner()
 def _turn_covariance(P: Array, c: float, s: float) -> None:
     """Turns the frame of a covariance held as blocks: P[0] of x, P[1] of y, P[2] of x with y, each (3, 3), in place."""
     cc, ss, cs = c * c, s * s, c * s
@@ -214,7 +232,7 @@ def _turn_covariance(P: Array, c: float, s: float) -> None:
             P[2, j, i] = cc * n - ss * m + cs * (b - a)
 
 
-@numba.njit(cache=True)
+@inner()
 def _step_block(P: Array, F: Array, G: Array) -> None:
     """P <- F P G^T for the transitions F and G of (n, s, s'), in place."""
     for j in range(3):
@@ -229,7 +247,7 @@ def _step_block(P: Array, F: Array, G: Array) -> None:
         P[i, 2] = G[2, 1] * s + G[2, 2] * d
 
 
-@numba.njit(cache=True)
+@kernel()
 def axis_start(P: Array, levels: Array) -> None:
     """Fills the covariance P (3, 3) of one axis with what is known before the first pose; levels have shape (4,)."""
     P[:] = 0.0
@@ -237,7 +255,7 @@ def axis_start(P: Array, levels: Array) -> None:
     P[1, 1], P[2, 2] = stationary(levels)
 
 
-@numba.njit(cache=True)
+@inner()
 def start_covariance(P: Array, levels: Array) -> None:
     """Fills the blocks P (3, 3, 3) with what is known before the first pose."""
     P[:] = 0.0
@@ -245,7 +263,7 @@ def start_covariance(P: Array, levels: Array) -> None:
         axis_start(P[a], levels[a])
 
 
-@numba.njit(cache=True)
+@inner()
 def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float) -> None:
     """Moves the blocks P (3, 3, 3) one step: half the turn, the step with its driving noise, the other half; in place.
 
@@ -265,7 +283,7 @@ def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, lev
         _turn_covariance(P, c, s)
 
 
-@numba.njit(cache=True)
+@inner()
 def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
     """Takes a measured position of one axis into the blocks P (3, 3, 3); fills the gain (6,), returns the variance."""
     own, other = P[axis], P[1 - axis]
@@ -281,7 +299,7 @@ def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
     return S
 
 
-@numba.njit(cache=True)
+@inner()
 def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
     """The same of a measured velocity s of one axis."""
     own = P[axis]
@@ -297,7 +315,7 @@ def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
     return S
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def whiten_plane(steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array) -> Any:
     """Passes horizontal columns through one six-state filter that turns with the heading.
 

@@ -24,17 +24,17 @@ Dynamic Models (1997), ch. 10.8, for the scale.
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array, Mask
+from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import (
     discretize,
+    fill_step_tables,
     predict_covariance,
     propagate,
     rotate,
     start_covariance,
-    step_tables,
     update_covariance,
     update_rate,
 )
@@ -124,7 +124,7 @@ def bank_levels(levels: Array, adapt: bool) -> Array:
     return out
 
 
-@numba.njit(cache=True)
+@kernel()
 def start_bank(levels: Array, prior: Array) -> Any:
     """A bank before the first stamp.
 
@@ -135,30 +135,34 @@ def start_bank(levels: Array, prior: Array) -> Any:
     G = levels.shape[1]
     M = levels.shape[0] * G
     covariance, spread = np.zeros((M, 3, 3, 3)), np.zeros((M, 4, 4))
+    squares, freedom, judged, probed = np.empty((M, 2)), np.empty((M, 2)), np.empty((PENDING, 2), np.bool_), np.empty(1)
     for m in range(M):
         start_covariance(covariance[m], levels[m // G, m % G])
         for j in range(4):
             spread[m, j, j] = prior[j]
+        for a in range(2):
+            squares[m, a] = freedom[m, a] = SCALE_FREEDOM
+    for i in range(PENDING):
+        judged[i, 0] = judged[i, 1] = True
+    probed[0] = -np.inf
     return Bank(
-        covariance, np.zeros((M, 5, 6)), np.zeros((M, 4)), spread,
-        np.full((M, 2), SCALE_FREEDOM), np.full((M, 2), SCALE_FREEDOM), np.zeros((M, 2)), np.zeros((M, 2)), np.zeros(2),
-        np.zeros((PENDING, M, 6)), np.zeros((PENDING, M, 4)), np.zeros(PENDING), np.ones((PENDING, 2), np.bool_),
-        np.full(1, -np.inf),
+        covariance, np.zeros((M, 5, 6)), np.zeros((M, 4)), spread, squares, freedom, np.zeros((M, 2)), np.zeros((M, 2)),
+        np.zeros(2), np.zeros((PENDING, M, 6)), np.zeros((PENDING, M, 4)), np.zeros(PENDING), judged, probed,
     )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@inner()
 def bank_tables(steps: Array, levels: Array) -> Any:
     """Transitions and unit covariances of every class, axis and distinct step: twice (A, 2, U, 3, 3)."""
     A = levels.shape[0]
     F, Q = np.zeros((A, 2, steps.size, 3, 3)), np.zeros((A, 2, steps.size, 3, 3))
     for g in range(A):
         for a in range(2):
-            F[g, a], Q[g, a] = step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3])
+            fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F[g, a], Q[g, a])
     return F, Q
 
 
-@numba.njit(cache=True)
+@inner()
 def _fade(z: Array, F: Array, k: int, c: float, s: float) -> None:
     """Moves the disturbance z (6,) of one class F (2, U, 3, 3) by step k; c and s belong to half the turn."""
     if s == 0.0:
@@ -169,7 +173,7 @@ def _fade(z: Array, F: Array, k: int, c: float, s: float) -> None:
         rotate(z, c, s)
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: float) -> None:
     """Moves a bank by one step, number k of the tables, of dt [s] while the heading turns by `turn` [rad]."""
     G = levels.shape[1]
@@ -182,17 +186,18 @@ def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: 
         for j in range(5):
             _fade(bank.state[m, j], F[g], k, c, s)
         for i in range(PENDING):
-            if not bank.judged[i].all():
+            if not (bank.judged[i, 0] and bank.judged[i, 1]):
                 _fade(bank.waiting[i, m], F[g], k, c, s)
         for a in range(2):
             bank.squares[m, a] = SCALE_FREEDOM + kept * (bank.squares[m, a] - SCALE_FREEDOM)
             bank.freedom[m, a] = SCALE_FREEDOM + kept * (bank.freedom[m, a] - SCALE_FREEDOM)
             bank.likelihood[m, a] *= kept
             bank.error[m, a] *= kept
-    bank.errors[:] *= kept
+    for a in range(2):
+        bank.errors[a] *= kept
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
     """Compares what was predicted for now, t [s], with what `take` will take; see there."""
     at = 3 * axis + (1 if rate else 0)
@@ -208,7 +213,7 @@ def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
             bank.error[m, axis] += e * e
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> None:
     """Takes a measurement of one axis into all members.
 
@@ -249,48 +254,61 @@ def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> Non
         bank.freedom[m, axis] += 1.0
 
 
-@numba.njit(cache=True)
+@inner()
 def probe(bank: Any, t: float) -> None:
     """Sets down what every member predicts, so that it is judged `AHEAD`; not where there is only one."""
     if bank.known.shape[0] == 1 or t < bank.probed[0] + EVERY:
         return
     oldest = 0
     for i in range(PENDING):
-        if bank.judged[i].all():
+        if bank.judged[i, 0] and bank.judged[i, 1]:
             oldest = i
             break
         if bank.due[i] < bank.due[oldest]:
             oldest = i
     bank.probed[0] = t
     bank.due[oldest] = t + AHEAD
-    bank.judged[oldest] = False
+    bank.judged[oldest, 0] = bank.judged[oldest, 1] = False
     for m in range(bank.known.shape[0]):
-        bank.believed[oldest, m] = bank.known[m]
-        bank.waiting[oldest, m] = disturbance(bank, m)
+        for j in range(4):
+            bank.believed[oldest, m, j] = bank.known[m, j]
+        for i in range(6):
+            bank.waiting[oldest, m, i] = disturbance(bank, m, i)
 
 
-@numba.njit(cache=True)
-def disturbance(bank: Any, m: int) -> Any:
-    """Of one member, less what it takes for trims and start velocities, shape (6,)."""
-    z = bank.state[m, 0].copy()
+@inner()
+def disturbance(bank: Any, m: int, i: int) -> float:
+    """Number i of the disturbance of one member, less what it takes for trims and start velocities."""
+    z = bank.state[m, 0, i]
     for j in range(4):
-        z -= bank.known[m, j] * bank.state[m, 1 + j]
-    return z
+        z -= bank.known[m, j] * bank.state[m, 1 + j, i]
+    return z  # type: ignore[no-any-return]
 
 
-@numba.njit(cache=True)
+@kernel()
 def weights(bank: Any) -> Array:
     """Weights of the members, of each axis, shape (M, 2)."""
     M = bank.known.shape[0]
-    out = np.zeros((M, 2))
+    out = np.empty((M, 2))
     for a in range(2):
-        out[:, a] = TEMPER * bank.likelihood[:, a]
-        if bank.errors[a] > 0 and bank.error[:, a].min() > 0:
-            out[:, a] -= 0.5 * SHARPNESS * bank.errors[a] * (EVERY / AHEAD) * np.log(bank.error[:, a])
+        least = bank.error[0, a]
+        for m in range(M):
+            least = min(least, bank.error[m, a])
+        counted = bank.errors[a] if least > 0 else 0.0
+        for m in range(M):
+            out[m, a] = TEMPER * bank.likelihood[m, a]
+            if counted > 0:
+                out[m, a] -= 0.5 * SHARPNESS * counted * (EVERY / AHEAD) * np.log(bank.error[m, a])
         if M > 1:
             out[0, a] += np.log((M - 1) * OWN_SHARE / (1 - OWN_SHARE))
-        out[:, a] = np.exp(out[:, a] - out[:, a].max())
-        out[:, a] /= out[:, a].sum()
+        top, total = out[0, a], 0.0
+        for m in range(M):
+            top = max(top, out[m, a])
+        for m in range(M):
+            out[m, a] = np.exp(out[m, a] - top)
+            total += out[m, a]
+        for m in range(M):
+            out[m, a] /= total
     return out
 
 
@@ -365,64 +383,88 @@ def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartSt
     return StartState(share, mean, covariance, power, noise, levels[:, 0, :, 2:], damping)
 
 
-@numba.njit(cache=True)
+@kernel()
 def row_size(A: int) -> int:
     """Numbers of a row: share, mean, covariance and power of A classes, and the noise."""
     return 2 * A * (1 + 6 + 36 + 1) + 2
 
 
-@numba.njit(cache=True)
-def state_of_bank(bank: Any, levels: Array, p: Array, v: Array, c: float, s: float) -> Any:
+@inner()
+def state_of_bank(bank: Any, levels: Array, p: Array, v: Array, c: float, s: float, row: Array) -> Any:
     """What the members of a bank know together, each axis of the heading frame by its own weights.
 
     Args:
         bank: The bank.
         levels: Of its members, shape (A, G, 2, 4).
-        p: Driven world position, and those of two unit trims and two unit start velocities, shape (5, 2).
+        p: Driven world position, and those of two unit trims and two unit start velocities, shape (2, 5).
         v: Their velocities.
         c: Cosine of the heading.
         s: Its sine.
+        row: Filled for `start_state_from_rows`, shape (`row_size(A)`,).
 
     Returns:
         Trims and start velocities as each axis has them (2, 4); what they add to the world position and velocity (4,);
-        the disturbance, in shares of the classes that add up (A, 6); and a row for `start_state_from_rows`.
+        and the disturbance, in shares of the classes that add up (A, 6).
     """
-    A, G = levels.shape[:2]
+    A, G = levels.shape[0], levels.shape[1]
+    M = A * G
     weight = weights(bank)
     known, add, z = np.zeros((2, 4)), np.zeros(4), np.zeros((A, 6))
-    share, power, noise = np.zeros((A, 2)), np.zeros((A, 2)), np.zeros(2)
-    mean, covariance = np.zeros((A, 2, 6)), np.zeros((A, 2, 6, 6))
+    effect, half, means, off = np.zeros((4, 6)), np.empty((4, 6)), np.zeros((M, 6)), np.empty(6)
+    first = (0, 2 * A, 14 * A, 86 * A, 88 * A)  # of share, mean, covariance, power and noise in the row
+    for i in range(row.size):
+        row[i] = 0.0
     for a in range(2):
-        low, high = 3 * a, 3 * a + 3
-        effect = np.zeros((4, 6))  # of a unit trim or start velocity on the six numbers
-        effect[a, 2] = 1.0
-        for j in range(4):
-            for i, moved in enumerate((p[1 + j], v[1 + j])):
-                effect[j, i] = c * moved[0] + s * moved[1] if a == 0 else c * moved[1] - s * moved[0]
-        for m in range(A * G):
+        for j in range(4):  # of a unit trim or start velocity on position, velocity and trim
+            effect[j, 0] = c * p[0, 1 + j] + s * p[1, 1 + j] if a == 0 else c * p[1, 1 + j] - s * p[0, 1 + j]
+            effect[j, 1] = c * v[0, 1 + j] + s * v[1, 1 + j] if a == 0 else c * v[1, 1 + j] - s * v[0, 1 + j]
+            effect[j, 2] = 1.0 if j == a else 0.0
+        for m in range(M):
             w, g = weight[m, a], m // G
-            share[g, a] += w
-            known[a] += w * bank.known[m]
-            for i in range(3):
-                mean[g, a, i] += w * np.sum(bank.known[m] * effect[:, i])
-            mean[g, a, 3:] += w * disturbance(bank, m)[low:high]
-        z[:, low:high] = mean[:, a, 3:]
+            row[first[0] + 2 * g + a] += w
+            for j in range(4):
+                known[a, j] += w * bank.known[m, j]
+            for i in range(6):
+                if i < 3:
+                    means[m, i] = 0.0
+                    for j in range(4):
+                        means[m, i] += bank.known[m, j] * effect[j, i]
+                else:
+                    means[m, i] = disturbance(bank, m, 3 * a + i - 3)
+                row[first[1] + 12 * g + 6 * a + i] += w * means[m, i]
         for i in range(2):
-            along = mean[:, a, i].sum()
+            along = 0.0
+            for g in range(A):
+                along += row[first[1] + 12 * g + 6 * a + i]
             add[2 * i] += along * (c if a == 0 else -s)
             add[2 * i + 1] += along * (s if a == 0 else c)
         for g in range(A):
-            mean[g, a] /= max(share[g, a], 1e-300)
-        for m in range(A * G):
+            share = max(row[first[0] + 2 * g + a], 1e-300)
+            for i in range(6):
+                if i >= 3:
+                    z[g, 3 * a + i - 3] = row[first[1] + 12 * g + 6 * a + i]
+                row[first[1] + 12 * g + 6 * a + i] /= share
+        for m in range(M):
             w, g, scale = weight[m, a], m // G, bank.squares[m, a] / bank.freedom[m, a]
-            part, off = w / max(share[g, a], 1e-300), -mean[g, a]
-            effect[:, 3:] = -bank.state[m, 1:, low:high]
-            for i in range(3):
-                off[i] += np.sum(bank.known[m] * effect[:, i])
-            off[3:] += disturbance(bank, m)[low:high]
-            covariance[g, a] += part * (scale * (effect.T @ (bank.spread[m] @ effect)) + np.outer(off, off))
-            covariance[g, a, 3:, 3:] += part * scale * bank.covariance[m, a]
-            power[g, a] += part * scale * levels[g, m % G, a, 0]
-            noise[a] += w * scale * levels[g, m % G, a, 1]
-    told = (share.ravel(), mean.ravel(), covariance.ravel(), power.ravel(), noise)
-    return known, add, z, np.concatenate(told)
+            part = w / max(row[first[0] + 2 * g + a], 1e-300)
+            for j in range(4):
+                for i in range(3):  # ... and on the disturbance
+                    effect[j, 3 + i] = -bank.state[m, 1 + j, 3 * a + i]
+            for i in range(6):
+                off[i] = means[m, i] - row[first[1] + 12 * g + 6 * a + i]
+                for j in range(4):
+                    half[j, i] = 0.0
+                    for n in range(4):
+                        half[j, i] += bank.spread[m, j, n] * effect[n, i]
+            at = first[2] + 72 * g + 36 * a
+            for i in range(6):
+                for j in range(6):
+                    spread = 0.0
+                    for n in range(4):
+                        spread += effect[n, i] * half[n, j]
+                    if i >= 3 and j >= 3:
+                        spread += bank.covariance[m, a, i - 3, j - 3]
+                    row[at + 6 * i + j] += part * (scale * spread + off[i] * off[j])
+            row[first[3] + 2 * g + a] += part * scale * levels[g, m % G, a, 0]
+            row[first[4] + a] += w * scale * levels[g, m % G, a, 1]
+    return known, add, z

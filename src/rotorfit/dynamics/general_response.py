@@ -7,11 +7,11 @@ into the lagged input where there is a lag. A zero makes every switch an impulse
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
+from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_step import MEAN, START, demand, demand_slope, lag_series, linear_step, move
 
 WARM_UP = 0.6
@@ -24,7 +24,7 @@ _CROSS_STEP = 0.01
 _SERIES_REACH = 0.5
 
 
-@numba.njit(cache=True)
+@inner()
 def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
     """Fills what the commands u (K,) demand of every column, shape (K, C)."""
     K, C = drive.shape
@@ -39,7 +39,7 @@ def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
                 drive[a, j] = 0.0
 
 
-@numba.njit(cache=True)
+@inner()
 def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
     """Adds Z / T of the demand to the acceleration of a second order: before a switch taken off, after it put on."""
     K, C = drive.shape
@@ -50,7 +50,7 @@ def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
                 q[a, j] += lead * drive[a, j]
 
 
-@numba.njit(cache=True)
+@inner()
 def _switch(
     law: Array, what: Any, whose: Any, v: Array, q: Array, drive: Array, u: Array, at: int, new: float, psi: float
 ) -> None:
@@ -84,7 +84,7 @@ def _switch(
                 v[1, j] += np.cos(psi) * impulse
 
 
-@numba.njit(cache=True)
+@inner()
 def longest_step(law: Array) -> float:
     """Length of the steps into which a longer stretch is cut [s]."""
     longest = np.inf
@@ -99,7 +99,7 @@ def longest_step(law: Array) -> float:
     return longest
 
 
-@numba.njit(cache=True)
+@inner()
 def advance(
     t: float, t_end: float, yaw: float, yaw_end: float, k: Any, last: int, command_time: Array, command: Array,
     law: Array, series: Array, longest: float, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array,
@@ -135,7 +135,7 @@ def advance(
     begin, span = t, max(t_end - t, 1e-12)
     kicked = law[0, KICKS] + law[K - 1, KICKS] > 0
     while t < t_end:
-        t_next, switch = t_end, -1
+        t_next, switch = t_end, np.int64(-1)  # not a literal, for which all behind it would be compiled twice
         for j in range(K):
             if k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t_next:
                 t_next, switch = command_time[k[j] + 1] + law[j, DELAY], j
@@ -155,7 +155,7 @@ def advance(
             k[switch] += 1
 
 
-@numba.njit(cache=True)
+@inner()
 def command_in_force(
     t: float, first: int, last: int, command_time: Array, command: Array, law: Array, k: Any, u: Array
 ) -> None:
@@ -167,7 +167,7 @@ def command_in_force(
         u[j] = command[k[j], j]
 
 
-@numba.njit(cache=True)
+@kernel()
 def motion_response(
     starts: Array,
     pose_range: Any,
@@ -244,7 +244,7 @@ def motion_response(
     return out
 
 
-@numba.njit(cache=True)
+@kernel()
 def _begin(law: Array, what: Any, whose: Any, v: Array, q: Array, trim: Array, velocity: Array, yaw: float) -> None:
     """Sets the trims, and the world velocity of a start in the place of that of the warm-up.
 

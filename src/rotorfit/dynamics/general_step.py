@@ -10,7 +10,6 @@ Source: G. Strang, SIAM J. Numer. Anal. 5 (1968), pp. 506-517, for the splitting
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
@@ -28,6 +27,7 @@ from rotorfit.core.laws import (
     SHARE,
     SPEED,
 )
+from rotorfit.dynamics.compiled import inner
 from rotorfit.dynamics.response import transition
 
 MEAN, START, NOTHING = -1, -2, -3
@@ -39,7 +39,7 @@ _TERMS = 12
 _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=float))) for n in range(_TERMS + 4)])
 
 
-@numba.njit(cache=True)
+@inner()
 def demand(law: Array, a: int, u: float, other: float) -> float:
     """The acceleration w that a command of axis a and one of the other axis demand."""
     size = min(max(abs(u) - law[a, DEAD], 0.0), law[a, LEVEL])
@@ -47,7 +47,7 @@ def demand(law: Array, a: int, u: float, other: float) -> float:
     return law[a, GAIN] * (signed + law[a, ASYMMETRY] * size) + law[a, CROSS_INPUT] * other  # type: ignore[no-any-return]
 
 
-@numba.njit(cache=True)
+@inner()
 def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> float:
     """Derivative of the demand by a place of the law."""
     over = abs(u) - law[a, DEAD]
@@ -64,7 +64,7 @@ def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> floa
     return other if place == CROSS_INPUT else 0.0
 
 
-@numba.njit(cache=True)
+@inner()
 def lag_series(law: Array) -> Array:
     """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
 
@@ -88,14 +88,14 @@ def lag_series(law: Array) -> Array:
     return out
 
 
-@numba.njit(cache=True)
+@inner()
 def _lag_rates(law: Array, a: int) -> Any:
     """A and B of v'' = -A v' - B v, the free motion of an axis with a lag."""
     rate, slow = 1.0 / law[a, LAG], law[a, DAMPING]
     return (rate + slow if law[a, ORDER] == 1 else rate), rate * slow
 
 
-@numba.njit(cache=True)
+@inner()
 def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> float:
     value = 0.0
     for i in range(terms - 1, -1, -1):
@@ -103,7 +103,7 @@ def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> floa
     return value
 
 
-@numba.njit(cache=True)
+@inner()
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
@@ -154,7 +154,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
         S[a, d, 3], S[a, d, 7], S[a, d, 11] = S[a, d, 2], S[a, d, 6], S[a, d, 10]
 
 
-@numba.njit(cache=True)
+@inner()
 def _kick(law: Array, what: Any, whose: Any, v: Array, dt: float) -> None:
     """Quadratic drag and the damping across act for dt on the velocities (K, C) in the heading frame."""
     K, C = v.shape
@@ -185,7 +185,7 @@ def _kick(law: Array, what: Any, whose: Any, v: Array, dt: float) -> None:
                 v[1, j] += dt * (0.5 * first * y - x)
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@inner(fastmath={"contract"})
 def move(
     law: Array, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array, trim: Array, S: Array, step: Array,
     c: float, s: float, dt: float, kicked: bool,

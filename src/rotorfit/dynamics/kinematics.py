@@ -8,12 +8,12 @@ What was measured in a segment, on one clock, and the velocity of reference: wha
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from rotorfit.core.flight_data import LONGEST_GAP, Flight
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
 from rotorfit.core.results import Motion
+from rotorfit.dynamics.compiled import kernel
 
 NANOSECOND = 1e-9
 """Grace at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not decide
@@ -90,7 +90,10 @@ def local_polynomial(
     # Copies, so that read-only or strided input does not make numba compile the kernels once more.
     time, at = np.array(time, dtype=np.float64), np.array(at, dtype=np.float64)
     start, stop = _runs(time, max_gap)
-    first, last, width, centred = _windows(time, at, half_width, least, start, stop)
+    before = np.searchsorted(time, at + NANOSECOND, side="right") - 1
+    reach = [at - half_width - NANOSECOND, at + half_width + NANOSECOND]
+    low, high = np.searchsorted(time, reach[0]), np.searchsorted(time, reach[1], side="right")
+    first, last, width, centred = _windows(time, at, half_width, least, start, stop, before, low, high)
     columns = np.array(value.T, dtype=np.float64, order="C")
     result = _project(time, columns, at, first, last, width, degree)
     return Derivatives(result[0], result[1], result[2], half_width=width, count=last - first, centred=centred)
@@ -104,25 +107,35 @@ def _runs(time: Array, max_gap: float) -> tuple[Indices, Indices]:
     return np.repeat(edges[:-1], length), np.repeat(edges[1:], length)
 
 
-@numba.njit(cache=True)
+@kernel()
 def _windows(
-    time: Array, at: Array, half_width: float, least: int, start: Indices, stop: Indices
+    time: Array,
+    at: Array,
+    half_width: float,
+    least: int,
+    start: Indices,
+    stop: Indices,
+    before: Indices,
+    low: Indices,
+    high: Indices,
 ) -> tuple[Indices, Indices, Array, Mask]:
-    """First sample, one past the last, half-width used, and `centred` of each window, each of shape (M,)."""
+    """First sample, one past the last, half-width used, and `centred` of each window, each of shape (M,).
+
+    `before` is the last sample up to each stamp, `low` the first and `high` one past the last within the half-width.
+    """
     m = at.size
     first, last = np.zeros(m, np.int64), np.zeros(m, np.int64)
-    width, centred = np.full(m, np.nan), np.zeros(m, np.bool_)
+    width, centred = np.empty(m), np.zeros(m, np.bool_)
     for i in range(m):
         t = at[i]
-        before = np.searchsorted(time, t + NANOSECOND, side="right") - 1
-        if before < 0:
+        width[i] = np.nan
+        if before[i] < 0:
             continue
-        lower, upper = start[before], stop[before]
+        lower, upper = start[before[i]], stop[before[i]]
         if upper - lower < least or t > time[upper - 1] + NANOSECOND:
             continue
         w = half_width
-        lo = max(lower, np.searchsorted(time, t - w - NANOSECOND))
-        hi = min(upper, np.searchsorted(time, t + w + NANOSECOND, side="right"))
+        lo, hi = max(lower, low[i]), min(upper, high[i])
         while hi - lo < least:
             to_left = t - time[lo - 1] if lo > lower else np.inf
             to_right = time[hi] - t if hi < upper else np.inf
@@ -136,32 +149,38 @@ def _windows(
     return first, last, width, centred
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
+@kernel(fastmath={"reassoc", "contract", "nsz"})
 def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indices, width: Array, degree: int) -> Array:
     """Value and two derivatives at each stamp by projection on orthogonal polynomials, shape (3, M, K).
 
     The recurrence p[k+1] = (s - a) p[k] - b p[k-1] runs on the samples and, with its derivatives, at the stamp (s = 0).
     """
     m, k_columns = at.size, columns.shape[0]
-    result = np.full((3, m, k_columns), np.nan)
-    longest = max(1, np.max(last - first)) if m else 1
+    result, longest = np.empty((3, m, k_columns)), 1
+    for i in range(m):
+        longest = max(longest, last[i] - first[i])
     s, p, p_old = np.empty(longest), np.empty(longest), np.empty(longest)
+    at_zero, at_zero_old = np.empty(3), np.empty(3)
     for i in range(m):
         lo, n = first[i], last[i] - first[i]
         if n == 0:
+            for k_column in range(k_columns):
+                for d in range(3):
+                    result[d, i, k_column] = np.nan
             continue
         scale = 1.0 / width[i]
         for j in range(n):
             s[j] = (time[lo + j] - at[i]) * scale
             p[j] = 1.0
             p_old[j] = 0.0
-        at_zero, at_zero_old = np.array([1.0, 0.0, 0.0]), np.zeros(3)
+        for d in range(3):
+            at_zero[d], at_zero_old[d] = (1.0 if d == 0 else 0.0), 0.0
         norm_old = 1.0
         # Taking one sample off keeps a flight far from the origin as accurate as one at it.
-        origin = columns[:, lo + n // 2]
+        middle = lo + n // 2
         for k_column in range(k_columns):
-            result[0, i, k_column] = origin[k_column]
-            result[1:, i, k_column] = 0.0
+            result[0, i, k_column] = columns[k_column, middle]
+            result[1, i, k_column] = result[2, i, k_column] = 0.0
         for k in range(degree + 1):
             norm, moment = 0.0, 0.0
             for j in range(n):
@@ -169,9 +188,9 @@ def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indic
                 norm += square
                 moment += s[j] * square
             for k_column in range(k_columns):
-                y, y0, total = columns[k_column, lo : lo + n], origin[k_column], 0.0
+                y0, total = columns[k_column, middle], 0.0
                 for j in range(n):
-                    total += p[j] * (y[j] - y0)
+                    total += p[j] * (columns[k_column, lo + j] - y0)
                 for d in range(3):
                     result[d, i, k_column] += total / norm * at_zero[d]
             a, b = moment / norm, norm / norm_old if k else 0.0
@@ -179,10 +198,10 @@ def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indic
                 p_next = (s[j] - a) * p[j] - b * p_old[j]
                 p_old[j] = p[j]
                 p[j] = p_next
-            at_zero_next = -a * at_zero - b * at_zero_old
-            at_zero_next[1] += at_zero[0]
-            at_zero_next[2] += 2.0 * at_zero[1]
-            at_zero_old, at_zero, norm_old = at_zero, at_zero_next, norm
+            for d in range(2, -1, -1):
+                following = -a * at_zero[d] - b * at_zero_old[d] + (d * at_zero[d - 1] if d else 0.0)
+                at_zero_old[d], at_zero[d] = at_zero[d], following
+            norm_old = norm
         for k_column in range(k_columns):
             result[1, i, k_column] *= scale
             result[2, i, k_column] *= scale * scale
@@ -274,10 +293,10 @@ class MeasuredSegment:
     tracked: Mask | None = None
     rounding: Array = field(default_factory=lambda: np.zeros(len(AXES)))
 
-    def velocity_of(self, pair: Sequence[int]) -> tuple[Array | None, Mask | None, Mask | None]:
-        """What `predict` needs of two axes; None where both have poses at every stamp."""
+    def velocity_of(self, pair: Sequence[int]) -> tuple[Array, Mask, Mask]:
+        """What `predict` needs of two axes: velocities, what was measured when, and which has velocities only."""
         if self.velocity is None or self.tracked is None:
-            return None, None, None
+            return np.empty((0, 2)), np.ones((self.time.size, 2), bool), np.zeros(2, bool)
         alone = np.array([AXES[i] in self.alone for i in pair])
         values = np.nan_to_num(self.velocity[:, pair])  # what is not tracked is not looked at, but 0 times NaN is NaN
         return np.ascontiguousarray(values), np.ascontiguousarray(self.tracked[:, pair]), alone

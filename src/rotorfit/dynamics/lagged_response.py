@@ -7,17 +7,17 @@ axis under a linear law is the sum of what input, trim and start velocity do, so
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, ORDER, TRIM, ZERO
+from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
 from rotorfit.dynamics.general_step import lag_series
 from rotorfit.dynamics.response import transition
 
 
-@numba.njit(cache=True)
+@kernel()
 def lagged_axis_response(
     starts: Array,
     pose_range: Any,
@@ -173,7 +173,7 @@ def lagged_axis_response(
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@inner(inline="always")
 def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float) -> Any:
     """The answer G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
 

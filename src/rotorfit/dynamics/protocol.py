@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.core.flight_data import LONGEST_GAP, Flight, Segment
 from rotorfit.core.frames import AXES, Array, Indices, Mask, heading_from_world
-from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, law_of
+from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, Structure, law_of
 from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
@@ -163,21 +163,24 @@ def _predict_segment(
             return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan), None
         levels = np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0]
         members = bank_levels(levels, adapt)
-        out, begin, rows = predict(  # type: ignore[call-arg]
+        law = np.array([axis.law for axis in chosen])
+        filter_law = law.copy()
+        filter_law[:, DAMPING] = np.maximum(law[:, DAMPING], LEAST_FILTER_DAMPING)
+        out, begin, rows = predict(
             flight.command_time[used],
             np.ascontiguousarray(flight.command[used][:, pair]),
             t,
             np.ascontiguousarray(pose[:, pair]),
             yaw,
             *distinct_steps(t),
-            *(np.array([getattr(axis, name) for axis in chosen]) for name in ("input", "damping", "delay")),
-            np.array([max(axis.damping, LEAST_FILTER_DAMPING) for axis in chosen]),
+            law,
+            filter_law,
+            _origin(chosen, t, pose[:, pair]),
             members,
             np.array([axis.trim_variance for axis in chosen]),
             first,
             last,
             future,
-            *_general_law(chosen, t, pose[:, pair]),
             *seen.velocity_of(pair),
         )
         return out, begin, start_state_from_rows(rows, members, np.array([axis.damping for axis in chosen]))
@@ -204,15 +207,12 @@ def _predict_segment(
     )
 
 
-def _general_law(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> tuple[Array | None, Array | None]:
-    """Law of two axes and the velocity at the start about which they are linear; None where both are of the default."""
-    if all(axis.structure == FIRST_ORDER_DELAY for axis in axes):
-        return None, None
-    origin = np.zeros(2)
-    if any(axis.structure.kicks % 2 for axis in axes):
-        i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
-        origin = (pose[i] - pose[0]) / max(t[i] - t[0], EDGE)
-    return np.array([axis.law for axis in axes]), origin
+def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
+    """The velocity at the start about which the laws of two axes are linear, shape (2,): that of the first poses."""
+    if not any(axis.structure.kicks % 2 for axis in axes):
+        return np.zeros(2)
+    i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
+    return np.asarray((pose[i] - pose[0]) / max(t[i] - t[0], EDGE))
 
 
 def hold_velocity(part: Predictions) -> Array:
@@ -233,7 +233,7 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
         damping: b of the four axes, shape (4,) [1/s].
     """
     out = np.full_like(part.predicted, np.nan)
-    none = np.zeros(2)
+    law = np.array([law_of(FIRST_ORDER_DELAY, *pair, 0.0, {}) for pair in zip(input_, damping, strict=True)])
     for s, (first, last) in enumerate(zip(part.first, part.last, strict=True)):
         t = part.time[first - 1 : last]
         heading = np.concatenate([part.pose[first - 1 : first, 3], part.heading[s, : last - first]])
@@ -241,9 +241,7 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
             motion = free_run(
                 flight.command_time,
                 np.ascontiguousarray(flight.command[:, pair]),
-                input_[pair],
-                damping[pair],
-                none,
+                law[pair],
                 part.begin[s, 0, pair],
                 part.begin[s, 1, pair],
                 t,

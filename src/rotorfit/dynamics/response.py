@@ -12,13 +12,13 @@ the position belongs to the disturbance filter, which leaves it free.
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
+from rotorfit.dynamics.compiled import kernel
 
 
-@numba.njit(cache=True, inline="always")
+@kernel(inline="always")
 def transition(b: float, dt: float) -> Any:
     """Transition over dt at damping b and its derivative with respect to b: f, k, h, df, dk, dh."""
     x = b * dt
@@ -46,7 +46,7 @@ def transition(b: float, dt: float) -> Any:
     return f, k, h, df, dk, dh
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def axis_response(
     starts: Array,
     pose_range: Any,
@@ -124,7 +124,7 @@ def axis_response(
     return out
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def plane_response(
     starts: Array,
     pose_range: Any,

@@ -8,7 +8,7 @@ from rotorfit.core.display import short_repr
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of, structure_named
-from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
+from rotorfit.core.model import Model, Predictor, predictor_of
 
 
 @dataclass(frozen=True)
@@ -116,10 +116,7 @@ def simulate(
     command_time = np.append(command_time[:1] - 1.0, command_time)  # the stamp itself plays no role
     command = np.vstack([np.zeros(4) if before is None else before, command])
     points = [model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0) for axis in AXES]
-    gain, damping, delay = (np.array([getattr(p, name) for p in points]) for name in COEFFICIENTS)
-
     structures = [structure_named(model.axes[axis].structure) for axis in AXES]
-    general = any(s != FIRST_ORDER_DELAY and model.axes[a].predictor for s, a in zip(structures, AXES, strict=True))
     laws = np.array([
         law_of(s if model.axes[a].predictor else FIRST_ORDER_DELAY, p.input, p.damping, p.delay, p.extra)
         for s, p, a in zip(structures, points, AXES, strict=True)
@@ -127,9 +124,8 @@ def simulate(
 
     def run(pair: list[int], heading: Array) -> Array:
         return free_run(
-            command_time, np.ascontiguousarray(command[:, pair]), gain[pair], damping[pair], delay[pair],
-            pose[pair], velocity[pair], time, heading, laws[pair] if general else None,
-        )  # fmt: skip
+            command_time, np.ascontiguousarray(command[:, pair]), laws[pair], pose[pair], velocity[pair], time, heading
+        )
 
     side = run([2, 3], np.zeros(time.size))
     plane = run([0, 1], np.ascontiguousarray(side[:, 1]))

@@ -11,17 +11,17 @@ measured it is one with the trim, and it is left out.
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from rotorfit.core.frames import Array
+from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, stationary, step_tables
 
 BIAS_VARIANCE = 0.1
 """Variance of the bias of a velocity before anything is known of it [m^2/s^2 or rad^2/s^2]."""
 
 
-@numba.njit(cache=True)
+@inner()
 def _turn(vector: Array, K: int, c: float, s: float) -> None:
     """Turns the frame of a state (4 K,) by the angle of cosine c and sine s, in place.
 
@@ -34,7 +34,7 @@ def _turn(vector: Array, K: int, c: float, s: float) -> None:
             vector[3 + i] = c * y - s * x
 
 
-@numba.njit(cache=True)
+@inner()
 def _advance(vector: Array, F: Array) -> None:
     """Moves a state (4 K,) one step by the transitions F (K, 3, 3), in place."""
     for a in range(F.shape[0]):
@@ -44,7 +44,7 @@ def _advance(vector: Array, F: Array) -> None:
         vector[3 * a + 2] = F[a, 2, 1] * s + F[a, 2, 2] * w
 
 
-@numba.njit(cache=True)
+@inner()
 def _begin(P: Array, levels: Array, bias: float) -> None:
     """Fills the covariance P (4 K, 4 K) with what is known before the first block; `bias` is the variance of d."""
     K = levels.shape[0]
@@ -55,7 +55,7 @@ def _begin(P: Array, levels: Array, bias: float) -> None:
         P[3 * K + a, 3 * K + a] = bias
 
 
-@numba.njit(cache=True)
+@inner()
 def _spread(P: Array, F: Array, Q: Array, levels: Array, c: float, s: float) -> None:
     """Moves the covariance P (4 K, 4 K) one step, in place: half the turn, the step with its noise, the other half."""
     K, D = F.shape[0], P.shape[0]
@@ -75,7 +75,7 @@ def _spread(P: Array, F: Array, Q: Array, levels: Array, c: float, s: float) -> 
         _turn(P[i], K, c, s)
 
 
-@numba.njit(cache=True)
+@inner()
 def _take(P: Array, at: int, beside: int, noise: float, gain: Array) -> float:
     """Takes a measurement of state `at`, plus state `beside` unless negative, into P; fills the gain, returns S."""
     D = P.shape[0]
@@ -94,7 +94,7 @@ def _take(P: Array, at: int, beside: int, noise: float, gain: Array) -> float:
     return S  # type: ignore[no-any-return]
 
 
-@numba.njit(cache=True)
+@kernel()
 def whiten_fused(
     steps: Array, step: Any, count: Array, fresh: Any, rate: Any, yaw: Array, columns: Array, levels: Array,
     noise: Array, bias: float, coloured: bool = False,

@@ -1,0 +1,14 @@
+"""How compiled functions are compiled.
+
+`kernel` is for those that Python calls; `inner` for those that other compiled functions call, and nothing else: what
+would let Python call them is left out, as it takes a third of their compiling. Called from Python they crash.
+
+Products of arrays, sums of slices and the like compile for seconds where a loop takes none: kernels are written out.
+"""
+
+import functools
+
+import numba
+
+kernel = functools.partial(numba.njit, cache=True)
+inner = functools.partial(numba.njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
