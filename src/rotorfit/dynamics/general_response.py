@@ -135,7 +135,7 @@ def advance(
     begin, span = t, max(t_end - t, 1e-12)
     kicked = law[0, KICKS] + law[K - 1, KICKS] > 0
     while t < t_end:
-        t_next, switch = t_end, np.int64(-1)  # not a literal, for which all behind it would be compiled twice
+        t_next, switch = t_end, K  # which is none
         for j in range(K):
             if k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t_next:
                 t_next, switch = command_time[k[j] + 1] + law[j, DELAY], j
@@ -149,7 +149,7 @@ def advance(
             for _ in range(pieces):
                 move(law, what, whose, p, v, q, drive, trim, S, step, c, s, dt, kicked)
             t = t_next
-        if switch >= 0:
+        if switch < K:
             psi = yaw + (yaw_end - yaw) * (t - begin) / span
             _switch(law, what, whose, v, q, drive, u, switch, command[k[switch] + 1, switch], psi)
             k[switch] += 1

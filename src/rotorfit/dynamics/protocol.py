@@ -166,6 +166,7 @@ def _predict_segment(
         law = np.array([axis.law for axis in chosen])
         filter_law = law.copy()
         filter_law[:, DAMPING] = np.maximum(law[:, DAMPING], LEAST_FILTER_DAMPING)
+        velocity, tracked, alone = seen.velocity_of(pair)
         out, begin, rows = predict(
             flight.command_time[used],
             np.ascontiguousarray(flight.command[used][:, pair]),
@@ -181,7 +182,9 @@ def _predict_segment(
             first,
             last,
             future,
-            *seen.velocity_of(pair),
+            velocity,
+            tracked,
+            alone,
         )
         return out, begin, start_state_from_rows(rows, members, np.array([axis.damping for axis in chosen]))
 
