@@ -32,7 +32,7 @@ NOUNS = {
 """Module to the nouns that it defines."""
 
 NOUN_REACH = 3
-KERNEL_REACH = 8
+KERNEL_REACH = 9
 COMPOSED = (
     "dynamics.error_bands",
     "dynamics.other_limits",

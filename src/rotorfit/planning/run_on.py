@@ -62,7 +62,9 @@ def run_on(plan: Plan, goes_on: float) -> RunOn:
     brake = SHARE * np.abs(gain) * np.minimum(tracker.full_scale[:3], 1.0)
     way += np.where(b >= SERVO, 0.0, speed * np.abs(speed) / (2 * brake))
     way[:, :2] = world_from_heading(way[:, :2], yaw)
-    return _worst(plan, at * 1e-9, np.asarray(place[:, :3], np.float64), np.asarray(way, np.float64))
+    return _worst(
+        plan, np.asarray(at * 1e-9, np.float64), np.asarray(place[:, :3], np.float64), np.asarray(way, np.float64)
+    )
 
 
 def _worst(plan: Plan, time: Array, place: Array, way: Array) -> RunOn:
