@@ -12,7 +12,7 @@ from files.version_0_1.numbers_of import FOLDER
 from rotorfit.core.errors import CardError, ModelError, PlanError, RotorfitError, VehicleError
 from rotorfit.files.cards import load_card
 from rotorfit.files.models import from_mapping, load
-from rotorfit.files.plans import load_plan, plan_from_text
+from rotorfit.files.plans import load_plan, plan_from_mapping, plan_from_text
 from rotorfit.simulation.vehicle import load_vehicle
 
 DEEP = "a" + ".a" * 3000 + " = 1\n"
@@ -123,6 +123,14 @@ def test_cards_plans_and_vehicles_of_no_sense_are_one_line(kind: str, bad: str, 
         load_it(str(path))
     assert "\n" not in str(refused.value)
     assert str(refused.value).isprintable()
+
+
+def test_a_version_that_moves_the_cursor_is_shown_as_text() -> None:
+    for refused, format_ in ((ModelError, "rotorfit-model"), (PlanError, "rotorfit-plan")):
+        from_it = from_mapping if refused is ModelError else plan_from_mapping
+        with pytest.raises(refused, match=r"version '\\x1b\[2J\\n', this one reads 1") as told:
+            from_it({"format": format_, "version": "\x1b[2J\n"}, "here")
+        assert str(told.value).isprintable()
 
 
 def test_axes_of_a_feedback_that_are_lists_are_one_line() -> None:

@@ -1,5 +1,6 @@
 """TOML -> Card: every key checked, the nearest name offered for one that nobody knows."""
 
+import functools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -81,6 +82,7 @@ def builtin_cards() -> dict[str, Card]:
     return {name: card_from_mapping(plain_toml(text), name) for name, text in texts.items()}
 
 
+@functools.cache
 def _builtin_files() -> dict[str, Traversable]:
     """Files of the built-in cards by name, sorted."""
     folder = resources.files("rotorfit.files").joinpath("builtin_cards")

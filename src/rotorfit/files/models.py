@@ -16,7 +16,7 @@ from rotorfit.core.laws import LEVELS_OF, Structure, structure_named
 from rotorfit.core.limits import Conversion
 from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Model, Predictor, Source, Weighed
 from rotorfit.core.physics import physics
-from rotorfit.core.plain import place_of, plain_json, text_of
+from rotorfit.core.plain import place_of, plain_json, shown, text_of
 from rotorfit.core.results import FlightScores, LeftOut, PairedTest
 from rotorfit.core.writing import write_whole
 from rotorfit.files.cards import card_from_mapping
@@ -126,7 +126,8 @@ def from_mapping(raw: Any, where: str) -> Model:
         raise ModelError(f"{where}: not a rotorfit model; give a file written by `rotorfit fit -o`")
     if raw.get("version") != VERSION:
         raise ModelError(
-            f"{where}: model version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
+            f"{where}: model version {shown(raw.get('version'))}, this one reads {VERSION}; "
+            "use the rotorfit that wrote it"
         )
     try:
         return _model(structured(raw, _ModelFile), raw, where)

@@ -211,7 +211,7 @@ def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
         raise PlanError(f"{place}: not a rotorfit plan; give a file written by `rotorfit plan -o`")
     if raw.get("version") != VERSION:
         raise PlanError(
-            f"{place}: version {raw.get('version')}, this one reads {VERSION}; use the rotorfit that wrote it"
+            f"{place}: version {shown(raw.get('version'))}, this one reads {VERSION}; use the rotorfit that wrote it"
         )
     _check(raw, _KEYS, place)
     duration = _positive(raw, "duration", place)

@@ -1,5 +1,6 @@
 """Vehicle: a multirotor with its autopilot, as physical parameters from TOML; what they mean for small slow motion."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -297,6 +298,7 @@ def builtin_vehicles() -> dict[str, Vehicle]:
     return {name: vehicle_from_mapping(plain_toml(text), name) for name, text in texts.items()}
 
 
+@functools.cache
 def _builtin_files() -> dict[str, Traversable]:
     """Files of the vehicles that ship with rotorfit by name, sorted."""
     folder = resources.files("rotorfit.simulation").joinpath("vehicles")
