@@ -96,6 +96,19 @@ def test_an_open_loop_that_fits_is_left_open() -> None:
     assert plan.predicted["notes"] == []
 
 
+@pytest.mark.parametrize(("side", "centred"), [("6", True), ("99", False)])
+def test_whether_there_is_feedback_does_not_hang_on_the_seed_and_a_drift_is_told(side: str, centred: bool) -> None:
+    room = space_of_box(f"-{side},-{side},1,{side},{side},8")
+    plans = [plan_flight(CARD, room, "multisine", ("x",), 30.0, BELIEF, amplitude=0.2, seed=seed) for seed in range(4)]
+
+    assert {"x" in plan.feedback.axes for plan in plans if plan.feedback} == {centred}
+    (note,) = plans[0].predicted["notes"]
+    assert note.startswith(
+        "soft feedback centres" if centred else "nothing centres the excited axes: a hover drifts up"
+    )
+    assert " m off along x" in note
+
+
 def test_an_amplitude_that_leaves_is_refused_and_the_one_offered_is_flown() -> None:
     small = space_of_box("-0.8,-0.8,1,0.8,0.8,2")
     with pytest.raises(PlanError, match=r"plan doublets on x: .* leave the box along x.* give --amplitude") as refused:

@@ -34,6 +34,9 @@ BAND, RATIO, DOUBT = 0.35, 5.0, 0.8
 Chosen on simulated vehicles that are believed possible, `bench/bench_approach.py`.
 """
 
+LEAST_DOUBT = 0.2
+"""About a delay, however well it is believed to be known: the lag may be there or not [s]."""
+
 SPEED, TURN = 0.2, 0.25
 """Of the reference, on average [m/s, rad/s]; its peak is 1.875 times that."""
 
@@ -99,11 +102,20 @@ def approach(plan: Plan, pose: Array, velocity: Array) -> tuple[Approach, Guess]
     damping = np.maximum(0.0, 2 * band - b)
     way = np.array(plan.space.start) - pose
     way[3] = math.remainder(way[3], math.tau)
+    filter_band = np.minimum(RATIO * band, DOUBT / (np.maximum(doubt, LEAST_DOUBT) + 0.1))
+    lags = np.maximum(1, np.round(delay / period)).astype(np.int64)
     loop = Approach(
-        tracker, period, pose.copy(), way, _duration(plan, way, band), band * (b + damping) / 2, damping,
-        np.minimum(RATIO * band, DOUBT / (doubt + 0.1)), np.maximum(1, np.round(delay / period)).astype(np.int64),
-    )  # fmt: skip
-    return loop, Guess(pose.copy(), velocity.copy(), np.zeros(4), np.zeros((int(loop.lags.max()), 4)))
+        tracker,
+        period,
+        pose.copy(),
+        way,
+        _duration(plan, way, band),
+        band * (b + damping) / 2,
+        damping,
+        filter_band,
+        lags,
+    )
+    return loop, Guess(pose.copy(), velocity.copy(), np.zeros(4), np.zeros((int(lags.max()), 4)))
 
 
 def _delay_sd(plan: Plan, axis: str) -> float:

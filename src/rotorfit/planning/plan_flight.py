@@ -10,7 +10,6 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Signal, Space
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
 from rotorfit.planning.envelope import (
@@ -73,8 +72,11 @@ YAW_REACH, YAW_RATE = np.pi / 2, 1.5
 OPTIMAL: Mapping[str, Literal["d", "a"]] = {"optimal": "d", "optimal_a": "a"}
 """Designs that are searched for, and by which criterion, see `optimal`."""
 
-NEARLY = 0.95
-"""Share of the full amplitude from which on an open loop is good enough."""
+DRIFT_SHARE = 0.25
+"""A hover that drifts by more of the way to the nearest wall is centred by feedback, while it is excited, too."""
+
+TELLING = 0.3
+"""Drift of an open loop that is worth a note [m]."""
 
 TOGETHER = (("x", "y"), ("z",), ("yaw",))
 """What the paper flies together. Source: paper, section 4."""
@@ -96,8 +98,8 @@ def plan_flight(
     """Plans one flight.
 
     The signals are as large as full scale and the space allow: 19 of 20 vehicles that are believed possible stay
-    inside. Where the open loop would have to be smaller than with a soft centring feedback, and tells less, there is
-    such feedback; axes that are not flown are held.
+    inside. Where a hover would drift by more than a quarter of the way to a wall there is a soft centring feedback, by
+    the belief, the space and the duration alone; axes that are not flown are held.
 
     Args:
         card: Of the vehicle: meaning and limits of its commands.
@@ -125,13 +127,9 @@ def plan_flight(
     wanted = _Wanted(
         card, space, design, tuple(axis for axis in AXES if axis in axes), duration, belief, amplitude, seed
     )
-    loops = _loops(wanted, open_loop)
-    choices: dict[str, _Choice] = {}
-    for place, (word, loop) in enumerate(loops.items()):
-        choices[word] = _choice(wanted, loop, part_of(progress, place, len(loops) + 1))
-        if amplitude is None and min(choices[word].factors.values()) >= NEARLY:
-            break
-    return _best(choices, belief, amplitude, part_of(progress, len(loops), len(loops) + 1))
+    loop, notes = _loop(wanted, open_loop)
+    choice = _choice(wanted, loop, part_of(progress, 0, 2))
+    return _finished(choice, wanted, notes, part_of(progress, 1, 2))
 
 
 @dataclass(frozen=True)
@@ -156,14 +154,43 @@ class _Choice:
     factors: Mapping[str, float]
 
 
-def _loops(wanted: _Wanted, open_loop: bool) -> dict[str, Feedback | None]:
-    """The feedbacks that are tried, the one that takes least from the signals first."""
+def _loop(wanted: _Wanted, open_loop: bool) -> tuple[Feedback | None, list[str]]:
+    """The feedback, and what is said of it.
+
+    Neither the signals nor the seed of the plan have a say, so that the same wish always gets the same loop.
+    """
     if wanted.design == "ident":
-        return {"tracking": replace(IDENT, axes=tuple(wanted.card.command))}
-    if open_loop:
-        return {"open": None}
+        return replace(IDENT, axes=tuple(wanted.card.command)), []
     held = tuple(axis for axis in AXES if axis not in wanted.axes and axis in wanted.card.command)
-    return {"open": Feedback(held) if held else None, "centred": replace(CENTRING, axes=tuple(wanted.card.command))}
+    bare = Feedback(held) if held and not open_loop else None
+    axis, metres, share = _drift(wanted, bare)
+    drifts = f"a hover drifts up to {metres:.1f} m off along {axis}"
+    if share > DRIFT_SHARE and not open_loop:
+        return replace(CENTRING, axes=tuple(wanted.card.command)), [
+            f"soft feedback centres the excited axes: without it {drifts}"
+        ]
+    if metres > TELLING:
+        return bare, [f"nothing centres the excited axes: {drifts} within {wanted.duration:g} s, and 2.5 % go further"]
+    return bare, []
+
+
+def _drift(wanted: _Wanted, bare: Feedback | None) -> tuple[str, float, float]:
+    """How far a hover of 95 % of the vehicles drifts where nothing centres it.
+
+    Returns:
+        The axis on which that is most of the way to the nearest wall, how far [m], and its share of that way.
+    """
+    hover = Plan(
+        "hover", wanted.design, wanted.card.raw, RATE, wanted.duration, RAMP, (), bare, wanted.space,
+        belief_mapping(wanted.belief),
+    )  # fmt: skip
+    extent, space, worst = predicted_path(hover, wanted.belief).extent, wanted.space, ("x", 0.0, 0.0)
+    for a, axis in enumerate(AXES[:3]):
+        if bare is None or axis not in bare.axes:
+            metres = float(max(space.start[a] - extent[0, a], extent[1, a] - space.start[a]))
+            share = metres / min(space.start[a] - space.lower[a], space.upper[a] - space.start[a])
+            worst = max(worst, (axis, metres, share), key=lambda each: each[2])
+    return worst
 
 
 def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -> _Choice:
@@ -293,45 +320,20 @@ def fastest(belief: Belief, axis: str) -> float:
     return float(np.clip(FAST / max(belief.truth.delay[AXES.index(axis)], 1e-3), SLOWEST, FASTEST))
 
 
-def _best(choices: Mapping[str, _Choice], belief: Belief, amplitude: float | None, progress: Progress | None) -> Plan:
-    """The loop whose standard errors are least, with its prediction, and why."""
-    possible = {word: choice for word, choice in choices.items() if min(choice.factors.values()) > 0}
-    if not possible:
+def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Progress | None) -> Plan:
+    """The plan with its prediction, and why it is as it is."""
+    if min(chosen.factors.values()) <= 0:
         raise PlanError(
-            f"plan {next(iter(choices.values())).plan.name}: no amplitude stays inside for 19 of 20 vehicles that are "
-            "believed possible, even the hover drifts out; give a larger box or a shorter duration"
+            f"plan {chosen.plan.name}: no amplitude stays inside for 19 of 20 vehicles that are believed possible, "
+            "even the hover drifts out; give a larger box or a shorter duration"
         )
-    if amplitude is not None and len(possible) == 2:
-        plan = possible["open"].plan
-        possible.pop("centred" if predicted_path(plan, belief, seed=plan.seed).fits else "open")
-    word = min(possible, key=lambda each: mean_error(possible[each].plan, belief))
-    chosen = possible[word]
-    notes = [HARD_NOTE] if chosen.plan.design in HARD else []
-    if word == "centred":
-        notes.append(_centring_note(chosen, possible.get("open"), belief, amplitude))
-    if amplitude is None and not 0.995 <= min(chosen.factors.values()) <= max(chosen.factors.values()) <= 1.005:
+    if chosen.plan.design in HARD:
+        notes = [HARD_NOTE, *notes]
+    factors = chosen.factors.values()
+    if wanted.amplitude is None and not 0.995 <= min(factors) <= max(factors) <= 1.005:
         sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
-        notes.append(f"scaled to fit the space, of full amplitude: {sizes}")
-    return predicted(chosen.plan, belief, chosen.factors, notes, progress)
-
-
-def _centring_note(chosen: _Choice, without: _Choice | None, belief: Belief, amplitude: float | None) -> str:
-    """What the feedback on excited axes is for, and what it costs."""
-    bare = replace(chosen.plan, feedback=None)
-    cost = 100 * (mean_error(chosen.plan, belief) / mean_error(bare, belief) - 1)
-    text = f"soft feedback centres the excited axes; at the same signals it changes the mean error by {cost:+.0f} %"
-    if amplitude is not None:
-        return f"{text}; without it the flight leaves the space"
-    if without is None:
-        return f"{text}; without it even the hover drifts out"
-    return f"{text}; without it the largest amplitude is {min(without.factors.values()):.2g}"
-
-
-def mean_error(plan: Plan, belief: Belief) -> float:
-    """Geometric mean of the standard errors of the excited axes at the likeliest vehicle."""
-    table = predicted_errors([plan], belief, draws=0, seed=plan.seed).nominal
-    errors = [table[axis][name] for axis in excited_axes(plan) if axis in table for name in COEFFICIENTS]
-    return float(np.exp(np.mean(np.log(errors)))) if errors else np.inf
+        notes = [*notes, f"scaled to fit the space, of full amplitude: {sizes}"]
+    return predicted(chosen.plan, wanted.belief, chosen.factors, notes, progress)
 
 
 def predicted(
