@@ -13,6 +13,7 @@ which the estimator needs, takes longer to import than `rotorfit --help` may.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import rotorfit.core.compiled_code as _compiled_code
 from rotorfit.version import __version__
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from rotorfit.files.logs import read
     from rotorfit.files.models import load
     from rotorfit.files.plans import load_plan
+
+_compiled_code.keep_compiled_code()
 
 __all__ = [
     "Axis",
