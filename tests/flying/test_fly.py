@@ -188,6 +188,24 @@ def test_it_hovers_on_where_landing_is_not_asked_for(tmp_path: Path) -> None:
 # Faults
 
 
+@pytest.mark.parametrize(
+    ("jump", "reason"), [(0.1, "completed"), (30.0, "completed"), (-0.1, "completed"), (-30.0, "pose_frozen")]
+)
+def test_a_jump_of_the_clock_of_the_poses_ends_in_hover_or_not_at_all(jump: float, reason: str, tmp_path: Path) -> None:
+    def jumping(since: float, samples: list[Sample]) -> list[Sample]:
+        off = round(jump * SECOND) if since > 3.0 else 0
+        return [replace(one, stamp=one.stamp + off) for one in samples]
+
+    link = Watched(room_link())
+    link.samples = jumping
+    result = flown(link, tmp_path / "log.mcap", plan_of(6.0))
+
+    assert result.reason == reason
+    assert max(abs(value) for _, command in link.sent for value in command) <= 1.0
+    if reason != "completed":
+        hover_first(link, 3.0 + 1.05)
+
+
 def test_a_pose_that_is_lost_for_half_a_second_ends_in_hover(tmp_path: Path) -> None:
     link = Watched(room_link(Conditions(mocap=Mocap(drop_outs=((4.0, 99.0),)))))
     result, first = ended(link, tmp_path / "log.mcap", "pose_lost")

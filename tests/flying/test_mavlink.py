@@ -1,6 +1,7 @@
 """The MAVLink link: messages through pymavlink's buffers without sockets, and a fake autopilot on the loopback."""
 
 import math
+import os
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -360,6 +361,30 @@ def test_quaternions_of_opposite_sign_are_the_same_attitude() -> None:
 def test_a_port_that_cannot_be_opened_is_one_line() -> None:
     with pytest.raises(LinkError, match=r"cannot open udpin:no-such-host.invalid:1"):
         mavlink.open_link("udpin:no-such-host.invalid:1", load_card("mavlink"))
+
+
+def test_two_flights_do_not_share_a_port() -> None:
+    first = mavlink._connect("udpin:127.0.0.1:0")
+    port = first.port.getsockname()[1]
+    try:
+        with pytest.raises(LinkError, match=f"udpin:127.0.0.1:{port} is in use by another program"):
+            mavlink.open_link(f"udpin:127.0.0.1:{port}", load_card("mavlink"))
+    finally:
+        first.close()
+
+
+def test_two_flights_do_not_share_a_serial_line() -> None:
+    pytest.importorskip("serial", reason="pip install pyserial")
+    here, there = os.openpty()
+    line = os.ttyname(there)
+    first = mavlink._connect(line)
+    try:
+        with pytest.raises(LinkError, match=f"{line} is in use by another program"):
+            mavlink._connect(line)
+    finally:
+        first.close()
+        os.close(here)
+        os.close(there)
 
 
 def test_every_autopilot_says_what_it_does_without_us() -> None:

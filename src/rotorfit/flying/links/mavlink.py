@@ -7,9 +7,12 @@ Source: PX4 user guide, "Offboard Mode": setpoints for a second before the mode 
 ArduPilot developer guide, "Copter Commands in Guided Mode": velocities hold for 3 s.
 """
 
+import errno
+import fcntl
 import importlib
 import os
 import select
+import socket
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -352,6 +355,29 @@ class MavlinkLink:
             self._connection.close()
 
 
+def _refuse_if_taken(address: str) -> None:
+    """Refuses a UDP port that another program listens to: pymavlink would share it, and each would hear a part.
+
+    Raises:
+        LinkError: It does.
+        OSError: No such host.
+        ValueError: No port.
+    """
+    kind, _, place = address.partition(":")
+    if kind not in ("udp", "udpin"):
+        return
+    host, _, port = place.rpartition(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as alone:
+        try:
+            alone.bind((host, int(port)))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise LinkError(
+                f"mavlink: {address} is in use by another program, maybe another flight; end it, or take another port"
+            ) from error
+
+
 def _connect(address: str) -> Any:
     """Opens a port.
 
@@ -361,8 +387,14 @@ def _connect(address: str) -> Any:
     os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink when it is imported
     mavutil = importlib.import_module("pymavlink.mavutil")
     try:
-        return mavutil.mavlink_connection(
+        _refuse_if_taken(address or DEFAULT_ADDRESS)
+        connection = mavutil.mavlink_connection(
             address or DEFAULT_ADDRESS, source_system=SYSTEM, source_component=COMPONENT, autoreconnect=False
         )
+        if address.startswith("/"):
+            fcntl.flock(connection.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return connection
+    except BlockingIOError as error:
+        raise LinkError(f"mavlink: {address} is in use by another program; end it first") from error
     except (OSError, ValueError) as error:
         raise LinkError(f"mavlink: cannot open {address or DEFAULT_ADDRESS}: {error}") from error
