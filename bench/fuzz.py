@@ -399,6 +399,8 @@ class Farm:
                 tree = self.kind.parse(content)
             except (ValueError, RecursionError):
                 return fresh
+            if not isinstance(tree, dict):
+                return fresh
             for _ in range(TREES):
                 tree_changed(tree, rng)
                 self.judged(lambda: self.checked(tree), lambda: json.dumps(tree, default=str).encode())

@@ -2,15 +2,18 @@
 
 import json
 import re
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from files.version_0_1.numbers_of import FOLDER
-from rotorfit.core.errors import CardError, ModelError, PlanError, RotorfitError, VehicleError
+from rotorfit.core.errors import CardError, LogError, ModelError, PlanError, RotorfitError, VehicleError
 from rotorfit.files.cards import load_card
+from rotorfit.files.logs import read
 from rotorfit.files.models import from_mapping, load
 from rotorfit.files.plans import load_plan, plan_from_mapping, plan_from_text
 from rotorfit.simulation.vehicle import load_vehicle
@@ -172,3 +175,16 @@ def test_every_part_of_a_model_is_looked_at() -> None:
             from_mapping(whole, "here.json")
         at[place[-1]] = before
         assert "\n" not in str(refused.value), place
+
+
+def test_control_characters_in_a_damaged_bag_are_shown_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "bag.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE topics(id INTEGER)")
+        database.execute("CREATE TABLE messages(id INTEGER)")
+        database.commit()
+    path.write_bytes(path.read_bytes().replace(b"messages(id", b"messages\x7fid"))
+
+    with pytest.raises(LogError) as refused:
+        read(path)
+    assert str(refused.value).isprintable()

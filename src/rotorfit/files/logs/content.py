@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Column, Event, Table
+from rotorfit.core.plain import visible
 
 LIMIT = 1 << 29
 """Most bytes that one log's decoded numbers, or one of its arrays, may take: about 15 hours of poses at 120 Hz."""
@@ -74,7 +75,7 @@ def check_width(path: Path, count: int) -> None:
 
 def one_line(text: object) -> str:
     """First line of a text or an error, at most 300 characters: names in a damaged file may hold anything."""
-    line = (str(text).strip() or type(text).__name__).splitlines()[0].strip()
+    line = visible((str(text).strip() or type(text).__name__).splitlines()[0].strip())
     return line if len(line) <= 300 else f"{line[:299]}…"
 
 
