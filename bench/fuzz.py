@@ -38,6 +38,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src/rotorfit"
 EARLIER = TESTS / "version_0_1"
 SECONDS, MEGABYTES, LONGEST = 10, 1000, 200_000
 TREES = 20  # that follow from one text
+REQUESTS = 20  # of a session of the studio
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 EXTREMES = (b"\0", b"\xff", b"\x7f", b"\x80", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\0\0\0\0\0")
 STRANGE: tuple[Any, ...] = (
@@ -338,6 +339,25 @@ def command_lines(folder: Path) -> Kind:
     return Kind(["\n".join(line.split()).encode() for line in LINES], changed, go)
 
 
+def studio(folder: Path) -> Kind:
+    """Sessions of the studio, each a number from which its requests follow."""
+    from types import SimpleNamespace
+
+    sys.path[:0] = [str(TESTS), str(TESTS.parent)]
+    from rotorfit.app.web import runner
+    from studio_requests import Hostile
+    from studio_room import opened
+
+    runner.sys = SimpleNamespace(executable="true")  # type: ignore[attr-defined]  # fits that end at once
+
+    def go(path: Path) -> str:
+        with TemporaryDirectory(dir=folder) as place, opened(Path(place) / "workspace") as one:
+            page = Hostile(one, int(path.read_bytes()))
+            return " ".join(str(page.once()[2]) for _ in range(REQUESTS))
+
+    return Kind([b"0"], lambda _, rng: b"%d" % rng.randrange(10**12), go)
+
+
 def parsed_only(main: Any, words: list[str]) -> str:
     """How the words of a command line are understood, without running it."""
     import click
@@ -357,6 +377,7 @@ def kinds() -> dict[str, Callable[[Path], Kind]]:
     from rotorfit.files.logs import FORMATS
 
     texts = {"card": cards, "vehicle": vehicles, "plan": plans, "model": models, "gains": gains, "line": command_lines}
+    texts["studio"] = studio
     return texts | {name: partial(log, name) for name in FORMATS}
 
 
