@@ -187,3 +187,12 @@ def test_many_columns_of_parquet_take_a_few_readings_of_what_describes_them(
     assert calls == [300]
     assert found["names"] == [f"c{k}" for k in range(300)]
     assert [np.load(tmp_path / f"{k}.npy")[0] for k in (0, 150, 299)] == [0.0, 150.0, 299.0]
+
+
+@pytest.mark.parametrize("head", [b"ULog\x01\x12\x35\x01" + bytes(8), b"\xa3\x95\x80\x80\x59FMT\0BBnNZ"])
+def test_ten_gigabytes_of_an_autopilots_log_are_refused_at_once(head: bytes, tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as file:
+        file.write(head)
+        file.truncate(10 << 30)
+    with pytest.raises(LogError, match="a log of 10 GiB, more than 4; cut it"):
+        read(tmp_path / "log")

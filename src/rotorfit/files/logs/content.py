@@ -20,6 +20,9 @@ of tiny messages takes four times as much while it is taken apart."""
 MOST_COLUMNS = 10_000
 """Most columns of one table: ten times the largest log of an autopilot. Each costs a millisecond until it is shown."""
 
+LARGEST = 1 << 32
+"""Most bytes of an autopilot's log: the largest file of its memory card."""
+
 WIDEST = 64
 """Longest array inside a message that is given as a matrix; beyond lie ranges, maps and pixels, not vehicle states."""
 
@@ -59,6 +62,14 @@ def check_size(path: Path, columns: Iterable[Column]) -> None:
     """Raises `LogError` where the numbers decoded so far take more memory than `LIMIT`."""
     if sum(values.nbytes for values in columns) > LIMIT:
         raise LogError(f"{path}: more than {LIMIT >> 20} MiB of numbers; cut the log to the flight that you need")
+
+
+def size_of(path: Path) -> int:
+    """Bytes of an autopilot's log; raises `LogError` where no card of an autopilot writes one so large."""
+    size = path.stat().st_size
+    if size > LARGEST:
+        raise LogError(f"{path}: a log of {size >> 30} GiB, more than {LARGEST >> 30}; cut it to the flight you need")
+    return size
 
 
 def too_wide(count: int) -> str:

@@ -21,7 +21,7 @@ from rotorfit.core.errors import LogError
 from rotorfit.core.frames import UNIT_SCALE
 from rotorfit.core.log import Column, Table
 from rotorfit.files.logs.autopilot_records import Damage, Leaf, RecordLayout, Rows, columns_of, gathered, walk
-from rotorfit.files.logs.content import LIMIT, Content, listed, one_line
+from rotorfit.files.logs.content import LIMIT, Content, listed, one_line, size_of
 
 _MAGIC = b"\xa3\x95"
 
@@ -143,7 +143,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     Raises:
         LogError: No message besides definitions, or too many numbers.
     """
-    size = path.stat().st_size
+    size = size_of(path)
     log = _Log(tables)
     log.lengths[_FMT_TYPE] = _HEAD.size + _FMT.size
 

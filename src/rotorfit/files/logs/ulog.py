@@ -18,7 +18,7 @@ from pathlib import Path
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Table
 from rotorfit.files.logs.autopilot_records import BOOL, Damage, Leaf, RecordLayout, Rows, walk
-from rotorfit.files.logs.content import LIMIT, WIDEST, Content, DamageError, listed, one_line
+from rotorfit.files.logs.content import LIMIT, WIDEST, Content, DamageError, listed, one_line, size_of
 
 _MAGIC = b"ULog\x01\x12\x35"
 
@@ -99,7 +99,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
     Raises:
         LogError: Features that no reader of this version may ignore, no message before the damage, too many numbers.
     """
-    size = path.stat().st_size
+    size = size_of(path)
     log = _Log(tables)
     with path.open("rb") as file:
         bounds = _bounds(path, file.read(_HEADER + 3 + _FLAGS.size)[_HEADER:], size)
