@@ -12,9 +12,8 @@ from rotorfit.dynamics.disturbance import (
     discretize,
     distinct_steps,
     stationary,
-    whiten_axis,
-    whiten_plane,
 )
+from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 
 Array = np.ndarray
 
@@ -175,8 +174,8 @@ def of_innovations(out: Array, variance: Array) -> float:
 
 def whitened_axis(time: Array, count: Array, fresh: Array, columns: Array, levels: Array) -> tuple[Array, Array]:
     steps, step = distinct_steps(time)
-    out, variance = whiten_axis(steps, step, count, fresh, columns, levels)
-    return out, variance
+    out, _, variance = whiten_axis(steps, step, count, fresh, columns, levels[None], 0)
+    return out, variance[0]
 
 
 def first_only(B: int) -> Array:
@@ -233,8 +232,9 @@ def test_innovations_of_the_filters_own_process_are_white_and_of_unit_variance()
 
 def whitened_plane(time: Array, count: Array, yaw: Array, columns: Array, levels: Array) -> tuple[Array, Array]:
     steps, step = distinct_steps(time)
-    out, variance = whiten_plane(steps, step, count, first_only(time.size), yaw, columns, levels)
-    return out, variance
+    turned = np.ascontiguousarray(columns.transpose(0, 2, 1))
+    out, _, variance = whiten_plane(steps, step, count, first_only(time.size), yaw, turned, levels[None], 0)
+    return out.transpose(0, 2, 1), variance[0]
 
 
 def plane_data(B: int = 30) -> tuple[Array, Array, Array, Array]:

@@ -18,9 +18,9 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, heading_from_world
 from rotorfit.core.laws import start_levels
 from rotorfit.core.results import Fit
-from rotorfit.dynamics.disturbance import whiten_axis, whiten_plane
 from rotorfit.dynamics.protocol import predict_flight
 from rotorfit.dynamics.velocity_fusion import whiten_fused
+from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.latency import latency_of
@@ -184,12 +184,14 @@ def test_the_filter_of_both_is_that_of_poses_where_there_are_only_poses(turning:
         common = (rec.steps, rec.step, rec.count, rec.fresh)
         fused = whiten_fused(*common, none, rec.block_yaw, columns, levels[:K], noise[:K], 0.0)
         if K == 2:
-            rows, variance = whiten_plane(*common, rec.block_yaw, columns, levels)
+            turned = np.ascontiguousarray(columns.transpose(0, 2, 1))
+            rows, _, variance = whiten_plane(*common, rec.block_yaw, turned, levels[None], 0)
+            rows = rows.transpose(0, 2, 1)
         else:
-            rows, variance = whiten_axis(*common, columns[:, :, 0], levels[0])
-            rows, variance = rows[:, :, None], variance[:, None]
+            rows, _, variance = whiten_axis(*common, columns[:, :, 0], levels[:1], 0)
+            rows, variance = rows[:, :, None], variance[:, :, None]
         np.testing.assert_allclose(fused[0], rows, atol=1e-9 * np.abs(rows).max())
-        np.testing.assert_allclose(fused[1], variance, rtol=1e-9)
+        np.testing.assert_allclose(fused[1], variance[0], rtol=1e-9)
 
 
 def test_colouring_undoes_whitening(turning: Flight) -> None:

@@ -10,5 +10,5 @@ import functools
 
 import numba
 
-kernel = functools.partial(numba.njit, cache=True)
-inner = functools.partial(numba.njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+kernel = functools.partial(numba.njit, cache=True, error_model="numpy")
+inner = functools.partial(numba.njit, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -14,12 +14,12 @@ import numpy as np
 
 from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, Structure
-from rotorfit.dynamics.disturbance import whiten_axis, whiten_plane
 from rotorfit.dynamics.general_response import motion_response
 from rotorfit.dynamics.general_step import MEAN, NOTHING, START
 from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
+from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
@@ -121,13 +121,35 @@ def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indice
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
     """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, variances (B, K)."""
+    rows, _, variance = _filtered(rec, np.ascontiguousarray(columns.transpose(0, 2, 1)), levels[None], 0)
+    return rows.transpose(0, 2, 1), variance[0]
+
+
+def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Array, Array, Array]:
+    """Passes columns through filters of several levels.
+
+    Args:
+        rec: The flight.
+        columns: Shape (B, K, C), world frame.
+        levels: Their logarithms, shape (M, K, L).
+        few: The first filter takes all columns, the others the first so many.
+
+    Returns:
+        Rows of the first filter (B, K, C), x, y in the heading frame, those of the others (M - 1, B, K, few), and the
+        variances (M, B, K).
+    """
     values = np.exp(levels)
+    common = (rec.steps, rec.step, rec.count, rec.fresh)
     if rec.rate is not None:
-        return fused(rec, columns, values)
+        turned = columns.transpose(0, 2, 1)
+        passed = [fused(rec, turned if m == 0 else turned[:, :few], one) for m, one in enumerate(values)]
+        rows = [part.transpose(0, 2, 1) for part, _ in passed]
+        others = np.array(rows[1:]).reshape(len(rows) - 1, *columns.shape[:2], few)
+        return rows[0], others, np.array([variance for _, variance in passed])
     if len(rec.axes) == 2:
-        return whiten_plane(rec.steps, rec.step, rec.count, rec.fresh, rec.block_yaw, columns, values)  # type: ignore[no-any-return]
-    rows, variance = whiten_axis(rec.steps, rec.step, rec.count, rec.fresh, columns[:, :, 0], values[0])
-    return rows[:, :, None], variance[:, None]
+        return whiten_plane(*common, rec.block_yaw, columns, values, few)  # type: ignore[no-any-return]
+    first, others, variance = whiten_axis(*common, columns[:, 0], values[:, 0], few)
+    return first[:, None], others[:, :, None], variance[:, :, None]
 
 
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
@@ -220,48 +242,48 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
     projected, slopes, cross = np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L))
     log_likelihood, innovations = 0.0, []
+    looked = [] if restricted is None else [i for i in range(L) if i or not scaled]
+    levels = np.repeat(point.levels[None], 1 + len(looked), axis=0)
+    levels.reshape(len(levels), L)[1 + np.arange(len(looked)), looked] += LEVEL_STEP
     for j, (rec, at) in enumerate(_flights(records)):
         mean, sensitivity = response(rec, point, j, point.start[at])
         residual = (rec.position - mean)[:, None, :]
         fixed = [] if restricted is None else [restricted.sensitivities[j]]
-        rows, log_variance = _rows(rec, np.concatenate([residual, sensitivity, *fixed], axis=1), point.levels)
+        columns = np.concatenate([residual, *fixed, sensitivity], axis=1).transpose(0, 2, 1)
+        few = columns.shape[2] - width  # the residual and what is fixed: all that the levels' part needs
+        rows, moved, variance = _filtered(rec, np.ascontiguousarray(columns), levels, few)
+        rows, log_variance = rows.reshape(-1, few + width), np.log(variance).reshape(len(levels), -1)
         parts = [
             (np.r_[:first_trim, first_trim + j * K : first_trim + (j + 1) * K, first : first + K], part)
             for first, part in zip(_start_places(first_trim, K, F, at), _segment_parts(rec, K), strict=True)
         ]
         products = [rows[part].T @ rows[part] for _, part in parts]
         for (where, _), product in zip(parts, products, strict=True):
-            information[np.ix_(where, where)] += product[1 : 1 + width, 1 : 1 + width]
-            gradient[where] += product[1 : 1 + width, 0]
+            information[np.ix_(where, where)] += product[few:, few:]
+            gradient[where] += product[few:, 0]
             log_likelihood -= 0.5 * float(product[0, 0])
-        log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
+        log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
         e = rows[:, 0]
         innovations.append(e.reshape(-1, K))
         if restricted is None:
             continue
-        columns = np.concatenate([residual, *fixed], axis=1)
         d_innovation, d_log_variance = np.empty((L, e.size)), np.empty((L, e.size))
-        for i in range(L):
-            if scaled and i == 0:
-                continue
-            levels = point.levels.copy()
-            levels.ravel()[i] += LEVEL_STEP
-            moved, moved_log_variance = _rows(rec, columns, levels)
-            d_innovation[i], d_log_variance[i] = moved[:, 0] - e, moved_log_variance - log_variance
+        for m, i in enumerate(looked):
+            there = moved[m].reshape(-1, few)
+            d_innovation[i], d_log_variance[i] = there[:, 0] - e, log_variance[1 + m] - log_variance[0]
             for (where, part), product in zip(parts, products, strict=True):
-                change = moved[part, 1:].T @ moved[part, 1:] - product[1 + width :, 1 + width :]
-                slopes[i][np.ix_(where, where)] += change / LEVEL_STEP
-                turned = moved[part, 1:].T @ moved[part, 0] - product[1 + width :, 0]
-                cross[where, i] += turned / LEVEL_STEP
+                change = there[part].T @ there[part] - product[:few, :few]
+                slopes[i][np.ix_(where, where)] += change[1:, 1:] / LEVEL_STEP
+                cross[where, i] += change[1:, 0] / LEVEL_STEP
         if scaled:
             # q and r together only scale every variance but that of the unknown start: one filter pass saved.
             later = ~rec.fresh
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
-            projected[np.ix_(where, where)] += product[1 + width :, 1 + width :]
+            projected[np.ix_(where, where)] += product[1:few, 1:few]
             if scaled:  # minus the gradient, of which the second level's share is taken off below
-                cross[where, 0] -= product[1 + width :, 0]
+                cross[where, 0] -= product[1:few, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
         raw = d_innovation + 0.5 * e * d_log_variance
@@ -287,12 +309,6 @@ def _segment_parts(rec: Record, K: int) -> list[slice]:
     """Which entries of the flattened blocks (B K,) belong to each segment."""
     ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
     return [slice(low, high) for low, high in itertools.pairwise(ends)]
-
-
-def _rows(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
-    """Whitened columns (B K, C) and log variances (B K,)."""
-    rows, variance = whiten(rec, columns, levels)
-    return rows.transpose(0, 2, 1).reshape(-1, columns.shape[1]), np.log(variance).ravel()
 
 
 def _log_determinant(information: Array, active: Mask) -> float:

@@ -1,0 +1,430 @@
+"""Data and sensitivities through the disturbance filters of several levels at once.
+
+The likelihood needs the filter at its levels and at each of them moved a little. These differ in nothing but numbers,
+so four go side by side, in the lanes of one vector register, and one pass over the blocks serves all. What four filters
+need for a block lies in one row of an array, in places of four numbers each: the compiler then sees that nothing
+overlaps, and takes the four at once.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.dynamics.compiled import inner, kernel
+from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, discretize, stationary
+
+WIDTH = 32
+"""Columns that are passed through a filter together."""
+
+LANES = 4
+"""Filters that go side by side; the last are copies where there are fewer."""
+
+
+@inner()
+def _tables(steps: Array, levels: Array) -> Array:
+    """Of every distinct step: F01, F02, F11, F12, F21, F22 and q Q00, Q01, Q02, Q11, Q12, Q22 of each filter.
+
+    Args:
+        steps: Shape (U,) [s].
+        levels: q, r, alpha, kappa of M filters of one axis, shape (M, 4).
+
+    Returns:
+        Shape (U, G, 12 LANES), G groups of filters side by side.
+    """
+    M = levels.shape[0]
+    G = (M + LANES - 1) // LANES
+    out, F, Q = np.empty((steps.size, G, 12 * LANES)), np.empty((3, 3)), np.empty((3, 3))
+    for u in range(steps.size):
+        for n in range(G * LANES):
+            m, g, at = min(n, M - 1), n // LANES, n % LANES
+            if n == 0 or levels[m, 2] != levels[max(m - 1, 0), 2] or levels[m, 3] != levels[max(m - 1, 0), 3]:
+                discretize(levels[m, 2], 0.25 * levels[m, 3] * levels[m, 2] * levels[m, 2], steps[u], F, Q)
+            q, place = levels[m, 0], at
+            for i in range(2):
+                out[u, g, place] = F[0, 1 + i]
+                place += LANES
+            for i in range(2):
+                for j in range(2):
+                    out[u, g, place] = F[1 + i, 1 + j]
+                    place += LANES
+            for i in range(3):
+                for j in range(i, 3):
+                    out[u, g, place] = q * Q[i, j]
+                    place += LANES
+    return out
+
+
+@inner()
+def _start(row: Array, first: int, levels: Array, g: int) -> None:
+    """Puts what is known of an axis before the first block of a segment into the covariance of one group."""
+    for at in range(LANES):
+        variance, rate = stationary(levels[min(g * LANES + at, levels.shape[0] - 1)])
+        for i in range(6):
+            row[LANES * (first + i) + at] = 0.0
+        row[LANES * first + at] = START_POSITION_VARIANCE
+        row[LANES * (first + 3) + at] = variance
+        row[LANES * (first + 5) + at] = rate
+
+
+# One axis: places 0 to 5 hold the upper triangle of the covariance, 6 to 17 what `_tables` gives of the step, 18 the
+# noise, 19 to 21 the gain, 22 the innovation variance.
+
+
+@inner(fastmath={"contract"})
+def _measure(w: Array, lanes: int) -> None:
+    """Takes a measured position into the covariance of one group of filters, in place."""
+    for m in range(lanes):
+        p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
+        S = p00 + w[72 + m]
+        g0, g1, g2 = p00 / S, p01 / S, p02 / S
+        w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
+        w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
+        w[76 + m], w[80 + m], w[84 + m], w[88 + m] = g0, g1, g2, S
+
+
+@inner(fastmath={"contract"})
+def _step_and_measure(w: Array, lanes: int) -> None:
+    """Moves the covariance of one group of filters by a step, P <- F P F^T + Q, and takes a measured position."""
+    for m in range(lanes):
+        f01, f02, f11, f12, f21, f22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
+        p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
+        a00, a01, a02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
+        a11, a12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+        a21, a22 = f21 * p11 + f22 * p12, f21 * p12 + f22 * p22
+        p00 = a00 + a01 * f01 + a02 * f02 + w[48 + m]
+        p01 = a01 * f11 + a02 * f12 + w[52 + m]
+        p02 = a01 * f21 + a02 * f22 + w[56 + m]
+        p11 = a11 * f11 + a12 * f12 + w[60 + m]
+        p12 = a11 * f21 + a12 * f22 + w[64 + m]
+        p22 = a21 * f21 + a22 * f22 + w[68 + m]
+        S = p00 + w[72 + m]
+        g0, g1, g2 = p00 / S, p01 / S, p02 / S
+        w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
+        w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
+        w[76 + m], w[80 + m], w[84 + m], w[88 + m] = g0, g1, g2, S
+
+
+@inner(fastmath={"contract"})
+def _columns_axis(w: Array, at: int, z: Array, given: Array, size: int) -> None:
+    """Moves columns by a step and takes their positions, in the filter of a lane.
+
+    Args:
+        w: Of its group, see above.
+        at: The lane.
+        z: States in places 0 to 2, of `WIDTH` columns each; place 3 is filled with standardised innovations.
+        given: Positions, shape (size,) or more.
+        size: Columns, no more than `WIDTH`; a multiple of `LANES`, so that none is left to be taken alone.
+    """
+    f01, f02, f11, f12, f21, f22 = w[24 + at], w[28 + at], w[32 + at], w[36 + at], w[40 + at], w[44 + at]
+    g0, g1, g2, root = w[76 + at], w[80 + at], w[84 + at], 1.0 / np.sqrt(w[88 + at])
+    for j in range(size):
+        s, d = z[32 + j], z[64 + j]
+        expected = z[j] + f01 * s + f02 * d
+        e = given[j] - expected
+        z[96 + j] = e * root
+        z[j], z[32 + j], z[64 + j] = expected + g0 * e, f11 * s + f12 * d + g1 * e, f21 * s + f22 * d + g2 * e
+
+
+@kernel(fastmath={"contract"})
+def whiten_axis(
+    steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, few: int, lanes: int = LANES
+) -> Any:
+    """Passes columns of one axis through the gains of M filters.
+
+    Args:
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
+        count: Poses in each block, shape (B,): the noise of a block is r / count.
+        fresh: True where a segment starts and the filters start anew, shape (B,).
+        columns: Data and sensitivities, shape (B, C).
+        levels: q, r, alpha, kappa of each filter, shape (M, 4).
+        few: The first filter takes all columns, the others the first so many.
+        lanes: `LANES`, as a number that the compiler does not know: it would unroll what is to be one instruction.
+
+    Returns:
+        Innovations over their standard deviation of the first filter, (B, C), and of the others, (M - 1, B, few); and
+        the innovation variances, (M, B).
+    """
+    B, C = columns.shape
+    M = levels.shape[0]
+    out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
+    table = _tables(steps, levels)
+    G = table.shape[1]
+    work, given = np.zeros((G, 23 * LANES)), np.zeros(C + LANES)
+    state = np.zeros((M, (C + WIDTH - 1) // WIDTH, 4 * WIDTH))
+    for i in range(B):
+        for g in range(G):
+            w = work[g]
+            for m in range(LANES):
+                w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1] / count[i]
+            if fresh[i]:
+                _start(w, 0, levels, g)
+                _measure(w, lanes)
+            else:
+                for n in range(12 * LANES):
+                    w[6 * LANES + n] = table[step[i], g, n]
+                _step_and_measure(w, lanes)
+        for j in range(C):
+            given[j] = columns[i, j]
+        for m in range(M):
+            w, at, n = work[m // LANES], m % LANES, C if m == 0 else few
+            variances[m, i] = w[22 * LANES + at]
+            for part in range((n + WIDTH - 1) // WIDTH):
+                z, first = state[m, part], part * WIDTH
+                size = min(n - first, WIDTH)
+                if fresh[i]:
+                    for j in range(3 * WIDTH):
+                        z[j] = 0.0
+                _columns_axis(w, at, z, given[first:], (size + LANES - 1) // LANES * LANES)
+                for j in range(size):
+                    if m == 0:
+                        out[i, first + j] = z[3 * WIDTH + j]
+                    else:
+                        others[m - 1, i, first + j] = z[3 * WIDTH + j]
+    return out, others, variances
+
+
+# x and y: places 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
+# y, 21 to 32 and 33 to 44 what `_tables` gives of the step, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains of a
+# position of x and of y, 59 and 60 the innovation variances.
+
+
+@inner(fastmath={"contract"})
+def _turned(a: float, b: float, m: float, n: float, cc: float, ss: float, cs: float) -> Any:
+    """Entries i, j of x, y, of x with y, and entry j, i of x with y, in a frame turned by the angle of c and s."""
+    both, across = cs * (m + n), cs * (b - a)
+    return cc * a + ss * b + both, ss * a + cc * b - both, cc * m - ss * n + across, cc * n - ss * m + across
+
+
+@inner(fastmath={"contract"})
+def _turn(w: Array, c: float, s: float, lanes: int) -> None:
+    """Turns the frame of one group of covariances, in place."""
+    cc, ss, cs = c * c, s * s, c * s
+    for m in range(lanes):
+        w[m], w[24 + m], w[48 + m], _ = _turned(w[m], w[24 + m], w[48 + m], w[48 + m], cc, ss, cs)
+        w[4 + m], w[28 + m], w[52 + m], w[60 + m] = _turned(w[4 + m], w[28 + m], w[52 + m], w[60 + m], cc, ss, cs)
+        w[8 + m], w[32 + m], w[56 + m], w[72 + m] = _turned(w[8 + m], w[32 + m], w[56 + m], w[72 + m], cc, ss, cs)
+        w[12 + m], w[36 + m], w[64 + m], _ = _turned(w[12 + m], w[36 + m], w[64 + m], w[64 + m], cc, ss, cs)
+        w[16 + m], w[40 + m], w[68 + m], w[76 + m] = _turned(w[16 + m], w[40 + m], w[68 + m], w[76 + m], cc, ss, cs)
+        w[20 + m], w[44 + m], w[80 + m], _ = _turned(w[20 + m], w[44 + m], w[80 + m], w[80 + m], cc, ss, cs)
+
+
+@inner(fastmath={"contract"})
+def _step_plane(w: Array, lanes: int) -> None:
+    """Moves one group of covariances by a step, in place: P <- F P F^T + Q with the transitions of x and of y."""
+    for m in range(lanes):
+        x01, x02, x11, x12, x21, x22 = w[84 + m], w[88 + m], w[92 + m], w[96 + m], w[100 + m], w[104 + m]
+        p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
+        a00, a01, a02 = p00 + x01 * p01 + x02 * p02, p01 + x01 * p11 + x02 * p12, p02 + x01 * p12 + x02 * p22
+        a11, a12 = x11 * p11 + x12 * p12, x11 * p12 + x12 * p22
+        a21, a22 = x21 * p11 + x22 * p12, x21 * p12 + x22 * p22
+        w[m] = a00 + a01 * x01 + a02 * x02 + w[108 + m]
+        w[4 + m] = a01 * x11 + a02 * x12 + w[112 + m]
+        w[8 + m] = a01 * x21 + a02 * x22 + w[116 + m]
+        w[12 + m] = a11 * x11 + a12 * x12 + w[120 + m]
+        w[16 + m] = a11 * x21 + a12 * x22 + w[124 + m]
+        w[20 + m] = a21 * x21 + a22 * x22 + w[128 + m]
+        y01, y02, y11, y12, y21, y22 = w[132 + m], w[136 + m], w[140 + m], w[144 + m], w[148 + m], w[152 + m]
+        p00, p01, p02, p11, p12, p22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
+        a00, a01, a02 = p00 + y01 * p01 + y02 * p02, p01 + y01 * p11 + y02 * p12, p02 + y01 * p12 + y02 * p22
+        a11, a12 = y11 * p11 + y12 * p12, y11 * p12 + y12 * p22
+        a21, a22 = y21 * p11 + y22 * p12, y21 * p12 + y22 * p22
+        w[24 + m] = a00 + a01 * y01 + a02 * y02 + w[156 + m]
+        w[28 + m] = a01 * y11 + a02 * y12 + w[160 + m]
+        w[32 + m] = a01 * y21 + a02 * y22 + w[164 + m]
+        w[36 + m] = a11 * y11 + a12 * y12 + w[168 + m]
+        w[40 + m] = a11 * y21 + a12 * y22 + w[172 + m]
+        w[44 + m] = a21 * y21 + a22 * y22 + w[176 + m]
+        m00, m10, m20 = w[48 + m], w[60 + m], w[72 + m]
+        m00, m10, m20 = m00 + x01 * m10 + x02 * m20, x11 * m10 + x12 * m20, x21 * m10 + x22 * m20
+        m01, m11, m21 = w[52 + m], w[64 + m], w[76 + m]
+        m01, m11, m21 = m01 + x01 * m11 + x02 * m21, x11 * m11 + x12 * m21, x21 * m11 + x22 * m21
+        m02, m12, m22 = w[56 + m], w[68 + m], w[80 + m]
+        m02, m12, m22 = m02 + x01 * m12 + x02 * m22, x11 * m12 + x12 * m22, x21 * m12 + x22 * m22
+        w[48 + m] = m00 + y01 * m01 + y02 * m02
+        w[52 + m] = y11 * m01 + y12 * m02
+        w[56 + m] = y21 * m01 + y22 * m02
+        w[60 + m] = m10 + y01 * m11 + y02 * m12
+        w[64 + m] = y11 * m11 + y12 * m12
+        w[68 + m] = y21 * m11 + y22 * m12
+        w[72 + m] = m20 + y01 * m21 + y02 * m22
+        w[76 + m] = y11 * m21 + y12 * m22
+        w[80 + m] = y21 * m21 + y22 * m22
+
+
+@inner(fastmath={"contract"})
+def _measure_plane(w: Array, lanes: int) -> None:
+    """Takes a measured position of x, then of y, into one group of covariances, in place."""
+    for m in range(lanes):
+        S = w[m] + w[180 + m]
+        x0, x1, x2 = w[m], w[4 + m], w[8 + m]
+        y0, y1, y2 = w[48 + m], w[52 + m], w[56 + m]
+        gx0, gx1, gx2, gy0, gy1, gy2 = x0 / S, x1 / S, x2 / S, y0 / S, y1 / S, y2 / S
+        w[m] -= gx0 * x0
+        w[4 + m] -= gx0 * x1
+        w[8 + m] -= gx0 * x2
+        w[12 + m] -= gx1 * x1
+        w[16 + m] -= gx1 * x2
+        w[20 + m] -= gx2 * x2
+        w[24 + m] -= gy0 * y0
+        w[28 + m] -= gy0 * y1
+        w[32 + m] -= gy0 * y2
+        w[36 + m] -= gy1 * y1
+        w[40 + m] -= gy1 * y2
+        w[44 + m] -= gy2 * y2
+        w[48 + m] -= gx0 * y0
+        w[52 + m] -= gx0 * y1
+        w[56 + m] -= gx0 * y2
+        w[60 + m] -= gx1 * y0
+        w[64 + m] -= gx1 * y1
+        w[68 + m] -= gx1 * y2
+        w[72 + m] -= gx2 * y0
+        w[76 + m] -= gx2 * y1
+        w[80 + m] -= gx2 * y2
+        w[188 + m], w[192 + m], w[196 + m], w[200 + m], w[204 + m], w[208 + m] = gx0, gx1, gx2, gy0, gy1, gy2
+        w[236 + m] = S
+        S = w[24 + m] + w[184 + m]
+        x0, x1, x2 = w[48 + m], w[60 + m], w[72 + m]
+        y0, y1, y2 = w[24 + m], w[28 + m], w[32 + m]
+        gx0, gx1, gx2, gy0, gy1, gy2 = x0 / S, x1 / S, x2 / S, y0 / S, y1 / S, y2 / S
+        w[m] -= gx0 * x0
+        w[4 + m] -= gx0 * x1
+        w[8 + m] -= gx0 * x2
+        w[12 + m] -= gx1 * x1
+        w[16 + m] -= gx1 * x2
+        w[20 + m] -= gx2 * x2
+        w[24 + m] -= gy0 * y0
+        w[28 + m] -= gy0 * y1
+        w[32 + m] -= gy0 * y2
+        w[36 + m] -= gy1 * y1
+        w[40 + m] -= gy1 * y2
+        w[44 + m] -= gy2 * y2
+        w[48 + m] -= gx0 * y0
+        w[52 + m] -= gx0 * y1
+        w[56 + m] -= gx0 * y2
+        w[60 + m] -= gx1 * y0
+        w[64 + m] -= gx1 * y1
+        w[68 + m] -= gx1 * y2
+        w[72 + m] -= gx2 * y0
+        w[76 + m] -= gx2 * y1
+        w[80 + m] -= gx2 * y2
+        w[212 + m], w[216 + m], w[220 + m], w[224 + m], w[228 + m], w[232 + m] = gx0, gx1, gx2, gy0, gy1, gy2
+        w[240 + m] = S
+
+
+@kernel(fastmath={"contract"})
+def whiten_plane(
+    steps: Array,
+    step: Any,
+    count: Array,
+    fresh: Any,
+    yaw: Array,
+    columns: Array,
+    levels: Array,
+    few: int,
+    lanes: int = LANES,
+) -> Any:
+    """Passes horizontal columns through M six-state filters that turn with the heading.
+
+    Args:
+        steps: Distinct steps between blocks, shape (U,) [s].
+        step: Which of them leads to each block, shape (B,).
+        count: Poses in each block, shape (B,).
+        fresh: True where a segment starts, shape (B,).
+        yaw: Heading at the blocks, shape (B,) [rad].
+        columns: Data and sensitivities in the world frame, shape (B, 2, C).
+        levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
+        few: The first filter takes all columns, the others the first so many.
+        lanes: As in `whiten_axis`.
+
+    Returns:
+        Innovations over their standard deviation, forward then left, of the first filter, (B, 2, C), and of the others,
+        (M - 1, B, 2, few); and the innovation variances, (M, B, 2).
+    """
+    B, _, C = columns.shape
+    M = levels.shape[0]
+    out, others, variances = np.empty((B, 2, C)), np.empty((M - 1, B, 2, few)), np.empty((M, B, 2))
+    tx, ty = _tables(steps, levels[:, 0]), _tables(steps, levels[:, 1])
+    G = tx.shape[1]
+    work, along = np.zeros((G, 61 * LANES)), np.zeros((2, C + LANES))
+    state = np.zeros((M, (C + WIDTH - 1) // WIDTH, 8 * WIDTH))
+    for i in range(B):
+        half = 0.0 if fresh[i] else 0.5 * (yaw[i] - yaw[i - 1])
+        hc, hs = np.cos(half), np.sin(half)
+        for g in range(G):
+            w = work[g]
+            for a in range(2):
+                for m in range(LANES):
+                    w[(45 + a) * LANES + m] = levels[min(g * LANES + m, M - 1), a, 1] / count[i]
+            if fresh[i]:
+                for n in range(21 * LANES):
+                    w[n] = 0.0
+                _start(w, 0, levels[:, 0], g)
+                _start(w, 6, levels[:, 1], g)
+            else:
+                for n in range(12 * LANES):
+                    w[21 * LANES + n] = tx[step[i], g, n]
+                    w[33 * LANES + n] = ty[step[i], g, n]
+                if hs != 0.0:
+                    _turn(w, hc, hs, lanes)
+                _step_plane(w, lanes)
+                if hs != 0.0:
+                    _turn(w, hc, hs, lanes)
+            _measure_plane(w, lanes)
+        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        for j in range(C):
+            x, y = columns[i, 0, j], columns[i, 1, j]
+            along[0, j], along[1, j] = c * x + s * y, c * y - s * x
+        for m in range(M):
+            w, at, n = work[m // LANES], m % LANES, C if m == 0 else few
+            variances[m, i, 0], variances[m, i, 1] = w[59 * LANES + at], w[60 * LANES + at]
+            for part in range((n + WIDTH - 1) // WIDTH):
+                z, first = state[m, part], part * WIDTH
+                size = min(n - first, WIDTH)
+                if fresh[i]:
+                    for j in range(6 * WIDTH):
+                        z[j] = 0.0
+                _columns_plane(
+                    w, at, hc, hs, z, along[0, first:], along[1, first:], (size + LANES - 1) // LANES * LANES
+                )
+                for a in range(2):
+                    for j in range(size):
+                        if m == 0:
+                            out[i, a, first + j] = z[(6 + a) * WIDTH + j]
+                        else:
+                            others[m - 1, i, a, first + j] = z[(6 + a) * WIDTH + j]
+    return out, others, variances
+
+
+@inner(fastmath={"contract"})
+def _columns_plane(w: Array, at: int, c: float, s: float, z: Array, forward: Array, left: Array, size: int) -> None:
+    """Moves columns by half the turn, the step and the other half, and takes their positions, in the filter of a lane.
+
+    Args:
+        w: Of its group, see above.
+        at: The lane.
+        c: Cosine of half the turn.
+        s: Its sine.
+        z: States in places 0 to 5, of `WIDTH` columns each; places 6 and 7 are filled with standardised innovations.
+        forward: Positions, shape (size,) or more.
+        left: The same across.
+        size: Columns, no more than `WIDTH`; a multiple of `LANES`, so that none is left to be taken alone.
+    """
+    x01, x02, x11, x12, x21, x22 = w[84 + at], w[88 + at], w[92 + at], w[96 + at], w[100 + at], w[104 + at]
+    y01, y02, y11, y12, y21, y22 = w[132 + at], w[136 + at], w[140 + at], w[144 + at], w[148 + at], w[152 + at]
+    g0, g1, g2, g3, g4, g5 = w[188 + at], w[192 + at], w[196 + at], w[200 + at], w[204 + at], w[208 + at]
+    h0, h1, h2, h3, h4, h5 = w[212 + at], w[216 + at], w[220 + at], w[224 + at], w[228 + at], w[232 + at]
+    root_x, root_y = 1.0 / np.sqrt(w[236 + at]), 1.0 / np.sqrt(w[240 + at])
+    for j in range(size):
+        p, v, a = z[j], z[32 + j], z[64 + j]
+        q, u, b = z[96 + j], z[128 + j], z[160 + j]
+        p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
+        p, v, a = p + x01 * v + x02 * a, x11 * v + x12 * a, x21 * v + x22 * a
+        q, u, b = q + y01 * u + y02 * b, y11 * u + y12 * b, y21 * u + y22 * b
+        p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
+        e = forward[j] - p
+        f = left[j] - (q + g3 * e)
+        z[192 + j], z[224 + j] = e * root_x, f * root_y
+        z[j], z[32 + j], z[64 + j] = p + g0 * e + h0 * f, v + g1 * e + h1 * f, a + g2 * e + h2 * f
+        z[96 + j], z[128 + j], z[160 + j] = q + g3 * e + h3 * f, u + g4 * e + h4 * f, b + g5 * e + h5 * f
