@@ -72,11 +72,11 @@ def _start(row: Array, first: int, levels: Array, g: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _measure(w: Array, lanes: int) -> None:
-    """Takes a measured position into the covariance of one group of filters, in place."""
+def _measure(w: Array, share: float, lanes: int) -> None:
+    """Takes a measured position, with a share of the noise, into the covariance of one group of filters, in place."""
     for m in range(lanes):
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
-        S = p00 + w[72 + m]
+        S = p00 + share * w[72 + m]
         g0, g1, g2 = p00 / S, p01 / S, p02 / S
         w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
         w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
@@ -84,8 +84,8 @@ def _measure(w: Array, lanes: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _step_and_measure(w: Array, lanes: int) -> None:
-    """Moves the covariance of one group of filters by a step, P <- F P F^T + Q, and takes a measured position."""
+def _step_and_measure(w: Array, share: float, lanes: int) -> None:
+    """Moves the covariance of one group of filters by a step, P <- F P F^T + Q, and takes a position likewise."""
     for m in range(lanes):
         f01, f02, f11, f12, f21, f22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
@@ -98,7 +98,7 @@ def _step_and_measure(w: Array, lanes: int) -> None:
         p11 = a11 * f11 + a12 * f12 + w[60 + m]
         p12 = a11 * f21 + a12 * f22 + w[64 + m]
         p22 = a21 * f21 + a22 * f22 + w[68 + m]
-        S = p00 + w[72 + m]
+        S = p00 + share * w[72 + m]
         g0, g1, g2 = p00 / S, p01 / S, p02 / S
         w[m], w[4 + m], w[8 + m] = p00 - g0 * p00, p01 - g0 * p01, p02 - g0 * p02
         w[12 + m], w[16 + m], w[20 + m] = p11 - g1 * p01, p12 - g1 * p02, p22 - g2 * p02
@@ -106,31 +106,46 @@ def _step_and_measure(w: Array, lanes: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _columns_axis(w: Array, at: int, z: Array, given: Array, size: int) -> None:
-    """Moves columns by a step and takes their positions, in the filter of a lane.
+def _pass_axis(
+    first: int, last: int, step: Any, fresh: Any, table: Array, g: int, at: int, gain: Array, columns: Array, z: Array,
+    out: Array,
+) -> None:  # fmt: skip
+    """Passes columns from `first` up to `last`, no more than `WIDTH`, through the filter of a lane of a group.
 
     Args:
-        w: Of its group, see above.
-        at: The lane.
-        z: States in places 0 to 2, of `WIDTH` columns each; place 3 is filled with standardised innovations.
-        given: Positions, shape (size,) or more.
-        size: Columns, no more than `WIDTH`; a multiple of `LANES`, so that none is left to be taken alone.
+        first: Column.
+        last: One past the last.
+        step: Shape (B,).
+        fresh: Shape (B,).
+        table: Of `_tables`.
+        g: Which group.
+        at: Which lane.
+        gain: Of the filter, and one over the standard deviation of the innovation, shape (B, 4).
+        columns: Shape (B, C).
+        z: Work space for the states, in 3 places of `WIDTH` columns each.
+        out: Filled with standardised innovations, shape (B, C).
     """
-    f01, f02, f11, f12, f21, f22 = w[24 + at], w[28 + at], w[32 + at], w[36 + at], w[40 + at], w[44 + at]
-    g0, g1, g2, root = w[76 + at], w[80 + at], w[84 + at], 1.0 / np.sqrt(w[88 + at])
-    for j in range(size):
-        s, d = z[32 + j], z[64 + j]
-        expected = z[j] + f01 * s + f02 * d
-        e = given[j] - expected
-        z[96 + j] = e * root
-        z[j], z[32 + j], z[64 + j] = expected + g0 * e, f11 * s + f12 * d + g1 * e, f21 * s + f22 * d + g2 * e
+    for i in range(step.size):
+        k = step[i]
+        f01, f02, f11 = table[k, g, at], table[k, g, 4 + at], table[k, g, 8 + at]
+        f12, f21, f22 = table[k, g, 12 + at], table[k, g, 16 + at], table[k, g, 20 + at]
+        g0, g1, g2, root = gain[i, 0], gain[i, 1], gain[i, 2], gain[i, 3]
+        if fresh[i]:
+            for j in range(3 * WIDTH):
+                z[j] = 0.0
+        for j in range(last - first):
+            s, d = z[32 + j], z[64 + j]
+            expected = z[j] + f01 * s + f02 * d
+            e = columns[i, first + j] - expected
+            out[i, first + j] = e * root
+            z[j], z[32 + j], z[64 + j] = expected + g0 * e, f11 * s + f12 * d + g1 * e, f21 * s + f22 * d + g2 * e
 
 
 @kernel(fastmath={"contract"})
 def whiten_axis(
     steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, few: int, lanes: int = LANES
 ) -> Any:
-    """Passes columns of one axis through the gains of M filters.
+    """Passes columns of one axis through the gains of M filters; fastest where C and `few` are multiples of `LANES`.
 
     Args:
         steps: Distinct steps between blocks, shape (U,) [s].
@@ -148,40 +163,30 @@ def whiten_axis(
     """
     B, C = columns.shape
     M = levels.shape[0]
-    out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
-    table = _tables(steps, levels)
-    G = table.shape[1]
-    work, given = np.zeros((G, 23 * LANES)), np.zeros(C + LANES)
-    state = np.zeros((M, (C + WIDTH - 1) // WIDTH, 4 * WIDTH))
-    for i in range(B):
-        for g in range(G):
-            w = work[g]
-            for m in range(LANES):
-                w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1] / count[i]
+    out, others, variances = np.empty((B, C)), np.empty((max(M - 1, 0), B, few)), np.empty((M, B))
+    table, w, gains, z = _tables(steps, levels), np.zeros(23 * LANES), np.empty((M, B, 4)), np.empty(3 * WIDTH)
+    for g in range(table.shape[1]):
+        for m in range(LANES):
+            w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1]
+        for i in range(B):
             if fresh[i]:
                 _start(w, 0, levels, g)
-                _measure(w, lanes)
+                _measure(w, 1.0 / count[i], lanes)
             else:
                 for n in range(12 * LANES):
                     w[6 * LANES + n] = table[step[i], g, n]
-                _step_and_measure(w, lanes)
-        for j in range(C):
-            given[j] = columns[i, j]
-        for m in range(M):
-            w, at, n = work[m // LANES], m % LANES, C if m == 0 else few
-            variances[m, i] = w[22 * LANES + at]
-            for part in range((n + WIDTH - 1) // WIDTH):
-                z, first = state[m, part], part * WIDTH
-                size = min(n - first, WIDTH)
-                if fresh[i]:
-                    for j in range(3 * WIDTH):
-                        z[j] = 0.0
-                _columns_axis(w, at, z, given[first:], (size + LANES - 1) // LANES * LANES)
-                for j in range(size):
-                    if m == 0:
-                        out[i, first + j] = z[3 * WIDTH + j]
-                    else:
-                        others[m - 1, i, first + j] = z[3 * WIDTH + j]
+                _step_and_measure(w, 1.0 / count[i], lanes)
+            for m in range(g * LANES, min((g + 1) * LANES, M)):
+                at = m % LANES
+                S = w[22 * LANES + at]
+                variances[m, i] = S
+                gains[m, i, 0], gains[m, i, 1], gains[m, i, 2] = w[76 + at], w[80 + at], w[84 + at]
+                gains[m, i, 3] = 1.0 / np.sqrt(S)
+    for m in range(M):
+        n = C if m == 0 else few
+        for first in range(0, n, WIDTH):
+            last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
+            _pass_axis(first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z, to)
     return out, others, variances
 
 
@@ -254,10 +259,10 @@ def _step_plane(w: Array, lanes: int) -> None:
 
 
 @inner(fastmath={"contract"})
-def _measure_plane(w: Array, lanes: int) -> None:
-    """Takes a measured position of x, then of y, into one group of covariances, in place."""
+def _measure_plane(w: Array, share: float, lanes: int) -> None:
+    """Takes a measured position of x, then of y, with a share of the noise, into one group of covariances, in place."""
     for m in range(lanes):
-        S = w[m] + w[180 + m]
+        S = w[m] + share * w[180 + m]
         x0, x1, x2 = w[m], w[4 + m], w[8 + m]
         y0, y1, y2 = w[48 + m], w[52 + m], w[56 + m]
         gx0, gx1, gx2, gy0, gy1, gy2 = x0 / S, x1 / S, x2 / S, y0 / S, y1 / S, y2 / S
@@ -284,7 +289,7 @@ def _measure_plane(w: Array, lanes: int) -> None:
         w[80 + m] -= gx2 * y2
         w[188 + m], w[192 + m], w[196 + m], w[200 + m], w[204 + m], w[208 + m] = gx0, gx1, gx2, gy0, gy1, gy2
         w[236 + m] = S
-        S = w[24 + m] + w[184 + m]
+        S = w[24 + m] + share * w[184 + m]
         x0, x1, x2 = w[48 + m], w[60 + m], w[72 + m]
         y0, y1, y2 = w[24 + m], w[28 + m], w[32 + m]
         gx0, gx1, gx2, gy0, gy1, gy2 = x0 / S, x1 / S, x2 / S, y0 / S, y1 / S, y2 / S
@@ -311,6 +316,54 @@ def _measure_plane(w: Array, lanes: int) -> None:
         w[80 + m] -= gx2 * y2
         w[212 + m], w[216 + m], w[220 + m], w[224 + m], w[228 + m], w[232 + m] = gx0, gx1, gx2, gy0, gy1, gy2
         w[240 + m] = S
+
+
+@inner(fastmath={"contract"})
+def _pass_plane(
+    first: int, last: int, step: Any, fresh: Any, turn: Array, tx: Array, ty: Array, g: int, at: int, gain: Array,
+    along: Array, z: Array, out: Array,
+) -> None:  # fmt: skip
+    """Passes columns through the filter of a lane of a group: half the turn, the step, the other half, two positions.
+
+    Args:
+        first: Column.
+        last: One past the last, no more than `WIDTH` after it.
+        step: Shape (B,).
+        fresh: Shape (B,).
+        turn: Cosine and sine of half the turn that leads to each block, shape (B, 2).
+        tx: Of `_tables` for x.
+        ty: For y.
+        g: Which group.
+        at: Which lane.
+        gain: Of a position of x, of one of y, and one over their standard deviations, shape (B, 14).
+        along: Columns in the heading frame, shape (B, 2, C).
+        z: Work space for the states, in 6 places of `WIDTH` columns each.
+        out: Filled with standardised innovations, shape (B, 2, C).
+    """
+    for i in range(step.size):
+        k, c, s = step[i], turn[i, 0], turn[i, 1]
+        x01, x02, x11 = tx[k, g, at], tx[k, g, 4 + at], tx[k, g, 8 + at]
+        x12, x21, x22 = tx[k, g, 12 + at], tx[k, g, 16 + at], tx[k, g, 20 + at]
+        y01, y02, y11 = ty[k, g, at], ty[k, g, 4 + at], ty[k, g, 8 + at]
+        y12, y21, y22 = ty[k, g, 12 + at], ty[k, g, 16 + at], ty[k, g, 20 + at]
+        g0, g1, g2, g3, g4, g5 = gain[i, 0], gain[i, 1], gain[i, 2], gain[i, 3], gain[i, 4], gain[i, 5]
+        h0, h1, h2, h3, h4, h5 = gain[i, 6], gain[i, 7], gain[i, 8], gain[i, 9], gain[i, 10], gain[i, 11]
+        root_x, root_y = gain[i, 12], gain[i, 13]
+        if fresh[i]:
+            for j in range(6 * WIDTH):
+                z[j] = 0.0
+        for j in range(last - first):
+            p, v, a = z[j], z[32 + j], z[64 + j]
+            q, u, b = z[96 + j], z[128 + j], z[160 + j]
+            p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
+            p, v, a = p + x01 * v + x02 * a, x11 * v + x12 * a, x21 * v + x22 * a
+            q, u, b = q + y01 * u + y02 * b, y11 * u + y12 * b, y21 * u + y22 * b
+            p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
+            e = along[i, 0, first + j] - p
+            f = along[i, 1, first + j] - (q + g3 * e)
+            out[i, 0, first + j], out[i, 1, first + j] = e * root_x, f * root_y
+            z[j], z[32 + j], z[64 + j] = p + g0 * e + h0 * f, v + g1 * e + h1 * f, a + g2 * e + h2 * f
+            z[96 + j], z[128 + j], z[160 + j] = q + g3 * e + h3 * f, u + g4 * e + h4 * f, b + g5 * e + h5 * f
 
 
 @kernel(fastmath={"contract"})
@@ -344,87 +397,47 @@ def whiten_plane(
     """
     B, _, C = columns.shape
     M = levels.shape[0]
-    out, others, variances = np.empty((B, 2, C)), np.empty((M - 1, B, 2, few)), np.empty((M, B, 2))
+    out, others, variances = np.empty((B, 2, C)), np.empty((max(M - 1, 0), B, 2, few)), np.empty((M, B, 2))
     tx, ty = _tables(steps, levels[:, 0]), _tables(steps, levels[:, 1])
-    G = tx.shape[1]
-    work, along = np.zeros((G, 61 * LANES)), np.zeros((2, C + LANES))
-    state = np.zeros((M, (C + WIDTH - 1) // WIDTH, 8 * WIDTH))
+    w, gains, z = np.zeros(61 * LANES), np.empty((M, B, 14)), np.empty(6 * WIDTH)
+    along, turn = np.empty((B, 2, C)), np.empty((B, 2))
     for i in range(B):
         half = 0.0 if fresh[i] else 0.5 * (yaw[i] - yaw[i - 1])
-        hc, hs = np.cos(half), np.sin(half)
-        for g in range(G):
-            w = work[g]
-            for a in range(2):
-                for m in range(LANES):
-                    w[(45 + a) * LANES + m] = levels[min(g * LANES + m, M - 1), a, 1] / count[i]
+        turn[i, 0], turn[i, 1] = np.cos(half), np.sin(half)
+        c, s = np.cos(yaw[i]), np.sin(yaw[i])
+        for j in range(C):
+            x, y = columns[i, 0, j], columns[i, 1, j]
+            along[i, 0, j], along[i, 1, j] = c * x + s * y, c * y - s * x
+    for g in range(tx.shape[1]):
+        for a in range(2):
+            for m in range(LANES):
+                w[(45 + a) * LANES + m] = levels[min(g * LANES + m, M - 1), a, 1]
+        for i in range(B):
             if fresh[i]:
                 for n in range(21 * LANES):
                     w[n] = 0.0
-                _start(w, 0, levels[:, 0], g)
-                _start(w, 6, levels[:, 1], g)
+                for a in range(2):
+                    _start(w, 6 * a, levels[:, a], g)
             else:
                 for n in range(12 * LANES):
                     w[21 * LANES + n] = tx[step[i], g, n]
                     w[33 * LANES + n] = ty[step[i], g, n]
-                if hs != 0.0:
-                    _turn(w, hc, hs, lanes)
+                c, s = turn[i, 0], turn[i, 1]
+                if s != 0.0:
+                    _turn(w, c, s, lanes)
                 _step_plane(w, lanes)
-                if hs != 0.0:
-                    _turn(w, hc, hs, lanes)
-            _measure_plane(w, lanes)
-        c, s = np.cos(yaw[i]), np.sin(yaw[i])
-        for j in range(C):
-            x, y = columns[i, 0, j], columns[i, 1, j]
-            along[0, j], along[1, j] = c * x + s * y, c * y - s * x
-        for m in range(M):
-            w, at, n = work[m // LANES], m % LANES, C if m == 0 else few
-            variances[m, i, 0], variances[m, i, 1] = w[59 * LANES + at], w[60 * LANES + at]
-            for part in range((n + WIDTH - 1) // WIDTH):
-                z, first = state[m, part], part * WIDTH
-                size = min(n - first, WIDTH)
-                if fresh[i]:
-                    for j in range(6 * WIDTH):
-                        z[j] = 0.0
-                _columns_plane(
-                    w, at, hc, hs, z, along[0, first:], along[1, first:], (size + LANES - 1) // LANES * LANES
-                )
+                if s != 0.0:
+                    _turn(w, c, s, lanes)
+            _measure_plane(w, 1.0 / count[i], lanes)
+            for m in range(g * LANES, min((g + 1) * LANES, M)):
+                for n in range(12):
+                    gains[m, i, n] = w[(47 + n) * LANES + m % LANES]
                 for a in range(2):
-                    for j in range(size):
-                        if m == 0:
-                            out[i, a, first + j] = z[(6 + a) * WIDTH + j]
-                        else:
-                            others[m - 1, i, a, first + j] = z[(6 + a) * WIDTH + j]
+                    S = w[(59 + a) * LANES + m % LANES]
+                    variances[m, i, a], gains[m, i, 12 + a] = S, 1.0 / np.sqrt(S)
+    for m in range(M):
+        n = C if m == 0 else few
+        for first in range(0, n, WIDTH):
+            last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
+            _pass_plane(first, last, step, fresh, turn, tx, ty, m // LANES, m % LANES, gains[m], along, z, to)
     return out, others, variances
-
-
-@inner(fastmath={"contract"})
-def _columns_plane(w: Array, at: int, c: float, s: float, z: Array, forward: Array, left: Array, size: int) -> None:
-    """Moves columns by half the turn, the step and the other half, and takes their positions, in the filter of a lane.
-
-    Args:
-        w: Of its group, see above.
-        at: The lane.
-        c: Cosine of half the turn.
-        s: Its sine.
-        z: States in places 0 to 5, of `WIDTH` columns each; places 6 and 7 are filled with standardised innovations.
-        forward: Positions, shape (size,) or more.
-        left: The same across.
-        size: Columns, no more than `WIDTH`; a multiple of `LANES`, so that none is left to be taken alone.
-    """
-    x01, x02, x11, x12, x21, x22 = w[84 + at], w[88 + at], w[92 + at], w[96 + at], w[100 + at], w[104 + at]
-    y01, y02, y11, y12, y21, y22 = w[132 + at], w[136 + at], w[140 + at], w[144 + at], w[148 + at], w[152 + at]
-    g0, g1, g2, g3, g4, g5 = w[188 + at], w[192 + at], w[196 + at], w[200 + at], w[204 + at], w[208 + at]
-    h0, h1, h2, h3, h4, h5 = w[212 + at], w[216 + at], w[220 + at], w[224 + at], w[228 + at], w[232 + at]
-    root_x, root_y = 1.0 / np.sqrt(w[236 + at]), 1.0 / np.sqrt(w[240 + at])
-    for j in range(size):
-        p, v, a = z[j], z[32 + j], z[64 + j]
-        q, u, b = z[96 + j], z[128 + j], z[160 + j]
-        p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
-        p, v, a = p + x01 * v + x02 * a, x11 * v + x12 * a, x21 * v + x22 * a
-        q, u, b = q + y01 * u + y02 * b, y11 * u + y12 * b, y21 * u + y22 * b
-        p, q, v, u, a, b = c * p + s * q, c * q - s * p, c * v + s * u, c * u - s * v, c * a + s * b, c * b - s * a
-        e = forward[j] - p
-        f = left[j] - (q + g3 * e)
-        z[192 + j], z[224 + j] = e * root_x, f * root_y
-        z[j], z[32 + j], z[64 + j] = p + g0 * e + h0 * f, v + g1 * e + h1 * f, a + g2 * e + h2 * f
-        z[96 + j], z[128 + j], z[160 + j] = q + g3 * e + h3 * f, u + g4 * e + h4 * f, b + g5 * e + h5 * f
