@@ -38,6 +38,7 @@ from rotorfit.dynamics.disturbance import (
     update_covariance,
     update_rate,
 )
+from rotorfit.dynamics.general_step import COLUMNS, P, V
 
 POWERS = 8.0 ** np.array([0, -1, 1, -2, 2, -3, 3, -4, 4])
 """Factors on the power of the wind at equal pose noise."""
@@ -390,14 +391,13 @@ def row_size(A: int) -> int:
 
 
 @inner()
-def state_of_bank(bank: Any, levels: Array, p: Array, v: Array, c: float, s: float, row: Array) -> Any:
+def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, row: Array) -> Any:
     """What the members of a bank know together, each axis of the heading frame by its own weights.
 
     Args:
         bank: The bank.
         levels: Of its members, shape (A, G, 2, 4).
-        p: Driven world position, and those of two unit trims and two unit start velocities, shape (2, 5).
-        v: Their velocities.
+        driven: State of the motion, of two unit trims and of two unit start velocities; see `general_step.P`.
         c: Cosine of the heading.
         s: Its sine.
         row: Filled for `start_state_from_rows`, shape (`row_size(A)`,).
@@ -416,8 +416,10 @@ def state_of_bank(bank: Any, levels: Array, p: Array, v: Array, c: float, s: flo
         row[i] = 0.0
     for a in range(2):
         for j in range(4):  # of a unit trim or start velocity on position, velocity and trim
-            effect[j, 0] = c * p[0, 1 + j] + s * p[1, 1 + j] if a == 0 else c * p[1, 1 + j] - s * p[0, 1 + j]
-            effect[j, 1] = c * v[0, 1 + j] + s * v[1, 1 + j] if a == 0 else c * v[1, 1 + j] - s * v[0, 1 + j]
+            for i in range(2):
+                at = (P if i == 0 else V) + 1 + j
+                x, y = driven[at], driven[at + COLUMNS]
+                effect[j, i] = c * x + s * y if a == 0 else c * y - s * x
             effect[j, 2] = 1.0 if j == a else 0.0
         for m in range(M):
             w, g = weight[m, a], m // G

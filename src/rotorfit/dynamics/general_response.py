@@ -12,7 +12,22 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
-from rotorfit.dynamics.general_step import MEAN, START, demand, demand_slope, lag_series, linear_step, move
+from rotorfit.dynamics.general_step import (
+    COLUMNS,
+    MEAN,
+    START,
+    STATE,
+    P,
+    Q,
+    T,
+    V,
+    W,
+    demand,
+    demand_slope,
+    lag_series,
+    linear_step,
+    move,
+)
 
 WARM_UP = 0.6
 """Time before the first scored pose over which the lagged input is followed [s]: the longest delay that is searched."""
@@ -25,63 +40,60 @@ _SERIES_REACH = 0.5
 
 
 @inner()
-def demands(law: Array, what: Any, whose: Any, u: Array, drive: Array) -> None:
-    """Fills what the commands u (K,) demand of every column, shape (K, C)."""
-    K, C = drive.shape
+def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
+    """Fills what the commands u (K,) demand of every column."""
+    K, C = law.shape[0], what.size
     for a in range(K):
         other = u[1 - a] if K == 2 else 0.0
         for j in range(C):
             if what[j] == MEAN:
-                drive[a, j] = demand(law, a, u[a], other)
+                z[W + COLUMNS * a + j] = demand(law, a, u[a], other)
             elif whose[j] == a and what[j] >= 0:
-                drive[a, j] = demand_slope(law, a, what[j], u[a], other)
+                z[W + COLUMNS * a + j] = demand_slope(law, a, what[j], u[a], other)
             else:
-                drive[a, j] = 0.0
+                z[W + COLUMNS * a + j] = 0.0
 
 
 @inner()
-def _led(law: Array, q: Array, drive: Array, sign: float) -> None:
+def _led(law: Array, z: Array, C: int, sign: float) -> None:
     """Adds Z / T of the demand to the acceleration of a second order: before a switch taken off, after it put on."""
-    K, C = drive.shape
-    for a in range(K):
+    for a in range(law.shape[0]):
         if law[a, ORDER] == 2 and law[a, ZERO] != 0.0:
             lead = sign * law[a, ZERO] / law[a, LAG]
             for j in range(C):
-                q[a, j] += lead * drive[a, j]
+                z[Q + COLUMNS * a + j] += lead * z[W + COLUMNS * a + j]
 
 
 @inner()
-def _switch(
-    law: Array, what: Any, whose: Any, v: Array, q: Array, drive: Array, u: Array, at: int, new: float, psi: float
-) -> None:
+def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new: float, psi: float) -> None:
     """The delayed command of axis `at` becomes `new`; the derivative by its delay gets its impulse."""
-    K, C = drive.shape
-    before0, before1 = drive[0, 0], drive[K - 1, 0]
-    _led(law, q, drive, -1.0)
+    K, C = law.shape[0], what.size
+    before0, before1 = z[W], z[W + COLUMNS * (K - 1)]
+    _led(law, z, C, -1.0)
     u[at] = new
-    demands(law, what, whose, u, drive)
-    _led(law, q, drive, 1.0)
+    demands(law, what, whose, u, z)
+    _led(law, z, C, 1.0)
     for j in range(1, C):
         a = whose[j]
         if what[j] >= 0 and law[a, ORDER] == 2 and (what[j] == LAG or what[j] == ZERO):
-            jump = (drive[a, 0] - (before0 if a == 0 else before1)) / law[a, LAG]
-            q[a, j] += jump if what[j] == ZERO else -jump * law[a, ZERO] / law[a, LAG]
+            jump = (z[W + COLUMNS * a] - (before0 if a == 0 else before1)) / law[a, LAG]
+            z[Q + COLUMNS * a + j] += jump if what[j] == ZERO else -jump * law[a, ZERO] / law[a, LAG]
         if what[j] != DELAY or whose[j] != at:
             continue
         for a in range(K):
-            impulse = (before0 if a == 0 else before1) - drive[a, 0]
+            impulse = (before0 if a == 0 else before1) - z[W + COLUMNS * a]
             if law[a, ORDER] > 0:
                 lead = law[a, ZERO] / law[a, LAG]
-                q[a, j] += (1.0 - lead) * impulse / law[a, LAG]
+                z[Q + COLUMNS * a + j] += (1.0 - lead) * impulse / law[a, LAG]
                 impulse *= lead
             if K == 1:
-                v[0, j] += impulse
+                z[V + j] += impulse
             elif a == 0:
-                v[0, j] += np.cos(psi) * impulse
-                v[1, j] += np.sin(psi) * impulse
+                z[V + j] += np.cos(psi) * impulse
+                z[V + COLUMNS + j] += np.sin(psi) * impulse
             else:
-                v[0, j] -= np.sin(psi) * impulse
-                v[1, j] += np.cos(psi) * impulse
+                z[V + j] -= np.sin(psi) * impulse
+                z[V + COLUMNS + j] += np.cos(psi) * impulse
 
 
 @inner()
@@ -102,8 +114,8 @@ def longest_step(law: Array) -> float:
 @inner()
 def advance(
     t: float, t_end: float, yaw: float, yaw_end: float, k: Any, last: int, command_time: Array, command: Array,
-    law: Array, series: Array, longest: float, what: Any, whose: Any, p: Array, v: Array, q: Array, drive: Array,
-    trim: Array, u: Array, S: Array, step: Array,
+    law: Array, series: Array, longest: float, what: Any, whose: Any, z: Array, u: Array,
+    S: Array,
 ) -> None:  # fmt: skip
     """Moves all columns from t to t_end through every switch on the way, in place.
 
@@ -122,14 +134,9 @@ def advance(
         what: Place of the law by which each column is the derivative, or `MEAN`, `START`, `NOTHING`, shape (C,); the
             mean comes first.
         whose: Axis of that parameter, shape (C,).
-        p: World positions, shape (K, C).
-        v: World velocities, shape (K, C).
-        q: Lagged demand (second order: acceleration) in the heading frame, shape (K, C).
-        drive: Demand in the heading frame, shape (K, C).
-        trim: Trim acceleration in the heading frame, shape (K, C).
+        z: Of the columns, see `P`, shape (STATE,).
         u: Command in force, shape (K,).
         S: Work space, shape (K, 3, 12).
-        step: Work space, shape (K, C).
     """
     K = law.shape[0]
     begin, span = t, max(t_end - t, 1e-12)
@@ -147,11 +154,11 @@ def advance(
             for a in range(K):
                 linear_step(law, series, a, dt, S)
             for _ in range(pieces):
-                move(law, what, whose, p, v, q, drive, trim, S, step, c, s, dt, kicked)
+                move(law, what, whose, z, S, c, s, dt, kicked)
             t = t_next
         if switch < K:
             psi = yaw + (yaw_end - yaw) * (t - begin) / span
-            _switch(law, what, whose, v, q, drive, u, switch, command[k[switch] + 1, switch], psi)
+            _switch(law, what, whose, z, u, switch, command[k[switch] + 1, switch], psi)
             k[switch] += 1
 
 
@@ -205,66 +212,65 @@ def motion_response(
     """
     C, K = what.size, law.shape[0]
     out = np.zeros((weight.size, C, K))
-    p, v, q, drive, trim, step = (
-        np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)), np.zeros((K, C)),
-    )  # fmt: skip
+    z = np.zeros(STATE)
     u, S, k = np.zeros(K), np.zeros((K, 3, 12)), np.zeros(K, np.int64)
     series, longest = lag_series(law), longest_step(law)
-    lagged = law[:, ORDER].max() > 0
+    lagged = max(law[0, ORDER], law[K - 1, ORDER]) > 0
     for s in range(starts.size):
         first, last = command_range[s, 0], command_range[s, 1]
         t = starts[s] - WARM_UP if lagged else starts[s]
         command_in_force(t, first, last, command_time, command, law, k, u)
-        demands(law, what, whose, u, drive)
-        v[:] = 0.0
-        trim[:] = 0.0
-        q[:] = drive
+        demands(law, what, whose, u, z)
+        for n in range(2 * COLUMNS):
+            z[V + n] = z[T + n] = 0.0
+            z[Q + n] = z[W + n]
         i0 = pose_range[s, 0]
         heading = yaw[i0]
         if lagged:
             advance(
-                t, starts[s], heading, heading, k, last, command_time, command, law, series, longest, what, whose, p,
-                v, q, drive, trim, u, S, step,
+                t, starts[s], heading, heading, k, last, command_time, command, law, series, longest, what, whose, z,
+                u, S,
             )  # fmt: skip
             t = starts[s]
-        _begin(law, what, whose, v, q, trim, velocity[s], heading)
-        p[:] = 0.0
+        _begin(law, what, whose, z, velocity[s], heading)
+        for n in range(2 * COLUMNS):
+            z[P + n] = 0.0
         for i in range(i0, pose_range[s, 1]):
             if t < pose_time[i]:
                 advance(
                     t, pose_time[i], heading, yaw[i], k, last, command_time, command, law, series, longest, what,
-                    whose, p, v, q, drive, trim, u, S, step,
+                    whose, z, u, S,
                 )  # fmt: skip
                 t = pose_time[i]
             heading = yaw[i]
             w = weight[block[i]]
             for a in range(K):
                 for j in range(C):
-                    out[block[i], j, a] += w * p[a, j]
+                    out[block[i], j, a] += w * z[P + COLUMNS * a + j]
     return out
 
 
-@kernel()
-def _begin(law: Array, what: Any, whose: Any, v: Array, q: Array, trim: Array, velocity: Array, yaw: float) -> None:
+@inner()
+def _begin(law: Array, what: Any, whose: Any, z: Array, velocity: Array, yaw: float) -> None:
     """Sets the trims, and the world velocity of a start in the place of that of the warm-up.
 
     The acceleration of a second order answers to the change of velocity and to the trim as it would after its lag.
     """
-    K, C = v.shape
+    K, C = law.shape[0], what.size
     c, s = (np.cos(yaw), np.sin(yaw)) if K == 2 else (1.0, 0.0)
     for j in range(C):
-        x, y = -v[0, j], -v[K - 1, j]
+        x, y = -z[V + j], -z[V + COLUMNS * (K - 1) + j]
         for a in range(K):
             mine = whose[j] == a
-            trim[a, j] = law[a, TRIM] if what[j] == MEAN else (1.0 if what[j] == TRIM and mine else 0.0)
-            v[a, j] = velocity[a] if what[j] == MEAN else (1.0 if what[j] == START and mine else 0.0)
-        x, y = x + v[0, j], y + v[K - 1, j]
+            z[T + COLUMNS * a + j] = law[a, TRIM] if what[j] == MEAN else (1.0 if what[j] == TRIM and mine else 0.0)
+            z[V + COLUMNS * a + j] = velocity[a] if what[j] == MEAN else (1.0 if what[j] == START and mine else 0.0)
+        x, y = x + z[V + j], y + z[V + COLUMNS * (K - 1) + j]
         for a in range(K):
             if law[a, ORDER] < 2:
                 continue
             change = x if K == 1 else (c * x + s * y if a == 0 else c * y - s * x)
-            q[a, j] += trim[a, j] - law[a, DAMPING] * change
+            z[Q + COLUMNS * a + j] += z[T + COLUMNS * a + j] - law[a, DAMPING] * change
             if what[j] == MEAN:
                 for i in range(C):
                     if what[i] == DAMPING and whose[i] == a:
-                        q[a, i] -= change
+                        z[Q + COLUMNS * a + i] -= change

@@ -13,7 +13,7 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import propagate, rotate
 from rotorfit.dynamics.filter_bank import bank_tables, judge, move, probe, row_size, start_bank, state_of_bank, take
 from rotorfit.dynamics.general_response import advance, demands, longest_step
-from rotorfit.dynamics.general_step import MEAN, START, lag_series
+from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, W, lag_series
 
 _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0, 1])
 """Columns of the driven response: the motion, two unit trims, two unit start velocities."""
@@ -23,15 +23,16 @@ START_VELOCITY_VARIANCE = 10.0
 
 
 @inner()
-def _settle(law: Array, v: Array, drive: Array, trim: Array, yaw: float, q: Array) -> None:
-    """Fills the lagged parts (2, C) as after long holding the command in force, at world velocities v (2, C)."""
+def _settle(law: Array, z: Array, C: int, yaw: float) -> None:
+    """Fills the lagged parts of C columns as after long holding the command in force, at their world velocities."""
     c, s = np.cos(yaw), np.sin(yaw)
-    for j in range(v.shape[1]):
+    for j in range(C):
+        x, y = z[V + j], z[V + COLUMNS + j]
         for a in range(2):
-            q[a, j] = drive[a, j]
+            at = COLUMNS * a + j
+            z[Q + at] = z[W + at]
             if law[a, ORDER] == 2:
-                along = c * v[0, j] + s * v[1, j] if a == 0 else c * v[1, j] - s * v[0, j]
-                q[a, j] += trim[a, j] - law[a, DAMPING] * along
+                z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
 
 
 @inner()
@@ -56,50 +57,48 @@ def _run_free(
     law: Array,
     k: Any,
     u: Array,
-    p: Array,
-    v: Array,
-    lagged: Array,
     z: Array,
+    parts: Array,
     F: Array,
     step: Any,
     out: Array,
 ) -> None:
-    """Predicts the poses after `before` up to `last` from the driven state p, v, lagged (2, 1) and the disturbance z.
+    """Predicts the poses after `before` up to `last` from the driven state z and the disturbance.
 
-    The parts of the disturbance (A, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
+    Its parts (A, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
     """
     t, psi = pose_time[before], yaw
     what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
-    wanted, trim, S, way = np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 3, 12)), np.zeros((2, 1))
-    series, longest = lag_series(law), longest_step(law)
-    trim[0, 0], trim[1, 0] = law[0, TRIM], law[1, TRIM]
-    demands(law, what, whose, u, wanted)
+    S, series, longest = np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+    z[T], z[T + COLUMNS] = law[0, TRIM], law[1, TRIM]
+    demands(law, what, whose, u, z)
     for m in range(before + 1, last):
         t_next, psi_next = pose_time[m], future_yaw[m - before - 1]
         advance(
             t, t_next, psi, psi_next, k, command_time.size, command_time, command, law, series, longest, what, whose,
-            p, v, lagged, wanted, trim, u, S, way,
+            z, u, S,
         )  # fmt: skip
         half = 0.5 * (psi_next - psi)
         c, s = np.cos(half), np.sin(half)
-        for g in range(z.shape[0]):
-            rotate(z[g], c, s)
-            propagate(z[g], F[g, 0, step[m]], F[g, 1, step[m]])
-            rotate(z[g], c, s)
-        _add(z, p, v, np.cos(psi_next), np.sin(psi_next), out[m - before - 1])
+        for g in range(parts.shape[0]):
+            rotate(parts[g], c, s)
+            propagate(parts[g], F[g, 0, step[m]], F[g, 1, step[m]])
+            rotate(parts[g], c, s)
+        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out[m - before - 1])
         t, psi = t_next, psi_next
 
 
 @inner()
-def _add(z: Array, p: Array, v: Array, c: float, s: float, out: Array) -> None:
-    """Fills world position and velocity (4,): of the driven state p, v (2, 1) and the disturbance z (A, 6) together."""
+def _add(parts: Array, z: Array, c: float, s: float, out: Array) -> None:
+    """Fills world position and velocity (4,): of the driven state and the parts (A, 6) of the disturbance together."""
     for j in range(2):
         forward = left = 0.0
-        for g in range(z.shape[0]):
-            forward += z[g, j]
-            left += z[g, 3 + j]
-        out[2 * j] = (p if j == 0 else v)[0, 0] + c * forward - s * left
-        out[2 * j + 1] = (p if j == 0 else v)[1, 0] + s * forward + c * left
+        for g in range(parts.shape[0]):
+            forward += parts[g, j]
+            left += parts[g, 3 + j]
+        at = P if j == 0 else V
+        out[2 * j] = z[at] + c * forward - s * left
+        out[2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
 
 
 @kernel(fastmath={"contract"})
@@ -156,33 +155,33 @@ def predict(
     k, u, what, whose = np.zeros(2, np.int64), np.zeros(2), np.zeros(5, np.int64), np.zeros(5, np.int64)
     for j in range(5):
         what[j], whose[j] = _WHAT[j], _WHOSE[j]
-    p, v, lagged, wanted, trim, way = (
-        np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)), np.zeros((2, 5)),
-    )  # fmt: skip
+    z, free = np.zeros(STATE), np.zeros(STATE)
     work, series, longest = np.zeros((2, 3, 12)), lag_series(filter_law), longest_step(filter_law)
     prior, measured = np.empty(4), np.empty(5)
     _in_force(pose_time[0], law, command_time, command, k, u)
     for a in range(2):
-        v[a, 0], trim[a, 1 + a], v[a, 3 + a] = origin[a], 1.0, 1.0
+        own = COLUMNS * a
+        z[V + own], z[T + own + 1 + a], z[V + own + 3 + a] = origin[a], 1.0, 1.0
         prior[a], prior[2 + a] = trim_variance[a], START_VELOCITY_VARIANCE
-    demands(filter_law, what, whose, u, wanted)
-    _settle(filter_law, v, wanted, trim, yaw[0], lagged)
-    F, Q = bank_tables(steps, levels)
+    demands(filter_law, what, whose, u, z)
+    _settle(filter_law, z, 5, yaw[0])
+    F, D = bank_tables(steps, levels)
     bank = start_bank(levels, prior)
     s = 0
     for i in range(pose_time.size):
         if i:
             advance(
                 pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
-                filter_law, series, longest, what, whose, p, v, lagged, wanted, trim, u, work, way,
+                filter_law, series, longest, what, whose, z, u, work,
             )  # fmt: skip
-            move(bank, levels, F, Q, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
+            move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
         for a in range(2):
             if not tracked[i, a]:
                 continue
             for j in range(5):
-                x, y = (v if alone[a] else p)[0, j], (v if alone[a] else p)[1, j]
+                at = (V if alone[a] else P) + j
+                x, y = z[at], z[at + COLUMNS]
                 if j == 0 and alone[a]:
                     x, y = velocity[i, 0] - x, velocity[i, 1] - y
                 elif j == 0:
@@ -192,22 +191,23 @@ def predict(
             take(bank, levels, a, alone[a], measured)
         probe(bank, pose_time[i])
         while s < S and first[s] == i + 1:
-            known, add, z = state_of_bank(bank, levels, p, v, c, sn, states[s])
-            q, w, known_law, known_lag = np.zeros((2, 1)), np.zeros((2, 1)), law.copy(), np.zeros((2, 1))
+            known, add, parts = state_of_bank(bank, levels, z, c, sn, states[s])
+            known_law = law.copy()
             for a in range(2):
-                q[a, 0] = pose[0, a] + p[a, 0] + add[a]
-                w[a, 0] = v[a, 0] + add[2 + a]
-                known_law[a, TRIM] = known[a, a]
-                known_lag[a, 0] = lagged[a, 0]
+                own = COLUMNS * a
+                free[P + own] = pose[0, a] + z[P + own] + add[a]
+                free[V + own] = z[V + own] + add[2 + a]
+                free[Q + own] = z[Q + own]
                 for j in range(4):
-                    known_lag[a, 0] += known[a, j] * lagged[a, 1 + j]
-            _add(z, q, w, c, sn, begin[s])
+                    free[Q + own] += known[a, j] * z[Q + own + 1 + j]
+                known_law[a, TRIM] = known[a, a]
+            _add(parts, free, c, sn, begin[s])
             for m in range(max(last[s] - first[s], 0), E):
                 for j in range(4):
                     out[s, m, j] = np.nan
             _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], known_law, k.copy(), u.copy(), q,
-                w, known_lag, z, F, step, out[s],
+                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], known_law, k.copy(), u.copy(),
+                free, parts, F, step, out[s],
             )  # fmt: skip
             s += 1
     return out, begin, states
@@ -234,21 +234,19 @@ def free_run(
     """
     out, k, u = np.empty((time.size, 4)), np.zeros(2, np.int64), np.zeros(2)
     what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
-    p, v, lagged, wanted, trim, way = (
-        np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)),
-    )  # fmt: skip
-    S, series, longest = np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+    z, S, series, longest = np.zeros(STATE), np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
     for a in range(2):
-        p[a, 0], v[a, 0], trim[a, 0] = position[a], velocity[a], law[a, TRIM]
+        own = COLUMNS * a
+        z[P + own], z[V + own], z[T + own] = position[a], velocity[a], law[a, TRIM]
     _in_force(time[0], law, command_time, command, k, u)
-    demands(law, what, whose, u, wanted)
-    _settle(law, v, wanted, trim, yaw[0], lagged)
+    demands(law, what, whose, u, z)
+    _settle(law, z, 1, yaw[0])
     for i in range(time.size):
         before = max(i - 1, 0)
         advance(
             time[before], time[i], yaw[before], yaw[i], k, command_time.size, command_time, command, law, series,
-            longest, what, whose, p, v, lagged, wanted, trim, u, S, way,
+            longest, what, whose, z, u, S,
         )  # fmt: skip
         for a in range(2):
-            out[i, a], out[i, 2 + a] = p[a, 0], v[a, 0]
+            out[i, a], out[i, 2 + a] = z[P + COLUMNS * a], z[V + COLUMNS * a]
     return out
