@@ -106,14 +106,6 @@ def _lag_rates(law: Array, a: int) -> Any:
 
 
 @inner()
-def _horner(series: Array, a: int, n: int, d: int, t: float, terms: int) -> float:
-    value = 0.0
-    for i in range(terms - 1, -1, -1):
-        value = value * t + series[a, n, d, i]
-    return value
-
-
-@inner()
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
@@ -133,9 +125,12 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     A, B = _lag_rates(law, a)
     reach = dt * max(A, np.sqrt(B))
     terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # what is left out is below 1e-12 of it
-    square, cube = dt * dt, dt * dt * dt
-    J, H = _horner(series, a, 0, 0, dt, terms) * square, _horner(series, a, 1, 0, dt, terms) * cube
-    JB, HB = _horner(series, a, 0, 1, dt, terms) * square, _horner(series, a, 1, 1, dt, terms) * cube
+    J = H = JB = HB = 0.0
+    for n in range(terms - 1, -1, -1):
+        J, JB = J * dt + series[a, 0, 0, n], JB * dt + series[a, 0, 1, n]
+        H, HB = H * dt + series[a, 1, 0, n], HB * dt + series[a, 1, 1, n]
+    square = dt * dt
+    J, JB, H, HB = J * square, JB * square, H * square * dt, HB * square * dt
     G = dt - A * J - B * H
     JA = GB = -H - A * JB - B * HB
     GA = -J - A * GB - B * JB

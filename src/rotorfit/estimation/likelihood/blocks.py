@@ -7,6 +7,7 @@ both, and what it gives for these samples is put together block by block (`obser
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -95,6 +96,18 @@ class Record:
     def weight(self) -> Array:
         """One over the samples of each block or group of the response, shape (B,) or (G,)."""
         return 1.0 / (self.count if self.size is None else self.size)
+
+    @cached_property
+    def switches(self) -> tuple[Array, Array, Indices]:
+        """Stamps and values of the commands that differ from the one before, and their range in each segment.
+
+        Many logs repeat a command until the next: what is repeated changes no motion, and takes as long to follow.
+        """
+        new = np.ones(self.command_time.size, bool)
+        new[1:] = np.any(np.diff(self.command, axis=0) != 0, axis=1)
+        new[np.minimum(self.command_range[:, 0], new.size - 1)] = True
+        place = np.concatenate([[0], np.cumsum(new)])
+        return self.command_time[new], np.ascontiguousarray(self.command[new]), place[self.command_range]
 
     def observed(self, groups: Array) -> Array:
         """What the blocks measure of a response: shape (G, ...) to (B, ...)."""

@@ -46,15 +46,16 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
     laws = point.laws
     if laws is not None:
         return _general_response(rec, point, laws, point.trim[flight], start)
-    common = (rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time)
+    command_time, command, command_range = rec.switches
+    common = (rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time)
     weight, segment = rec.weight, np.cumsum(rec.fresh) - 1
     damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
     if K == 1:
         out = axis_response(
-            *common, rec.command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
+            *common, command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
         )
     else:
-        out = plane_response(*common, rec.command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
+        out = plane_response(*common, command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
     gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(rec.observed(out), 5, axis=1)
     mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
     mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
@@ -68,8 +69,9 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
     if len(laws) == 1 and point.structures[0].linear and point.structures[0].order:
         return _lagged_response(rec, point, laws, start)
     what, whose, scale = _columns(point.structures, len(point.extra))
+    command_time, command, command_range = rec.switches
     out = motion_response(
-        rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time, rec.command,
+        rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time, command,
         rec.weight, rec.yaw, laws, what, whose, start,
     )  # fmt: skip
     out = rec.observed(out)
@@ -81,10 +83,11 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
 
 def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tuple[Array, Array]:
     """The same of one axis under a linear law with a lag."""
+    command_time, command, command_range = rec.switches
     out = rec.observed(
         lagged_axis_response(
-            rec.starts, rec.pose_range, rec.command_range, rec.pose_time, rec.block, rec.command_time,
-            rec.command[:, 0], rec.weight, law, start[:, 0],
+            rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time,
+            command[:, 0], rec.weight, law, start[:, 0],
         )
     )  # fmt: skip
     extras = [extra.place for extra in point.structures[0].extras]
