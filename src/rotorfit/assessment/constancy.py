@@ -118,7 +118,7 @@ def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Const
 
     Source: the chi-square test of homogeneity of independent estimates; W. G. Cochran, Biometrics 10 (1954), p. 101.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     halves = [half for flight in flights for half in _halves(flight)]
     parts = [part for half in halves if (part := _fitted(half, estimate, axis))]
@@ -128,7 +128,7 @@ def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Const
     mean = np.linalg.solve(sum(weights), sum(w @ p.theta for w, p in zip(weights, parts, strict=True)))
     square = sum(float((p.theta - mean) @ w @ (p.theta - mean)) for w, p in zip(weights, parts, strict=True))
     degrees = 3 * (len(parts) - 1)
-    return Constancy(tuple(parts), square, degrees, float(chi2.sf(square, degrees)))
+    return Constancy(tuple(parts), square, degrees, float(chdtrc(degrees, square)))
 
 
 def _halves(flight: Flight) -> list[Flight]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from rotorfit.assessment.frequency.law_test import SLOWEST, coordinates, law_test, point_at
 from rotorfit.assessment.frequency.response import response_bands, response_of_bands
@@ -103,6 +102,8 @@ def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> A
 
 def combined(tests: Sequence[LawTest]) -> float:
     """p-value of several flights together, by Fisher."""
+    from scipy.special import chdtrc
+
     return float(chdtrc(2 * len(tests), -2 * sum(np.log(max(test.p, 1e-300)) for test in tests)))
 
 

@@ -18,8 +18,6 @@ estimated).
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import chdtrc, fdtrc
 
 from rotorfit.assessment.frequency.bands import Band
 from rotorfit.core.frames import Array
@@ -76,6 +74,9 @@ def law_test(bands: Sequence[Band], structure: Structure, start: Predictor) -> L
         structure: A law with a transfer function.
         start: Coefficients from which the search begins.
     """
+    from scipy.optimize import least_squares
+    from scipy.special import chdtrc, fdtrc
+
     if not bands:
         return None
     low, high = _limits(structure)

@@ -10,7 +10,6 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 """
 
 import numpy as np
-from scipy.special import stdtrit
 
 from rotorfit.assessment.frequency.bands import Band, bands_of
 from rotorfit.assessment.frequency.loop import answers_motion
@@ -82,6 +81,8 @@ def _common(every: list[Tones], windows: tuple[Window, ...]) -> Array:
 
 def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument, why: str) -> FrequencyResponse:
     """What bands say, at the knots at which they say anything."""
+    from scipy.special import stdtrit
+
     if not bands:
         nothing = np.zeros(0)
         return FrequencyResponse(

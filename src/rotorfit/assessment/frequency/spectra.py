@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from rotorfit.assessment.frequency.tones import Tones, tones_of
 from rotorfit.core.flight_data import Flight
@@ -232,6 +231,8 @@ def _regular_integral(value: Array, duration: float, size: int) -> Spectrum:
 
 def _velocity_integral(time: Array, position: Array, omega: Array) -> Spectrum:
     """That of the rate of a position, less what the ends of the window add at each of these frequencies."""
+    from scipy.interpolate import CubicSpline
+
     slope = (position[-1] - position[0]) / (time[-1] - time[0])
     rest = CubicSpline(time, position - position[0] - slope * (time - time[0]))(_regular(time))
     return np.asarray(1j * omega * _regular_integral(rest, float(time[-1] - time[0]), omega.size))
