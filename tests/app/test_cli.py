@@ -13,6 +13,7 @@ import click
 import pytest
 from click.testing import CliRunner, Result
 
+from files.version_0_1.numbers_of import FOLDER
 from rotorfit.app.cli import main
 from rotorfit.files.cards import load_card
 from rotorfit.files.logs import FORMATS
@@ -111,7 +112,7 @@ def imported_by(*lines: list[str]) -> set[str]:
     code = (
         "import sys\nfrom rotorfit.app.cli import main\n"
         f"for line in {lines!r}:\n  try: main(line)\n  except SystemExit as end: assert end.code == 0\n"
-        "print('imported:', *(name for name in sys.modules if '.' not in name))"
+        "print('imported:', *(name for name in sys.modules if name.count('.') < 2))"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     shown, _, names = found.stdout.rpartition("imported:")
@@ -128,6 +129,15 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_lists_of_what_is_known_do_not_wait_for_the_compiler() -> None:
     assert "numba" not in imported_by(["cards"], ["formats"])
+
+
+def test_a_fit_imports_of_scipy_what_it_uses() -> None:
+    words = [str(FOLDER / "flight.csv"), "--card", str(FOLDER / "card.toml"), "--axes", "z", *LAW, "--json"]
+
+    names = imported_by(["fit", *words])
+
+    assert "scipy.special" in names
+    assert not names & {f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "signal", "stats")}
 
 
 # Fit

@@ -149,7 +149,7 @@ def _held_answer(command: Array, b: float) -> Array:
     The sum of what all earlier steps left, from sums over 1, 2, 4 ... steps: importing a filter takes longer than this.
     """
     kept = np.exp(-b * ANSWER_STEP)
-    value = (1 - kept) / b * np.append(0.0, command[:-1])
+    value: Array = (1 - kept) / b * np.append(0.0, command[:-1])
     steps = 1
     while steps < value.size and kept**steps > np.finfo(float).eps ** 2:
         value[steps:] += kept**steps * value[:-steps]

@@ -1,0 +1,66 @@
+"""The line about compiling: where it is worth it, once, and on a terminal only."""
+
+from types import SimpleNamespace
+
+import pytest
+from numba.core import event
+
+from rotorfit.app.cli import compiling
+from rotorfit.app.cli.compiling import compiling_told
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time, to be moved, on what passes for a terminal."""
+    now = [0.0]
+    monkeypatch.setattr(compiling, "perf_counter", lambda: now[0])
+    on_terminal(monkeypatch, True)
+    return now
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch, yes: bool) -> None:
+    monkeypatch.setattr(compiling, "sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: yes)))
+
+
+def compiled(clock: list[float], *seconds: float) -> None:
+    """Functions that call each other, the outermost first."""
+    with event.trigger_event("numba:compile"):
+        clock[0] += seconds[0]
+        if seconds[1:]:
+            compiled(clock, *seconds[1:])
+
+
+def test_what_takes_its_time_is_said_once(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    with compiling_told():
+        for _ in range(5):
+            compiled(clock, 0.3, 0.1)
+
+    assert capsys.readouterr() == ("", compiling.LINE + "\n")
+
+
+def test_one_long_compilation_is_said_while_it_lasts(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    with compiling_told(), event.trigger_event("numba:compile"):
+        clock[0] += 1.5
+        compiled(clock, 0.1)
+        assert capsys.readouterr().err == compiling.LINE + "\n"
+
+
+def test_other_work_between_short_compilations_does_not_count(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with compiling_told():
+        for _ in range(3):
+            compiled(clock, 0.1)
+            clock[0] += 100
+
+    assert capsys.readouterr().err == ""
+
+
+def test_nothing_is_said_in_a_pipe(
+    clock: list[float], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_terminal(monkeypatch, False)
+    with compiling_told():
+        compiled(clock, 60)
+
+    assert capsys.readouterr().err == ""
