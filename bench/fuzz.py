@@ -323,7 +323,8 @@ def command_lines(folder: Path) -> Kind:
                     part = words[place % len(words)] if words else ""
                     cut = rng.randrange(len(part) + 1)
                     words[place : place + 1] = [part[:cut] + rng.choice((word, "")) + part[cut + rng.randrange(2) :]]
-        return "\n".join(words).replace("/", "_").encode("utf-8", "surrogateescape")[:20_000]
+        line = "\n".join(words).replace("/", "_").replace("\0", "")  # which no system lets through
+        return line.encode("utf-8", "surrogateescape")[:20_000]
 
     def go(path: Path) -> str:
         words = path.read_bytes().decode("utf-8", "surrogateescape").split("\n")

@@ -37,6 +37,7 @@ from rotorfit.files.cards import builtin_cards, card_from_mapping
 from rotorfit.files.log_span import WHOLE, LogSpan
 from rotorfit.files.logs import mcap, read, rosbag1
 from rotorfit.files.logs.batches import messages_of
+from rotorfit.files.logs.mcap_records import summary_channels
 from rotorfit.files.logs.ros_messages import Topic, decoded, types_of
 from rotorfit.flights.columns import tables_of
 
@@ -346,6 +347,15 @@ def test_the_channels_of_an_mcap_are_found_in_its_summary(tmp_path: Path) -> Non
 
     assert len(as_recording(log).pose) > 300
     assert "bytes lost" in log.damage[0]
+
+
+def test_a_summary_that_begins_in_a_hole_is_left_at_once() -> None:
+    magic = b"\x89MCAP0\r\n"
+    channel = mcap_record(4, struct.pack("<HH", 1, 0) + text("/cmd_vel") + text("ros1") + text(""))
+    footer = mcap_record(2, struct.pack("<QQI", len(magic), 0, 0))
+
+    assert [*summary_channels(magic + channel + footer + magic)]
+    assert not [*summary_channels(magic + bytes(9000) + channel + footer + magic)]
 
 
 def test_messages_behind_a_page_of_the_tree_that_is_lost_are_found(tmp_path: Path) -> None:

@@ -11,10 +11,12 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy.io import savemat
+from test_sources import WRITERS, recording
 
 import bombs
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs import content, csv, read
+from rotorfit.files import logs
+from rotorfit.files.logs import content, csv, damage, read
 from rotorfit.files.logs import topics as collector
 from rotorfit.files.logs.parquet_worker import columns_to
 
@@ -196,3 +198,45 @@ def test_ten_gigabytes_of_an_autopilots_log_are_refused_at_once(head: bytes, tmp
         file.truncate(10 << 30)
     with pytest.raises(LogError, match="a log of 10 GiB, more than 4; cut it"):
         read(tmp_path / "log")
+
+
+@pytest.mark.parametrize("case", ["rosbag1", "lone mcap"])
+def test_a_hole_of_gigabytes_is_not_searched_to_its_end(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(damage, "MOST_SEARCHED", 1 << 16)
+    path = WRITERS[case][1](tmp_path / "log", recording())
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] + bytes(1 << 17) + whole[len(whole) // 2 :])
+
+    log = read(path)
+
+    assert log.tables
+    assert len(log.damage) == 1
+    assert "and what was recorded behind them" in log.damage[0]
+
+
+def test_reading_a_large_file_tells_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.csv").write_text("time,x\n" + "0.25,1.5\n" * 1_000_000)
+    told: list[tuple[float, str]] = []
+
+    read(tmp_path / "log.csv", progress=lambda *one: told.append(one))
+    assert not told
+    monkeypatch.setattr(logs, "_LARGE", 1_000_000)
+    read(tmp_path / "log.csv", progress=lambda *one: told.append(one))
+
+    assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
+    assert told[0][0] < 0.5
+    assert {text for _, text in told} == {"reading log.csv, 9 MB"}
+    assert told[-1][0] == 1.0
+
+
+def test_reading_a_large_file_can_be_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.csv").write_text("time,x\n0,1.5\n1,2\n")
+    monkeypatch.setattr(logs, "_LARGE", 1)
+
+    def cancel(_: float, __: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        read(tmp_path / "log.csv", progress=cancel)

@@ -62,7 +62,10 @@ def load_flight(log: LogSpan, card: str | Card | None = None, raw: Log | None = 
 
 
 def load_flights(
-    logs: Sequence[LogSpan | Flight], card: str | Card | None = None, otherwise: Card | None = None
+    logs: Sequence[LogSpan | Flight],
+    card: str | Card | None = None,
+    otherwise: Card | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Flight, ...]:
     """Reads logs and applies a card to each; logs that only together hold what it names are one flight.
 
@@ -70,9 +73,10 @@ def load_flights(
         logs: With their spans; a flight among them is taken as it is.
         card: Name, file or card, for all of them.
         otherwise: Where there is no such card: for the logs that carry none themselves.
+        progress: As of `read`.
     """
     chosen = load_card(card) if isinstance(card, str) else card
-    return tuple(flight for _, flight in _all_flown(logs, chosen, otherwise))
+    return tuple(flight for _, flight in _all_flown(logs, chosen, otherwise, progress))
 
 
 def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
@@ -92,9 +96,9 @@ def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
     return raw, flight
 
 
-def _read(log: LogSpan, card: Card | None) -> Log:
+def _read(log: LogSpan, card: Card | None, progress: Progress | None = None) -> Log:
     """A log, with the tables that a card reads; with all where there is none."""
-    return read(log.path, tables_of(card) if card else None)
+    return read(log.path, tables_of(card) if card else None, progress)
 
 
 def _carried(raw: Log, otherwise: Card) -> Card:
@@ -112,7 +116,10 @@ def _carried(raw: Log, otherwise: Card) -> Card:
 
 
 def _all_flown(
-    given: Sequence[LogSpan | Flight], card: Card | None, otherwise: Card | None = None
+    given: Sequence[LogSpan | Flight],
+    card: Card | None,
+    otherwise: Card | None = None,
+    progress: Progress | None = None,
 ) -> list[tuple[Log | None, Flight]]:
     """Every flight in some logs, in the order of its first log; flights among them as they are, without a log."""
     flown: dict[int, tuple[Log | None, Flight]] = {
@@ -121,7 +128,7 @@ def _all_flown(
     logs = {number: one for number, one in enumerate(given) if isinstance(one, LogSpan)}
     parts: dict[int, Log] = {}
     for number, log in logs.items():
-        raw, applied = _read(log, card or otherwise), card
+        raw, applied = _read(log, card or otherwise, part_of(progress, number, len(given))), card
         if card is None and otherwise:
             applied = _carried(raw, otherwise)
             raw = raw if applied is otherwise else _read(log, applied)
@@ -159,7 +166,7 @@ def fit_logs(
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
     chosen = load_card(card) if isinstance(card, str) else card
-    flights = [_diagnosed(*one) for one in _all_flown(logs, chosen)]
+    flights = [_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)]
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
     if prior:
         result = with_influence(result)
@@ -190,7 +197,7 @@ def ladder_logs(
     progress: Progress | None = None,
 ) -> Ladder:
     """Reads logs and fits every rung of the ladder to them together."""
-    return ladder(load_flights(logs, card), axes, progress)
+    return ladder(load_flights(logs, card, progress=progress), axes, progress)
 
 
 def validate_logs(
@@ -206,7 +213,7 @@ def validate_logs(
     An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
     """
     own = card_from_mapping(model.card.raw, "the model's card")
-    flights = tuple(without_held_axes(load_flights(logs, card, own), beside))
+    flights = tuple(without_held_axes(load_flights(logs, card, own, progress), beside))
     return validate(model, flights, horizons, progress), flights
 
 

@@ -14,6 +14,7 @@ from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log, Table
 from rotorfit.core.plain import plain_toml
+from rotorfit.core.progress import Progress, part_of
 from rotorfit.diagnosis.card_choice import joined_by_plus, proposal
 from rotorfit.diagnosis.command_checks import spectrum
 from rotorfit.diagnosis.doctor import damage_of, findings_of_flight
@@ -210,12 +211,13 @@ def _recording(log: Log) -> dict[str, str]:
     return {"plan": str(name), **told}
 
 
-def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, ...]:
+def survey_logs(paths: Sequence[str], card: str | None = None, progress: Progress | None = None) -> tuple[Survey, ...]:
     """Reads logs and looks through them; logs that only together hold what the card names are one flight.
 
     Args:
         paths: Of the logs, each as `LOG` or `LOG@T0:T1`.
         card: Name or file of the card to apply; None for the built-in card that fits, if there is one.
+        progress: As of `read`.
 
     Raises:
         LogError: A log cannot be read.
@@ -223,7 +225,7 @@ def survey_logs(paths: Sequence[str], card: str | None = None) -> tuple[Survey, 
     """
     chosen = None if card is None else load_card(card)
     asked = [parse_log(path) for path in paths]
-    logs = [read(one.path) for one in asked]
+    logs = [read(one.path, None, part_of(progress, place, len(asked))) for place, one in enumerate(asked)]
     found = [survey(log, chosen, asked[place].span) for place, log in flights_of(logs, chosen)]
     apart = joined_by_plus(logs) if chosen is None else ""
     return tuple(replace(one, problem=apart) if apart and not one.flight else one for one in found)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 
-from rotorfit.app.cli.compiling import compiling_told
 from rotorfit.app.cli.options import JSON, LOGS, card_option, file_at, print_json, progress_bar
 
 
@@ -61,10 +60,10 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
         raise click.UsageError("--draft-card drafts for one log: give one")
     if fresh and not draft:
         raise click.UsageError("--fresh is about --draft-card: give its file")
-    with compiling_told():
+    with progress_bar() as progress:
         if draft:
-            write_draft(read(parse_log(logs[0]).path), draft, fresh)
-        surveys = survey_logs(logs, card) if card or not draft else (survey_draft(logs[0], draft),)
+            write_draft(read(parse_log(logs[0]).path, progress=progress), draft, fresh)
+        surveys = survey_logs(logs, card, progress) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
     from rotorfit.app.terminal import show

@@ -15,6 +15,7 @@ from threading import Event
 
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Log
+from rotorfit.core.progress import Progress, part_of
 from rotorfit.files.logs.content import Content, check_width, one_line
 from rotorfit.files.logs.formats import FORMATS
 from rotorfit.files.logs.several import join_logs, parts_of
@@ -25,8 +26,10 @@ _HEAD = 1 << 16  # two lines of the widest CSV
 
 _BLOCK = 1 << 22  # bytes hashed at once, without holding up the thread that reads
 
+_LARGE = 100_000_000  # bytes from which on it is told how far reading is
 
-def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
+
+def read(path: str | Path, tables: Collection[str] | None = None, progress: Progress | None = None) -> Log:
     """Reads a log.
 
     Args:
@@ -34,6 +37,8 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
         tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
             like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) and several files of one flight
             are always read whole.
+        progress: Called from another thread with a fraction and a text, for files of more than 100 MB; raising in it
+            cancels.
 
     Returns:
         The log as recorded; what was lost or recovered is in its notes.
@@ -43,14 +48,14 @@ def read(path: str | Path, tables: Collection[str] | None = None) -> Log:
     """
     parts = parts_of(path)
     if len(parts) > 1:
-        return join_logs([read(part) for part in parts])
+        return join_logs([read(part, None, part_of(progress, n, len(parts))) for n, part in enumerate(parts)])
     path = Path(path)
     try:
         head = _head(path)
         for name, form in FORMATS.items():
             source = import_module(form.module)
             if source.sniff(path, head):
-                with _hashed(path) as digest:
+                with _hashed(path, progress) as digest:
                     content: Content = source.read(path, None if tables is None else frozenset(tables))
                     check_width(path, max((len(table.columns) for table in content.tables.values()), default=0))
                     found = (content.tables, content.skipped, content.notes, content.attached, content.events)
@@ -83,25 +88,33 @@ def _head(path: Path) -> bytes:
 
 
 @contextmanager
-def _hashed(path: Path) -> Iterator[Callable[[], str]]:
+def _hashed(path: Path, progress: Progress | None) -> Iterator[Callable[[], str]]:
     """Gives the SHA-256 of a file, which a second thread takes while the first one reads; left early, it stops."""
     stop = Event()
     with ThreadPoolExecutor(1) as pool:
-        digest = pool.submit(_sha256, path, stop)
+        digest = pool.submit(_sha256, path, stop, progress)
         try:
             yield digest.result
         finally:
             stop.set()
 
 
-def _sha256(path: Path, stop: Event) -> str:
-    """Hex digest of a file; of a folder: of the bytes of its files in the order of their names."""
+def _sha256(path: Path, stop: Event, progress: Progress | None) -> str:
+    """Hex digest of a file; of a folder: of the bytes of its files in the order of their names.
+
+    Of large files it tells how far it is: seldom is anything else as slow.
+    """
     digest = hashlib.sha256()
     files = sorted(entry for entry in path.iterdir() if entry.is_file()) if path.is_dir() else [path]
+    total, done = sum(entry.stat().st_size for entry in files), 0
+    text = one_line(f"reading {path.name}, {total / 1e6:.0f} MB")
     block = bytearray(_BLOCK)
     view = memoryview(block)
     for entry in files:
         with entry.open("rb", buffering=0) as file:
             while (size := file.readinto(block)) and not stop.is_set():
                 digest.update(view[:size])
+                done += size
+                if progress and total > _LARGE:
+                    progress(min(done / total, 1.0), text)
     return digest.hexdigest()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from mmap import mmap
 
-from rotorfit.files.logs.content import one_line
+from rotorfit.files.logs.content import BLOCK_LIMIT, one_line
 
 _MOST, _MANY = 100, 5000  # holes told by themselves; holes at which reading ends
 
@@ -102,6 +102,9 @@ CHAIN = 4
 MOST_TRIED = 1 << 20
 """Places that are tried behind one damage; a second or two."""
 
+MOST_SEARCHED = 4 * BLOCK_LIMIT
+"""Bytes that are searched behind one damage, a second or two: a hole in a file is gigabytes of zeros."""
+
 Block = bytes | mmap
 
 After = Callable[[Block, int], int | None]
@@ -131,5 +134,5 @@ def _chained(data: Block, place: int, after: After) -> bool:
 
 
 def matches(pattern: re.Pattern[bytes], data: Block, start: int) -> Iterator[int]:
-    """Places of a pattern from one on."""
-    return (match.start() for match in pattern.finditer(data, start))
+    """Places of a pattern from one on, as far as is searched."""
+    return (match.start() for match in pattern.finditer(data, start, start + MOST_SEARCHED))

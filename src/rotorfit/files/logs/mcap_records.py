@@ -86,8 +86,10 @@ def summary_channels(data: Block) -> Iterator[tuple[int, bytes]]:
     if data[-len(MAGIC) :] != MAGIC or data[footer : footer + PREFIX.size] != PREFIX.pack(FOOTER, FOOTER_SIZE):
         return
     place = int.from_bytes(data[footer + PREFIX.size : footer + PREFIX.size + 8], "little")
-    while 0 < place < footer:
+    while max(0, footer - BLOCK_LIMIT) < place < footer:
         kind, length = PREFIX.unpack_from(data, place)
+        if kind == 0:
+            return
         place += PREFIX.size
         if kind in (SCHEMA, CHANNEL) and length <= footer - place:
             yield kind, data[place : place + length]
