@@ -169,6 +169,18 @@ def test_a_pose_that_repeats_is_frozen_only_while_the_vehicle_is_asked_to_move()
     assert verdict(watch, 1.99, moving=0.5) is None
 
 
+def test_a_clock_of_the_poses_that_jumps_back_is_named() -> None:
+    watch = watched(*[pose(0.01 * k, 1e-5 * k) for k in range(100)])
+    for k in range(100, 205):
+        watch, believed = observed(watch, replace(pose(0.01 * k, 1e-5 * k), stamp=(k - 3000) * SECOND // 100), BOX)
+        assert not believed
+
+    told = judged(watch, BOX, watch.heard, 2.0, 2.0)
+    assert told is not None
+    assert told.code == "pose_frozen"
+    assert told.text == "the clock of the poses jumped back by 28.95 s: none is newer for 1.05 s"
+
+
 def test_speed_climb_battery_and_duration_each_have_their_limit() -> None:
     fine = moving_at(0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
     wide = replace(BOX, lower=(-99.0,) * 3, upper=(99.0,) * 3)

@@ -89,14 +89,21 @@ def test_a_flight_that_is_killed_leaves_a_recording_that_is_less_than_a_second_o
     assert len(log.tables["/rotorfit/command"].columns["log_time"]) > 100
 
 
-def test_a_second_flight_on_the_port_of_the_first_is_refused_and_does_not_disturb_it(tmp_path: Path) -> None:
-    with flying(tmp_path, "mavlink", {}) as (flight, _):
+@pytest.mark.parametrize(("kind", "told"), [("mavlink", "is in use by another program"), ("ros1", "too; end it first")])
+def test_a_second_flight_on_the_port_or_topic_of_the_first_is_refused_and_does_not_disturb_it(
+    kind: str, told: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    environment = request.getfixturevalue("master") if kind == "ros1" else {}
+    with flying(tmp_path, kind, environment) as (flight, _):
         words = [*flight.args]  # type: ignore[misc]
         words[words.index("-o") + 1] = str(tmp_path / "second.mcap")
-        second = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+        second = subprocess.run(
+            words, env={**os.environ, **environment}, capture_output=True, text=True, timeout=60, check=False
+        )
         time.sleep(1.0)
         still = flight.poll()
 
     assert second.returncode == 1
-    assert "is in use by another program" in second.stderr
+    assert told in second.stderr
+    assert len(second.stderr.strip().splitlines()) == 1
     assert still is None

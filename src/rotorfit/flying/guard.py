@@ -116,6 +116,7 @@ class Watch:
         battery: What is left, 0 to 1; None where nobody says.
         suspicion: Of poses that cannot be true, see `SUSPECT`.
         outliers: How many of them there were.
+        behind: So far the stamp of the last pose lies before that of the one that is believed [ns].
     """
 
     pose: Four | None = None
@@ -128,6 +129,7 @@ class Watch:
     battery: float | None = None
     suspicion: float = 0.0
     outliers: int = 0
+    behind: int = 0
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
     if sample.stream in ("velocity", "said"):
         return replace(watch, heard_other=sample.received), False
     if sample.values == watch.raw or (watch.pose is not None and sample.stamp <= watch.stamp):
-        return replace(watch, heard=sample.received), False
+        return replace(watch, heard=sample.received, behind=max(0, watch.stamp - sample.stamp)), False
     here = _pose(sample.values, watch.pose)
     if here is None:
         return _doubted(watch, sample), False
@@ -286,9 +288,10 @@ def _of_pose(watch: Watch, limits: Limits, now: int, moving: float) -> GuardVerd
             "pose_jumps", f"the pose jumps: {watch.outliers} poses cannot be true (are markers swapped?)"
         )
     if age > limits.frozen and moving > limits.frozen:
-        return GuardVerdict(
-            "pose_frozen", f"the pose is frozen: it has repeated for {age:.2f} s while commands were sent"
-        )
+        text = f"the pose is frozen: it has repeated for {age:.2f} s while commands were sent"
+        if watch.behind:
+            text = f"the clock of the poses jumped back by {watch.behind / 1e9:.2f} s: none is newer for {age:.2f} s"
+        return GuardVerdict("pose_frozen", text)
     return None
 
 

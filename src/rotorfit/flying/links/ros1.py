@@ -83,6 +83,8 @@ class Ros1Link:
         self._subscribers = [self._subscriber(poses.table, self._on_pose)]
         if poses.velocity and poses.velocity_table != poses.table:
             self._subscribers.append(self._subscriber(poses.velocity_table, self._on_velocity))
+        if commands:
+            _check_alone(rospy, commands.table)
         self._publishers = self._advertise(commands) if commands else {}
         if commands:
             self._await_driver(commands.table)
@@ -215,6 +217,15 @@ def _message_class(kind: str) -> Any:
         package = kind.split("/")[0]
         raise LinkError(f"ros1: no message {kind}; install its package (Debian: python3-{package.replace('_', '-')})")
     return found
+
+
+def _check_alone(rospy: Any, topic: str) -> None:
+    """Raises `LinkError` where another node sends on the topic of the commands."""
+    publishers = dict(importlib.import_module("rosgraph").Master(rospy.get_name()).getSystemState()[0])
+    if others := sorted(set(publishers.get(rospy.resolve_name(topic), ())) - {rospy.get_name()}):
+        raise LinkError(
+            f"ros1: {', '.join(others)} sends on {topic} too; end it first (`rosnode cleanup` forgets what has crashed)"
+        )
 
 
 def _topic_type(rospy: Any, topic: str) -> str:
