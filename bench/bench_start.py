@@ -1,10 +1,10 @@
 """What a new process costs: the verbs of a first session, with compiled code in the cache, and without.
 
-    python bench/bench_start.py LOG --card CARD [--runs N]
+    python bench/bench_start.py [LOG] [--card CARD] [--runs N]
 
-LOG is fitted, looked through and validated, each time in a process of its own; medians of N runs (default 10), in turn,
-so that a busy machine is busy for all of them. "Fresh" is each verb with an empty cache of compiled code: what it takes
-beyond a warm run is compiling.
+LOG (168 s of a Bebop 2, where it lies beside the project) is fitted, looked through and validated, each time in a
+process of its own; medians of N runs (default 10), in turn, so that a busy machine is busy for all of them. "Fresh" is
+each verb with an empty cache of compiled code: what it takes beyond a warm run is compiling.
 """
 
 import argparse
@@ -18,11 +18,13 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+DEFAULT = Path(__file__).resolve().parents[2] / "shared/data/bebop2-wsu/Training_CT_TestDay_X.mat"
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("log")
-    parser.add_argument("--card", required=True)
+    parser.add_argument("log", nargs="?", default=str(DEFAULT))
+    parser.add_argument("--card", default="bebop2-wsu")
     parser.add_argument("--runs", type=int, default=10)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
