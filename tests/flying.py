@@ -82,6 +82,18 @@ class Watched:
         self.link.act(action)
 
 
+class Slow(Watched):
+    """The same, taking a command only so often [s], as a radio that is full."""
+
+    def __init__(self, link: Link, interval: float) -> None:
+        super().__init__(link)
+        self.interval, self.last = round(interval * SECOND), link.now
+
+    def receive(self, until: int) -> list[Sample]:
+        self.last = max(until, self.last + self.interval)
+        return super().receive(self.last)
+
+
 class WallPaced(Watched):
     """The same at the pace of the wall clock."""
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_recorder import FullDisk
 
-from flying import BEBOP, HOVER, SECOND, SPACE, Watched, flown, plan_of, recording, room_link
+from flying import BEBOP, HOVER, SECOND, SPACE, Slow, Watched, flown, plan_of, recording, room_link
 from rotorfit.app.workflows import fit_logs, load_flight
 from rotorfit.core.flight_plan import Flown
 from rotorfit.core.log import Sample
@@ -313,6 +313,24 @@ def test_a_loop_that_is_held_up_again_and_again_ends_in_hover(tmp_path: Path) ->
 
     assert result.text == "20 commands came more than 3 periods late: is the computer overloaded?"
     assert result.jitter.max == pytest.approx(0.07, abs=1e-6)
+
+
+def test_a_link_that_takes_fewer_commands_is_told(tmp_path: Path) -> None:
+    result = flown(Slow(room_link(), 0.032), tmp_path / "log.mcap", plan_of(3.0))
+
+    assert result.reason == "completed"
+    assert "the link took 32 commands a second, 50 were planned" in result.notes
+
+
+def test_a_link_that_takes_less_than_half_of_the_commands_ends_in_hover(tmp_path: Path) -> None:
+    link = Slow(room_link(), 0.052)
+    result = flown(link, tmp_path / "log.mcap")
+
+    assert result.reason == "starved"
+    assert result.text == "the link takes 25 of 50 commands a second: lower `rate` in the plan"
+    assert [command for _, command in link.sent[:-5] if command != HOVER]
+    assert all(command == HOVER for _, command in link.sent[-5:])
+    assert link.acts == ["land"]
 
 
 def test_now_and_then_a_late_command_is_counted_and_ends_nothing(tmp_path: Path) -> None:

@@ -69,6 +69,9 @@ ASKED = 1e-3
 LATE = 3.0
 """A command that comes so many periods late is counted."""
 
+SLOW, MEMORY = 0.9, 50
+"""Below this share of the planned rate it is told; below half of it over so many commands, the flight ends."""
+
 SAID = 20
 """So many different texts of the vehicle are told at the end; the recording holds all."""
 
@@ -142,6 +145,7 @@ class _Flight:
         self.due = link.now
         self.flown, self.late, self.notes = 0.0, 0, list[str]()
         self._lateness: list[int] = []
+        self._excess = 0.0  # of the intervals between commands over the period, the latest most [ns]
         self._planned = self._zero = self._stamp = 0  # when the command was due; stamps of first pose, last command
         self._first = self._asked = self._last = self._began = self._told = link.now
         self._phase, self._steering = "", False
@@ -248,7 +252,7 @@ class _Flight:
         self._steer_from_here(self.plan.feedback is not None)
         count = math.ceil(self.plan.duration * self.plan.rate - 1e-9)
         wanted = instants(self.tracker.plan, np.arange(count) / self.plan.rate)
-        begun = self.due + self.period
+        begun, before = self.due + self.period, len(self._lateness)
         while (number := (self.due + self.period - begun) // self.period) < count:
             if (ending := self._wait(self.limits)) is not None:
                 return ending
@@ -258,6 +262,9 @@ class _Flight:
             self.tracking, command = obeyed(self.tracker, self.tracking, wanted[number])
             self._send(command.tolist())
             self.flown = (number + 1) / self.plan.rate
+        sent = (len(self._lateness) - before) / self.flown
+        if sent < SLOW * self.plan.rate:
+            self.notes.append(f"the link took {sent:.0f} commands a second, {self.plan.rate:g} were planned")
         return self._wait(self.limits)
 
     # Steps
@@ -271,6 +278,7 @@ class _Flight:
         now = self.link.now
         held_up, self._last = now - self._last - self.period, now
         self.late += held_up > LATE * self.period
+        self._excess += (min(held_up, LATE * self.period) - self._excess) / MEMORY
         if pressed := self.abort():
             return Ending("operator", f"ended by the operator: {pressed}")
         if self.recorder.fault or self.recorder.stalled():
@@ -289,6 +297,10 @@ class _Flight:
             return GuardVerdict("starved", f"the loop was held up for {late / 1e9:.2f} s: is the computer overloaded?")
         if self.late >= limits.starved:
             text = f"{self.late} commands came more than {LATE:g} periods late: is the computer overloaded?"
+            return GuardVerdict("starved", text)
+        if self._excess > self.period:
+            taken = 1e9 / (self.period + self._excess)
+            text = f"the link takes {taken:.0f} of {self.plan.rate:g} commands a second: lower `rate` in the plan"
             return GuardVerdict("starved", text)
         return None
 
