@@ -33,9 +33,9 @@ autopilots write the messages of one step of their controller one after the othe
 
 
 def is_beside(time: Channel, channel: Channel) -> bool:
-    """Whether a channel stands in another table than the clock of its stream."""
-    table = split_source(channel.source)[0]
-    return isinstance(channel.source, str) and bool(table) and table != split_source(time.source)[0]
+    """Whether a channel stands in another table than its clock; where the clock names none, there is only one."""
+    table, own = split_source(channel.source)[0], split_source(time.source)[0]
+    return isinstance(channel.source, str) and bool(table and own) and table != own
 
 
 def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
