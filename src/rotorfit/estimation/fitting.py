@@ -291,6 +291,7 @@ def _averaged(
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
+        beside = [one for law, one in zip(family.laws, said, strict=True) if law.estimate is family.plain]
         telling = [place for place, one in enumerate(said) if one.predictor]
         if telling:  # a law under which the commands may do nothing says nothing where they do under another
             family = family.of([family.laws[place] for place in telling])
@@ -299,7 +300,8 @@ def _averaged(
             axes[axis] = said[0]
         chosen[axis] = family.laws[0].estimate
         if axes[axis].predictor and axes[axis].structure != STRUCTURE:
-            plain[axis] = _group_axes(flights, group, {axis: family.plain})[0][axis], family.plain
+            one = beside[0] if beside else _group_axes(flights, group, {axis: family.plain})[0][axis]
+            plain[axis] = one, family.plain
     covariance = covariances(group, [chosen[axis] for axis in group], axes)
     return _Found(axes, covariance, chosen, plain=plain)
 
