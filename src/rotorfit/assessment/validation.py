@@ -166,15 +166,16 @@ def _score_flight(
         heading, fitted = "predicted" if yaw else "measured", _was_fitted(model, flight)
         return FlightScores(flight.path, flight.span, scores, heading, fitted, flight.moved), errors
 
-    regressed = predict_flight(flight, paper, max(horizons))
-    coasted = [free_run_prediction(flight, part, *np.nan_to_num(coefficients.reshape(4, 2).T)) for part in parts]
     told, turning = np.isfinite(coefficients[::2]), bool(known[AXES.index("yaw")])
-    return {
-        "model": scored(parts, [part.predicted for part in parts], known, turning),
-        "hold": scored(parts, [hold_velocity(part) for part in parts], np.ones(4, bool), turning),
-        "paper": scored(regressed, [part.predicted for part in regressed], told, "yaw" in paper),
-        "coast": scored(parts, coasted, told, turning),
-    }
+    out = {"model": scored(parts, [part.predicted for part in parts], known, turning)}
+    # one after the other: the predictions of half an hour are hundreds of megabytes each
+    out["hold"] = scored(parts, [hold_velocity(part) for part in parts], np.ones(4, bool), turning)
+    regressed = predict_flight(flight, paper, max(horizons))
+    out["paper"] = scored(regressed, [part.predicted for part in regressed], told, "yaw" in paper)
+    del regressed
+    coasted = [free_run_prediction(flight, part, *np.nan_to_num(coefficients.reshape(4, 2).T)) for part in parts]
+    out["coast"] = scored(parts, coasted, told, turning)
+    return out
 
 
 def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:

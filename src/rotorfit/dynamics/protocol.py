@@ -268,11 +268,13 @@ def score_predictions(
     Returns:
         Axis name to errors.
     """
-    errors = {h: _all_errors(parts, predicted, h) for h in {*horizons, FIT_HORIZON}}
-    return {
-        axis: AxisScore({f"{h:g}": _horizon(errors[h], k) for h in horizons}, _fit_percent(errors[FIT_HORIZON], k))
-        for k, axis in enumerate(AXES)
-    }
+    scores: list[dict[str, Horizon]] = [{} for _ in AXES]
+    for h in horizons:
+        errors = _all_errors(parts, predicted, h)
+        for k, score in enumerate(scores):
+            score[f"{h:g}"] = _horizon(errors, k)
+    errors = _all_errors(parts, predicted, FIT_HORIZON)
+    return {axis: AxisScore(scores[k], _fit_percent(errors, k)) for k, axis in enumerate(AXES)}
 
 
 def horizon_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> dict[str, Horizon]:
@@ -348,14 +350,14 @@ def _complete(part: Predictions, horizon: float) -> tuple[Mask, Indices]:
 def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
     """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
     good, end = _complete(part, horizon)
-    first, end, runs = part.first[good], end[good], predicted[good]
+    first, end, run = part.first[good], end[good], np.flatnonzero(good)
     if not first.size:
         return np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))
-    start, step = np.nonzero(np.arange(runs.shape[1]) < (end - first)[:, None])
+    start, step = np.nonzero(np.arange(predicted.shape[1]) < (end - first)[:, None])
     at = first[start] + step
-    velocity = runs[start, step, 1] - part.reference[at]
+    velocity = predicted[run[start], step, 1] - part.reference[at]
     measured = part.reference[at].copy()
-    position = runs[np.arange(first.size), end - first - 1, 0] - part.pose[end - 1]
+    position = predicted[run, end - first - 1, 0] - part.pose[end - 1]
     for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
         vector[:, :2] = heading_from_world(vector[:, :2], yaw)
     position[:, np.isin(AXES, part.alone)] = np.nan
