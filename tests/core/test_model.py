@@ -126,7 +126,7 @@ def test_a_card_that_is_damaged_inside_a_model_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("version", [2, 99, "2", None])
 def test_another_version_is_refused_and_named(version: Any) -> None:
-    with pytest.raises(ModelError, match=f"version {version}"):
+    with pytest.raises(ModelError, match=f"version {version!r}"):
         from_mapping(damaged(lambda raw: raw.update(version=version)), "here.json")
 
 
