@@ -24,7 +24,7 @@ FLAGS = [
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
 expect.set_options(timeout=20_000)
-SOON, WORK = 20_000, 90_000
+SOON, WORK = 20_000, 300_000
 """How long to wait for the page, and for a fit [ms]."""
 
 DROP = """([name, base64]) => {

@@ -117,7 +117,7 @@ def test_a_million_columns_are_refused_before_they_take_time_and_memory(tmp_path
     started = process_time()
     with pytest.raises(LogError, match="a table of 300000 columns"):
         read(wide_csv(tmp_path / "log", 300_000))
-    assert process_time() - started < 2
+    assert process_time() - started < 20  # a minute and more, where the columns were read before they were counted
 
 
 def test_more_cells_than_memory_holds_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
