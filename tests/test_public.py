@@ -55,7 +55,7 @@ FUNCTIONS: dict[str, str] = {
         "(card=None, *, after=None, design=None, room=None, box=None, axes=None, open_loop=False, "
         "duration=60.0, amplitude=None, speed=None, seed=0, progress=None)"
     ),
-    "read": "(path, tables=None)",
+    "read": "(path, tables=None, progress=None)",
     "report": "(models, flights=(), path='report.html', *, card=None, figures=None, progress=None)",
     "save": "(result, path)",
     "simulate": "(model, command_time, command, time, pose=None, velocity=None)",

@@ -356,7 +356,7 @@ def test_damage_of_the_file_is_said_first_and_once(verb: str, tmp_path: Path, mo
     words = Csv(flown(steps(("z",), seed=2), 12.0)).write(tmp_path)
     damage, note = "damaged at byte 7 of 90: 5 bytes lost", "2 columns left out"
 
-    def damaged(path: str | Path, tables: Collection[str] | None = None) -> Log:
+    def damaged(path: str | Path, tables: Collection[str] | None = None, _: object = None) -> Log:
         return replace(read(path, tables), damage=(damage,), notes=(note,))
 
     monkeypatch.setattr("rotorfit.diagnosis.survey.read", damaged)

@@ -517,7 +517,7 @@ def test_a_flight_with_a_card_decodes_the_tables_of_the_card_only(
     path = write_storage(tmp_path / "bag", recording(600, 170))
     asked: list[object] = []
     monkeypatch.setattr(
-        "rotorfit.app.workflows.read", lambda path, tables=None: (asked.append(tables), read(path, tables))[1]
+        "rotorfit.app.workflows.read", lambda path, tables=None, _=None: (asked.append(tables), read(path, tables))[1]
     )
 
     flight = load_flight(LogSpan(str(path), WHOLE), card_from_mapping(CARD, "test"))
