@@ -52,7 +52,7 @@ MOST = 12
 
 @kernel(fastmath={"contract"})
 def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: Array, levels: Array) -> Array:
-    """The inverse of `disturbance.whiten_axis`: positions (B, R) whose standardised innovations are these (B, R)."""
+    """The inverse of `whitening.whiten_axis`: positions (B, R) whose standardised innovations are these (B, R)."""
     B, R = innovations.shape
     out = np.empty((B, R))
     F, Q = step_tables(steps, levels[2], levels[3])
@@ -80,7 +80,7 @@ def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: 
 def colour_plane(
     steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, innovations: Array, levels: Array
 ) -> Array:
-    """The inverse of `disturbance.whiten_plane`: positions (B, R, 2), heading frame, of innovations (B, R, 2)."""
+    """The inverse of `whitening.whiten_plane`: positions (B, R, 2), heading frame, of innovations (B, R, 2)."""
     B, R, _ = innovations.shape
     out = np.empty((B, R, 2))
     Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])

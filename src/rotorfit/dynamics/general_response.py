@@ -1,6 +1,6 @@
 """The motion under the general law of `structure`, with every sensitivity that the likelihood needs.
 
-Between two events (a switch of the delayed command, a pose) the command is constant, and `motion_step` leads from one
+Between two events (a switch of the delayed command, a pose) the command is constant, and `move` leads from one
 to the next, all columns at once. The derivative by the delay enters at the switches: an impulse into the velocity, or
 into the lagged input where there is a lag. A zero makes every switch an impulse into the acceleration.
 """
