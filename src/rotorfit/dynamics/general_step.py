@@ -159,10 +159,20 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
         S[a, d, 3], S[a, d, 7], S[a, d, 11] = S[a, d, 2], S[a, d, 6], S[a, d, 10]
 
 
+@inner(fastmath={"contract"})
+def _turn_velocities(z: Array, C: int, c: float, s: float) -> None:
+    """Turns the frame of the velocities of all columns, in place."""
+    for j in range(C):
+        x, y = z[V + j], z[V + COLUMNS + j]
+        z[V + j], z[V + COLUMNS + j] = c * x + s * y, c * y - s * x
+
+
 @inner()
-def _kick(law: Array, what: Any, whose: Any, z: Array, dt: float) -> None:
-    """Quadratic drag and the damping across act for dt on the velocities of all columns, in the heading frame."""
+def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: float) -> None:
+    """Quadratic drag and the damping across act for dt on the velocities of all columns; c and s are of the heading."""
     K, C = law.shape[0], what.size
+    if K == 2:
+        _turn_velocities(z, C, c, s)
     for a in range(K):
         if int(law[a, KICKS]) % 2 == 0:
             continue
@@ -188,14 +198,8 @@ def _kick(law: Array, what: Any, whose: Any, z: Array, dt: float) -> None:
             elif what[j] == CROSS_DAMPING and whose[j] == 1:
                 z[V + j] += dt * 0.5 * first * x
                 z[V + COLUMNS + j] += dt * (0.5 * first * y - x)
-
-
-@inner(fastmath={"contract"})
-def _turn_velocities(z: Array, C: int, c: float, s: float) -> None:
-    """Turns the frame of the velocities of all columns, in place."""
-    for j in range(C):
-        x, y = z[V + j], z[V + COLUMNS + j]
-        z[V + j], z[V + COLUMNS + j] = c * x + s * y, c * y - s * x
+    if K == 2:
+        _turn_velocities(z, C, c, -s)
 
 
 @inner(fastmath={"contract"})
@@ -240,11 +244,7 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
     """Moves all columns by dt; `S` (K, 3, 12) holds the linear step, the heading has cosine c and sine s."""
     K, C = law.shape[0], what.size
     if kicked:
-        if K == 2:
-            _turn_velocities(z, C, c, s)
-        _kick(law, what, whose, z, 0.5 * dt)
-        if K == 2:
-            _turn_velocities(z, C, c, -s)
+        _kick(law, what, whose, z, c, s, 0.5 * dt)
     v0, v1 = z[V], z[V + COLUMNS]
     if K == 2:
         v0, v1 = c * v0 + s * v1, c * v1 - s * v0
@@ -273,8 +273,4 @@ def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: flo
             z[P + COLUMNS + j] += y * p
             z[V + COLUMNS + j] += y * along
     if kicked:
-        if K == 2:
-            _turn_velocities(z, C, c, s)
-        _kick(law, what, whose, z, 0.5 * dt)
-        if K == 2:
-            _turn_velocities(z, C, c, -s)
+        _kick(law, what, whose, z, c, s, 0.5 * dt)

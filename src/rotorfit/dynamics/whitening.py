@@ -163,7 +163,7 @@ def whiten_axis(
     """
     B, C = columns.shape
     M = levels.shape[0]
-    out, others, variances = np.empty((B, C)), np.empty((max(M - 1, 0), B, few)), np.empty((M, B))
+    out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
     table, w, gains, z = _tables(steps, levels), np.zeros(23 * LANES), np.empty((M, B, 4)), np.empty(3 * WIDTH)
     for g in range(table.shape[1]):
         for m in range(LANES):
@@ -397,7 +397,7 @@ def whiten_plane(
     """
     B, _, C = columns.shape
     M = levels.shape[0]
-    out, others, variances = np.empty((B, 2, C)), np.empty((max(M - 1, 0), B, 2, few)), np.empty((M, B, 2))
+    out, others, variances = np.empty((B, 2, C)), np.empty((M - 1, B, 2, few)), np.empty((M, B, 2))
     tx, ty = _tables(steps, levels[:, 0]), _tables(steps, levels[:, 1])
     w, gains, z = np.zeros(61 * LANES), np.empty((M, B, 14)), np.empty(6 * WIDTH)
     along, turn = np.empty((B, 2, C)), np.empty((B, 2))

@@ -15,7 +15,7 @@ import numpy as np
 from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, TRIM, ZERO, Structure
 from rotorfit.dynamics.general_response import motion_response
-from rotorfit.dynamics.general_step import MEAN, NOTHING, START
+from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
 from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
@@ -119,6 +119,7 @@ def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indice
         what += [place] * K
         whose += range(K)
         scaled += [False] * K
+    assert len(what) <= COLUMNS  # more would be written beyond the end of what the kernel moves
     return np.array(what), np.array(whose), np.array(scaled)
 
 
