@@ -16,7 +16,7 @@ import rotorfit
 ROOT = Path(rotorfit.__file__).parent
 PACKAGES = (
     "app", "assessment", "control", "core", "diagnosis", "dynamics", "estimation", "exports", "files", "flights",
-    "flying", "planning", "reporting", "simulation",
+    "flying", "planning", "reporting", "simulation", "tracking",
 )  # fmt: skip
 NOUNS = {
     "core.log": ("Log",),
@@ -25,6 +25,7 @@ NOUNS = {
     "core.model": ("Model", "Axis"),
     "core.results": ("Fit", "Validation"),
     "core.flight_plan": ("Plan",),
+    "core.tracked": ("Tracked", "Alarm", "Track"),
     "core.finding": ("Finding",),
     "core.errors": ("RotorfitError",),
     "core.frames": ("AXES",),
@@ -64,7 +65,7 @@ def test_contracts_hold(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.
     assert lint_imports(no_cache=True) == 0, capsys.readouterr().out
 
 
-def test_fourteen_packages_and_nothing_beside_them() -> None:
+def test_fifteen_packages_and_nothing_beside_them() -> None:
     assert tuple(sorted(path.name for path in ROOT.iterdir() if (path / "__init__.py").is_file())) == PACKAGES
     assert sorted(path.name for path in ROOT.glob("*.py")) == ["__init__.py", "__main__.py", "version.py"]
 

@@ -73,6 +73,8 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
         return None
     rows = rows[:: max(1, rows.size // THINNED)]
     t, u = flight.command_time[rows], flight.command[rows, k]
+    if not np.ptp(u) > 0:  # what changes lies at the ends, where no motion is measured
+        return None
     place, rest = _place(flight, k)
     fits = [_fitted(t + lag, u, motion.time, motion.velocity[:, k], flight.pose_time, place, rest) for lag in LAGS]
     best = int(np.argmin([left for left, _, _ in fits]))

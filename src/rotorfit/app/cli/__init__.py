@@ -15,11 +15,14 @@ from rotorfit.app.cli.interruption import safe_interrupts
 from rotorfit.app.cli.logs import cards, demo, formats, info, studio
 from rotorfit.app.cli.models import convert, fit, ladder
 from rotorfit.app.cli.scoring import compare, report, validate
+from rotorfit.app.cli.tracking import track
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.plain import line_of
 from rotorfit.version import __version__
 
-VERBS = (demo, info, fit, ladder, validate, compare, report, convert, tune, export, plan, fly, cards, formats, studio)
+VERBS = (
+    demo, info, fit, ladder, validate, compare, report, convert, tune, export, plan, fly, track, cards, formats, studio,
+)  # fmt: skip
 """In the order of the work."""
 
 

@@ -1,0 +1,76 @@
+"""What the terminal shows of a vehicle that is followed: what is new, second by second, and the end in a table."""
+
+from collections.abc import Iterator
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
+from rotorfit.core.tracked import QUANTITIES, Alarm, Track, Tracked, TrackedAxis
+
+UNITS = {"delay": "s", "lag": "s", "total_lag": "s", "damping": "1/s"}
+
+
+def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
+    """Alarms, and the axes of which something else is known than a second ago."""
+    for alarm in state.alarms:
+        yield from alarm_view(alarm)
+    for name, axis in state.axes.items():
+        earlier = before.axes.get(name) if before else None
+        if (earlier is None and axis.knowledge != "learning") or (earlier and earlier.knowledge != axis.knowledge):
+            line = Text(f"{state.time:7.1f} s  {name:4}", style="dim")
+            line.append(f" {axis.state}", style="default")
+            line.append(_numbers(axis), style="default")
+            yield line
+
+
+def _numbers(axis: TrackedAxis) -> str:
+    """The coefficients with their intervals, where they are told."""
+    known = [
+        f"{name.replace('_', ' ')} {number_text(value, axis.ci95[name])} ({interval_text(axis.ci95[name])})"
+        for name, value in axis.values.items()
+        if value is not None and name in ("input", "damping", "delay")
+    ]
+    return f": {', '.join(known)}" if known and axis.knowledge in ("known", "not_identifiable") else ""
+
+
+def alarm_view(alarm: Alarm) -> View:
+    """What changed, since when, by how much, and why it is probably that."""
+    low, high = alarm.since
+    head = Text(f"{alarm.time:7.1f} s  ALARM {', '.join(alarm.axes)}: {alarm.cause}", style="bold red")
+    head.append(f", since {low:.1f} to {high:.1f} s", style="default")
+    yield head
+    yield indented(f"{alarm.why}.", 11)
+    changed = (f"{name.replace('.', ' ')} {_change(name)} {a:.3g} to {b:.3g}" for name, (a, b) in alarm.change.items())
+    yield indented("; ".join(changed) + ".", 11)
+
+
+def _change(name: str) -> str:
+    return "by" if name.endswith((".delay", ".trim")) else "times"
+
+
+def track_view(result: Track) -> View:
+    """The axes at the end, and the regimes."""
+    last = result.states[-1]
+    yield ""
+    yield title(f"At {last.time:.1f} s, 95 % intervals of the vehicle as it flew:")
+    out = table("axis", "state", "quantity", "value", "95 %", left=(0, 1, 2))
+    for name, axis in last.axes.items():
+        known = [(what, axis.values[what]) for what in QUANTITIES if axis.values.get(what) is not None]
+        for row, (what, value) in enumerate(known or [("", None)]):
+            said = (name, axis.state) if row == 0 else ("", "")
+            if value is None:
+                out.add_row(*said, "", "", "")
+            else:
+                unit = f" {UNITS[what]}" if what in UNITS else ""
+                out.add_row(
+                    *said, what.replace("_", " "), number_text(value, axis.ci95[what]) + unit,
+                    interval_text(axis.ci95[what]),
+                )  # fmt: skip
+    yield out
+    if len(result.regimes) > 1:
+        yield ""
+        yield from bullets(
+            f"{one.start:.1f} to {one.end:.1f} s: {one.begun_by.cause if one.begun_by else 'as it began'}"
+            for one in result.regimes
+        )

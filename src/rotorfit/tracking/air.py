@@ -1,0 +1,162 @@
+"""Where the vehicle is in its motion: velocity, what the air does to it, and where it will be in a second.
+
+The driven motion of the law from the start of the segment, and beside it a filter of what the commands do not explain:
+position, velocity and acceleration n, s, s' of the disturbance (see `dynamics.disturbance`). What acts on the vehicle
+is then c + b s + s', the trim with it: through a drag b, air that moves at (c + b s + s') / b.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES, Array, Indices, heading_from_world, world_from_heading
+from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
+from rotorfit.dynamics.disturbance import discretize, distinct_steps, stationary
+from rotorfit.dynamics.disturbance_state import disturbance_states
+from rotorfit.dynamics.predictor import free_run
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.extra_parameters import structure_at
+
+AHEAD = 1.0
+"""How far the prediction goes [s]."""
+
+
+@dataclass(frozen=True)
+class AxisMotion:
+    """One axis at the last pose.
+
+    Attributes:
+        velocity: World x, y, z or the rate of yaw [m/s, rad/s].
+        wind: Acceleration that the commands do not explain; x and y in the world [m/s^2, rad/s^2].
+        wind_error: Its standard error.
+        gusts: Standard deviation of the disturbance's velocity [m/s, rad/s].
+        ahead: Velocity a second later if the last command holds.
+        ahead_error: Its standard error.
+    """
+
+    velocity: float
+    wind: float
+    wind_error: float
+    gusts: float
+    ahead: float
+    ahead_error: float
+
+
+SAMPLES = 30.0
+"""Poses a second that the filter takes [1/s]: as many as the likelihood's blocks."""
+
+STILL = (0.0, 1.0, 0.0)
+"""Input, damping and delay of an axis that is not told: it only keeps the other company."""
+
+
+def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, AxisMotion]:
+    """The motion at the last pose of the axes that are told; none where the last segment is too short.
+
+    Args:
+        flight: So far.
+        estimates: Axis name to its estimate.
+    """
+    out: dict[str, AxisMotion] = {}
+    for pair in (("x", "y"), ("z", "yaw")):
+        known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
+        if known:
+            out |= _of_pair(flight, pair, known)
+    return out
+
+
+def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate]) -> dict[str, AxisMotion]:
+    """Two axes that predict together, at the last pose."""
+    first = next(iter(known.values()))
+    begin = float(first.records[-1].starts[-1])
+    i = int(np.searchsorted(flight.pose_time, begin))
+    time, heading = flight.pose_time[i:], flight.yaw[i:]
+    if time.size < LEAST:
+        return {}
+    keep = np.unique(np.searchsorted(time, np.arange(time[0], time[-1], 1 / SAMPLES)))
+    keep = np.append(keep[keep < time.size - 1], time.size - 1)
+    time, heading = time[keep], heading[keep]
+    column, level = [AXES.index(axis) for axis in pair], pair == ("z", "yaw")
+    turn = np.zeros(time.size) if level else heading
+    pose = np.column_stack([flight.position, flight.yaw])[i:][keep][:, column]
+    laws = np.array([_law(known.get(axis)) for axis in pair])
+    driven = free_run(
+        flight.command_time, np.ascontiguousarray(flight.command[:, column]), laws, pose[0], _start(pair, known),
+        np.concatenate([[begin], time, [time[-1] + AHEAD]]), np.concatenate([turn[:1], turn, turn[-1:]]),
+    )  # fmt: skip
+    steps, step = distinct_steps(time)
+    found = {axis: _disturbed(known[axis], steps, step, pose[:, k] - driven[1:-1, k]) for k, axis in enumerate(pair)
+             if axis in known}  # fmt: skip
+    moved = {axis: _at_last(laws[pair.index(axis)], state, driven[:, 2 + pair.index(axis)])
+             for axis, state in found.items()}  # fmt: skip
+    return moved if level else _with_heading(moved, laws, float(heading[-1]))
+
+
+LEAST = 10
+"""Poses below which the filter has seen nothing."""
+
+State = tuple[Array, Array, Array]
+"""Levels of an axis, mean and covariance of (n, s, s') at the last pose."""
+
+
+def _law(estimate: Estimate | None) -> Array:
+    """Numbers of the law of an axis, its trim with them; of one that is not told, of an axis that rests."""
+    if estimate is None:
+        return law_of(FIRST_ORDER_DELAY, *STILL, {})
+    point, k = estimate.optimum.point, estimate.place
+    structure = structure_at(estimate.optimum, k)
+    out = law_of(structure, point.gain[k], np.exp(point.log_damping[k]), point.delay[k], point.extra_values(k))
+    out[TRIM] = point.trim[-1, k]
+    return out
+
+
+def _start(pair: tuple[str, str], known: Mapping[str, Estimate]) -> Array:
+    """World velocity of a pair at the start of the last segment."""
+    out = np.zeros(2)
+    for k, axis in enumerate(pair):
+        if axis in known:
+            one = known[axis]
+            out[k] = one.optimum.point.start[-1, one.place]
+    first = next(iter(known.values()))
+    if pair == ("x", "y") and first.optimum.point.gain.size == 1:  # along and across the heading that was held
+        out = world_from_heading(out[None], np.array([first.records[-1].heading]))[0]
+    return out
+
+
+def _disturbed(estimate: Estimate, steps: Array, step: Indices, residual: Array) -> State:
+    """The disturbance of an axis at the last pose."""
+    levels = np.exp(estimate.optimum.point.levels[estimate.place, :4])
+    means, covariances = disturbance_states(steps, step, residual, np.full(residual.size, levels[1]), levels)
+    return levels, means[-1], covariances[-1]
+
+
+def _at_last(law: Array, state: State, driven: Array) -> AxisMotion:
+    """The motion of an axis from the driven velocity at the last pose and a second later, and the disturbance."""
+    levels, mean, covariance = state
+    b = law[DAMPING]
+    pull = np.array([0.0, b, 1.0])
+    F, Q = np.zeros((3, 3)), np.zeros((3, 3))
+    discretize(levels[2], 0.25 * levels[3] * levels[2] ** 2, AHEAD, F, Q)
+    later = F @ covariance @ F.T + levels[0] * Q
+    return AxisMotion(
+        velocity=float(driven[-2] + mean[1]),
+        wind=float(pull @ mean + law[TRIM]),
+        wind_error=float(np.sqrt(pull @ covariance @ pull)),
+        gusts=float(np.sqrt(stationary(levels)[0])),
+        ahead=float(driven[-1] + (F @ mean)[1]),
+        ahead_error=float(np.sqrt(later[1, 1])),
+    )
+
+
+def _with_heading(moved: Mapping[str, AxisMotion], laws: Array, heading: float) -> dict[str, AxisMotion]:
+    """The wind of x and y in the heading frame, where the trim stands; the disturbance was followed in the world.
+
+    One axis alone keeps its wind as along the heading that was held.
+    """
+    if len(moved) < 2:
+        return dict(moved)
+    trim = laws[:, TRIM]
+    world = np.array([[moved[axis].wind for axis in ("x", "y")]]) - trim
+    turned = heading_from_world(world, np.array([heading]))[0] + trim
+    return {axis: replace(moved[axis], wind=float(turned[k])) for k, axis in enumerate(("x", "y"))}

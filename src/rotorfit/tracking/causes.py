@@ -1,0 +1,137 @@
+"""What a change probably is: the shifts of the coefficients against those that each cause would give.
+
+A cause is a subspace: some coefficients change, alike or each by itself, and the others stay. Each is fitted to the
+shifts with their precision; what it leaves and how many numbers it took decide (Schwarz's criterion), the shares say
+how surely.
+
+Source: G. Schwarz, Ann. Statist. 6 (1978), pp. 461-464.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.tracked import Cause
+from rotorfit.tracking.changes import Contrast, Scores
+
+NORMAL = 1.96
+
+PRICE = float(np.log(60.0))
+"""What each number of a cause costs: the logarithm of about as many independent samples as two seconds hold."""
+
+WORDS: Mapping[Cause, str] = {
+    "payload": "weight against thrust changed: a payload taken up or dropped, or thrust lost evenly",
+    "thrust": "weight against thrust and the torque about the vertical changed together: thrust lost on one side",
+    "limits": "the answer to full commands changed by one factor: another limit or mode",
+    "delay": "all answers come later or earlier by the same time: radio, clock or computer",
+    "other": "no single cause explains it",
+}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A named change.
+
+    Attributes:
+        cause: Which.
+        axes: The axes that it changes.
+        change: `AXIS.QUANTITY` to the 95 % interval: a ratio, or the difference of a delay or trim.
+        confidence: Share among the causes.
+        why: A sentence.
+    """
+
+    cause: Cause
+    axes: tuple[str, ...]
+    change: Mapping[str, tuple[float, float]]
+    confidence: float
+    why: str
+
+
+def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
+    """Names the cause of a change.
+
+    Args:
+        parts: Scores and contrast of each likelihood, from one instant.
+    """
+    names = [name for scores, _ in parts for name in scores.names]
+    shift = np.concatenate([found.shift for _, found in parts])
+    scale = np.concatenate([scores.scale for scores, _ in parts])
+    precision = np.zeros((shift.size, shift.size))
+    at = 0
+    for _, found in parts:
+        size = found.shift.size
+        precision[at : at + size, at : at + size] = found.precision
+        at += size
+    fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in _causes(names)]
+    costs = np.array([left + PRICE * np.linalg.matrix_rank(basis) for _, (left, _, _, basis) in fitted])
+    share = np.exp(-0.5 * (costs - costs.min()))
+    share /= share.sum()
+    best = int(np.argmin(costs))
+    cause, (_, moved, error, _) = fitted[best]
+    change = _intervals(names, moved, error, scale)
+    axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
+    others = sorted(zip(share, fitted, strict=True), key=lambda pair: -pair[0])
+    second = next(((s, c) for s, (c, _) in others if c != cause), None)
+    return Diagnosis(cause, axes, change, float(share[[c == cause for c, _ in fitted]].sum()), _why(cause, second))
+
+
+def _causes(names: Sequence[str]) -> list[tuple[Cause, Array]]:
+    """Each cause with a basis of the shifts that it gives, shape (P, k)."""
+
+    def alike(*wanted: str) -> Array:
+        return np.array([[1.0 if name in wanted else 0.0] for name in names])
+
+    def each(*wanted: str) -> Array:
+        return np.eye(len(names))[:, [i for i, name in enumerate(names) if name in wanted]]
+
+    gains, delays = ([n for n in names if n.endswith(f".{part}")] for part in ("input", "delay"))
+    found: list[tuple[Cause, Array]] = [
+        ("payload", each("z.trim")),
+        ("payload", each("z.trim", "z.input", "z.damping")),
+        ("thrust", each("z.trim", "yaw.trim")),
+        ("thrust", each("yaw.trim")),
+        ("delay", alike(*delays)),
+        ("limits", alike(*gains)),
+        ("limits", alike("x.input", "y.input")),
+        *(("limits", each(gain)) for gain in gains),
+        ("other", np.eye(len(names))),
+    ]
+    axes = dict.fromkeys(name.split(".")[0] for name in names)
+    found += [("other", each(*(name for name in names if name.startswith(f"{axis}.")))) for axis in axes]
+    used: list[tuple[Cause, Array]] = []
+    for cause, basis in found:
+        if basis.any() and not any(b.shape == basis.shape and np.array_equal(b, basis) for _, b in used):
+            used.append((cause, basis))
+    return used
+
+
+def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[float, Array, Array, Array]:
+    """What a cause leaves unexplained, the shifts that it gives and their standard errors, and its basis."""
+    inverse = np.linalg.pinv(basis.T @ precision @ basis, rcond=1e-9, hermitian=True)
+    moved = basis @ (inverse @ (basis.T @ precision @ shift))
+    off = shift - moved
+    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, inverse, basis), 0.0))
+    return float(off @ precision @ off), moved, error, basis
+
+
+def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
+    """Intervals of what changed, in natural units."""
+    out = {}
+    for name, value, wide, size in zip(names, moved, error, scale, strict=True):
+        if wide == 0.0:
+            continue
+        low, high = (value - NORMAL * wide) * size, (value + NORMAL * wide) * size
+        if name.split(".")[1] not in ("delay", "trim"):
+            low, high = float(np.exp(low)), float(np.exp(high))
+        out[name] = (float(low), float(high))
+    return out
+
+
+def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:
+    """One sentence."""
+    if second is None:
+        return WORDS[cause]
+    share, other = second
+    return f"{WORDS[cause]}; next is {other!r} with {100 * share:.2g} % of the evidence"

@@ -1,0 +1,202 @@
+"""The estimate of one group of axes while the flight grows: the batch estimator, followed from second to second.
+
+A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
+excited time has grown by `REFIT`, so that all refits together cost a few times the last one. In between the estimate
+takes a step or two of the same climb on the data that have come, from where it stands; intervals keep the shape that
+the refit gave them and shrink with the information. So the last estimate of a flight is that of the batch.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.model import Axis, Interval
+from rotorfit.core.results import Fit
+from rotorfit.core.tracked import QUANTITIES
+from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes
+from rotorfit.estimation.likelihood.blocks import Record, record
+from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.optima import start_point
+from rotorfit.estimation.likelihood.parameters import Point
+
+REFIT = 1.5
+"""Growth of the time that a fit saw after which the batch estimator looks again."""
+
+PASSES = 3
+"""Passes over the data that a step may take: one to see, two to move."""
+
+Half = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The estimate of a group of axes that are fitted together, or of axes that are not told.
+
+    Attributes:
+        group: Names.
+        fit: The last refit.
+        seen: Time that it saw [s].
+        estimates: Axis name to the estimate now; none of axes without numbers.
+        half: Axis and quantity to the half widths of the intervals at the refit, of these flights and of the vehicle,
+            and the standard error then, all on the scale of the quantity.
+    """
+
+    group: tuple[str, ...]
+    fit: Fit
+    seen: float
+    estimates: Mapping[str, Estimate]
+    half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said of one axis: values and intervals by name, of these flights and of the vehicle."""
+
+    values: Mapping[str, float | None]
+    ci95: Mapping[str, Interval]
+    ci95_vehicle: Mapping[str, Interval]
+
+
+def refitted(flight: Flight, group: Sequence[str], structure: str) -> Followed:
+    """The batch estimator on the flight so far.
+
+    Args:
+        flight: So far.
+        group: Axes that are fitted together.
+        structure: As `fit` takes it.
+    """
+    found = fit([flight], axes=group, structure=structure)
+    estimates = {
+        axis: estimate for axis, estimate in found.estimates.items() if found.model.axes[axis].predictor is not None
+    }
+    half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
+    return Followed(tuple(group), found, flight.duration, estimates, half)
+
+
+def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
+    """Half widths of both intervals of everything of an axis, and its standard error, on its scale."""
+    out = {}
+    for name, one in estimands(estimate.optimum, estimate.place).items():
+        vehicle, flight = _ends(axis, name)
+        out[name] = half_widths(one, flight), half_widths(one, vehicle), one.error(estimate.optimum)
+    return out
+
+
+def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
+    """The two intervals of a coefficient or combination: the vehicle's, and that of these flights."""
+    if name in axis.combinations:
+        part = axis.combinations[name]
+        return part.ci95, part.ci95_flight or part.ci95
+    ends = axis.ci95.get(name, (None, None))
+    return ends, axis.ci95_flight.get(name, ends)
+
+
+def stepped(followed: Followed, flight: Flight) -> Followed:
+    """A step or two of the climb on the flight so far, from where the estimate stands.
+
+    Args:
+        followed: Before.
+        flight: So far; its first segments are those that the estimate saw.
+    """
+    if not followed.estimates:
+        return followed
+    estimates = dict(followed.estimates)
+    together = {id(one.optimum): one for one in estimates.values()}
+    if len(together) == 1 and len(estimates) == 2:  # x and y through the heading: one optimum
+        one = next(iter(together.values()))
+        moved = _moved(one, _records(flight, followed.group))
+        estimates = {axis: replace(moved, place=each.place) for axis, each in estimates.items()}
+    else:
+        estimates = {axis: _moved(one, _records(flight, _seen_by(one))) for axis, one in estimates.items()}
+        if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
+            coupled = couple_axes(_records(flight, followed.group), list(estimates.values()))
+            estimates = dict(zip(estimates, coupled, strict=True))
+    return replace(followed, estimates=estimates)
+
+
+def _seen_by(estimate: Estimate) -> tuple[str, ...]:
+    return tuple(estimate.records[0].axes)
+
+
+def _records(flight: Flight, axes: Sequence[str]) -> list[Record]:
+    found = record(flight, axes)
+    return [found] if found else []
+
+
+def _moved(estimate: Estimate, records: list[Record]) -> Estimate:
+    """An estimate after a step on newer records; as it was where there are none."""
+    if not records:
+        return estimate
+    optimum = estimate.optimum
+    point = _grown(optimum.point, estimate.records, records)
+    same = point.n == optimum.point.n
+    free = np.concatenate([optimum.free[: point.coefficients + point.trim.size], np.ones(point.start.size, bool),
+                           optimum.free[optimum.point.n :]])  # fmt: skip
+    inverse = optimum.inverse if same else None
+    return replace(
+        estimate, records=records, optimum=maximise(records, point, free, inverse, most=PASSES, prior=optimum.prior)
+    )
+
+
+def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) -> Point:
+    """A point with the start velocities of the segments that newer records have."""
+    fresh = start_point(records, 0.0, 1.0, point.levels).start
+    known = {float(t): v for t, v in zip(np.concatenate([rec.starts for rec in before]), point.start, strict=True)}
+    starts = np.concatenate([rec.starts for rec in records])
+    start = np.array([known.get(float(t), v) for t, v in zip(starts, fresh, strict=True)])
+    return replace(point, start=start)
+
+
+def said(followed: Followed, axis: str) -> Said:
+    """What is said of an axis now.
+
+    Args:
+        followed: The estimate of its group.
+        axis: Its name.
+    """
+    nothing = dict.fromkeys(QUANTITIES)
+    if axis not in followed.estimates:
+        return Said(nothing, {}, {})
+    estimate, then = followed.estimates[axis], followed.half[axis]
+    flight: dict[str, Interval] = {}
+    vehicle: dict[str, Interval] = {}
+    values: dict[str, float | None] = dict(nothing)
+    for name, one in estimands(estimate.optimum, estimate.place).items():
+        if name not in QUANTITIES or name not in then:
+            continue
+        own, others, error = then[name]
+        share = _shrunk(one, estimate, error)
+        flight[name] = interval(one, 0.0, _times(own, share))
+        vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
+        values[name] = one.value
+    told = statuses({name: flight.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
+    for name in QUANTITIES:
+        if told.get(name, "ok") != "ok" or None in flight.get(name, (None, None)):
+            values[name] = None
+    return Said(values, flight, vehicle)
+
+
+def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:
+    """The standard error now as a share of what it was at the refit."""
+    return one.error(estimate.optimum) / error if error > 0 else 1.0
+
+
+def _times(half: Half, share: float) -> Half:
+    below, above = half
+    return (None if below is None else below * share, None if above is None else above * share)
+
+
+def _between(now: Half, own: Half, vehicle: Half) -> Half:
+    """Half widths of the vehicle's interval: what other flights add to that of this flight does not shrink with it."""
+    ends: list[float | None] = []
+    for here, then, wide in zip(now, own, vehicle, strict=True):
+        if here is None or then is None or wide is None:
+            ends.append(None)
+        else:
+            ends.append(float(np.sqrt(here**2 + max(wide**2 - then**2, 0.0))))
+    return ends[0], ends[1]

@@ -1,0 +1,61 @@
+"""A recorded flight as if it were live: what was known of it at each second."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from rotorfit.core.flight_data import Flight, Segment
+from rotorfit.core.laws import AVERAGED
+from rotorfit.core.tracked import Track, Tracked
+from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
+
+OnState = Callable[[Tracked], None]
+
+
+def tracked(
+    flight: Flight,
+    structure: str = AVERAGED,
+    false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
+    on_state: OnState = lambda _state: None,
+) -> Track:
+    """Tracks a recorded flight.
+
+    Args:
+        flight: The whole of it; at each second only what had come by then is looked at.
+        structure: As `fit` takes it.
+        false_alarms_per_hour: The expected number that is promised not to be passed.
+        on_state: Called with each state as it comes.
+    """
+    following, states = Following(structure, false_alarms_per_hour), []
+    for part, now in growing(flight, following.next_look):
+        states.append(following.look(part, now))
+        on_state(states[-1])
+    last, regimes = following.finish(flight, flight.segments[-1].end)
+    on_state(last)
+    return Track((*states, last), regimes)
+
+
+def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:
+    """A flight up to each second from `begin` [s], and that second."""
+    end = flight.segments[-1].end
+    for now in np.arange(begin, end, EVERY):
+        if any(part.start < now for part in flight.segments):
+            yield until(flight, float(now)), float(now)
+
+
+def until(flight: Flight, now: float) -> Flight:
+    """What of a flight had come at an instant [s]."""
+    commands, poses = (int(np.searchsorted(t, now, side="right")) for t in (flight.command_time, flight.pose_time))
+    return replace(
+        flight,
+        span=(flight.span[0], min(flight.span[1], now)),
+        command_time=flight.command_time[:commands],
+        command=flight.command[:commands],
+        pose_time=flight.pose_time[:poses],
+        position=flight.position[:poses],
+        yaw=flight.yaw[:poses],
+        segments=tuple(Segment(part.start, min(part.end, now)) for part in flight.segments if part.start < now),
+        reference=None if flight.reference is None else flight.reference[:commands],
+        velocity=None if flight.velocity is None else flight.velocity.between(-np.inf, now),
+    )

@@ -1,0 +1,269 @@
+"""Tracker: samples in, and at any moment what is known of the vehicle; the flight so far is all that it remembers.
+
+Every sample goes into the growing flight and costs no more than that. Once a second (`look`) the estimates of all axes
+take a step, the last seconds are compared with the rest, and the state is put together. It never commands a vehicle.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.laws import AVERAGED
+from rotorfit.core.log import Sample
+from rotorfit.core.model import Interval, Model
+from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis
+from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.grouping import commands_axis, groups_of
+from rotorfit.estimation.identifiability import LEAST_TIME
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.optima import between
+from rotorfit.tracking.air import AxisMotion, motion_now
+from rotorfit.tracking.causes import diagnosis
+from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, scores_of, since_when
+from rotorfit.tracking.following import REFIT, Followed, refitted, said, stepped
+from rotorfit.tracking.growing_flight import GrowingFlight
+
+EVERY = 1.0
+"""Time between looks [s]."""
+
+LONGEST = 300.0
+"""Time that an estimate looks back over [s]: of a longer regime the oldest part is left to itself."""
+
+QUIET = 5.0
+"""Time without a new command after which an axis holds [s]: by then it has answered the last."""
+
+FALSE_ALARMS_PER_HOUR = 0.1
+"""Promised by default."""
+
+NORMAL = 1.96
+
+
+@dataclass(frozen=True)
+class Group:
+    """Axes that are fitted together, since when, and what is known of them; None before the first fit."""
+
+    axes: tuple[str, ...]
+    since: float
+    followed: Followed | None = None
+
+
+class Tracker:
+    """Follows one vehicle.
+
+    Args:
+        card: Meaning of commands and poses.
+        structure: As `fit` takes it.
+        false_alarms_per_hour: The expected number that is promised not to be passed.
+        origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
+    """
+
+    def __init__(
+        self,
+        card: Card,
+        structure: str = AVERAGED,
+        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
+        origin: int | None = None,
+    ) -> None:
+        self._growing = GrowingFlight(card, origin)
+        self._following = Following(structure, false_alarms_per_hour)
+        self._state = Tracked(0.0, dict.fromkeys(AXES, TrackedAxis()))
+
+    def update(self, sample: Sample) -> None:
+        """Takes a sample: a pose, or a command as it was sent."""
+        if not self._growing.add(sample):
+            return
+        now = self._growing.now
+        if now >= self._following.next_look:
+            self._look(now)
+
+    def _look(self, now: float) -> None:
+        if flight := self._growing.flight():
+            self._state = self._following.look(flight, now)
+
+    def state(self) -> Tracked:
+        """What was known at the last look, at most a second of flight ago."""
+        return self._state
+
+    def finish(self) -> tuple[Tracked, tuple[Regime, ...]]:
+        """What is known at the end, by a last fit, and every regime with its model."""
+        if flight := self._growing.flight():
+            return self._following.finish(flight, self._growing.now)
+        return self._state, ()
+
+
+class Following:
+    """The estimates and regimes of a growing flight.
+
+    Args:
+        structure: As `fit` takes it.
+        false_alarms_per_hour: Promised.
+    """
+
+    def __init__(self, structure: str = AVERAGED, false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR) -> None:
+        self._structure, self._false_alarms = structure, false_alarms_per_hour
+        self._groups: dict[tuple[str, ...], Group] = {}
+        self._since = dict.fromkeys(AXES, 0.0)
+        self._changed: dict[str, float] = {}
+        self._alarms: list[Alarm] = []
+        self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
+        self.next_look = LEAST_TIME
+
+    def look(self, flight: Flight, now: float) -> Tracked:
+        """A look at the flight so far.
+
+        Args:
+            flight: Its samples up to now.
+            now: [s].
+        """
+        self.next_look += EVERY * max(np.ceil((now - self.next_look) / EVERY + 1e-9), 1.0)
+        for axes in groups_of([flight], flight.axes):
+            self._groups[axes] = self._followed(axes, flight, now)
+        self._groups = {axes: group for axes, group in self._groups.items() if axes in groups_of([flight], flight.axes)}
+        alarm = self._change(flight, now)
+        return self._tracked(flight, now, (alarm,) if alarm else ())
+
+    def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
+        """The last look, each group fitted once more, and the regimes with their models.
+
+        Args:
+            flight: All of it.
+            now: Its end [s].
+        """
+        for axes, group in self._groups.items():
+            if group.followed and (part := _part(flight, group.since, now)):
+                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure))
+        ends = [*(since for since, _ in self._bounds[1:]), now]
+        regimes = [
+            Regime(since, end, self._model(flight, since, end), alarm)
+            for (since, alarm), end in zip(self._bounds, ends, strict=True)
+        ]
+        return self._tracked(flight, now, ()), tuple(regimes)
+
+    def _model(self, flight: Flight, since: float, end: float) -> Model | None:
+        """The model of a regime; None where it is too short."""
+        part = _part(flight, since, end)
+        return fit([part], structure=self._structure).model if part and part.duration >= LEAST_TIME else None
+
+    def _followed(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
+        """A group after this look."""
+        since = max(self._since[axis] for axis in axes)
+        group = self._groups.get(axes, Group(axes, since))
+        if group.since != since:
+            group = Group(axes, since)
+        if group.followed and all(_quiet(flight, axis, now) > QUIET for axis in axes):
+            return group  # nothing new is told: the last values hold
+        part = _part(flight, max(since, now - LONGEST), now)
+        if part is None or part.duration < LEAST_TIME:
+            return group
+        before = group.followed
+        if before is None or (part.duration >= REFIT * before.seen and part.duration > before.seen + EVERY / 2):
+            return replace(group, followed=refitted(part, axes, self._structure))
+        return replace(group, followed=stepped(before, part))
+
+    def _change(self, flight: Flight, now: float) -> Alarm | None:
+        """The alarm of this look, and the regime that begins with it."""
+        scored: list[tuple[Scores, list[Contrast]]] = []
+        for group in self._groups.values():
+            if group.followed is None or all(_quiet(flight, axis, now) > WINDOWS[0] for axis in group.axes):
+                continue
+            scored += [(scores, looked_for(scores)) for scores in _scores(group.followed)]
+        looks = 3600.0 / EVERY * max(len(scored), 1) * len(WINDOWS)
+        threshold = self._false_alarms / looks
+        found = [(one.p_value, scores, one) for scores, looked in scored for one in looked]
+        if not found or min(found, key=lambda each: each[0])[0] > threshold:
+            return None
+        p_value, scores, first = min(found, key=lambda each: each[0])
+        best, since = since_when(scores, first)
+        together = [(other, there) for other, _ in scored if (there := contrast(other, best.since))]
+        named = diagnosis(together or [(scores, best)])
+        alarm = Alarm(now, named.axes, named.cause, since, named.change, named.confidence, p_value, named.why)
+        for axis in named.axes:
+            self._since[axis] = self._changed[axis] = best.since
+        self._bounds.append((best.since, alarm))
+        self._groups = {
+            axes: Group(axes, best.since) if set(axes) & set(named.axes) else group
+            for axes, group in self._groups.items()
+        }
+        return alarm
+
+    def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
+        """The state in words and numbers."""
+        known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
+        estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
+        moving = motion_now(flight, estimates)
+        axes = {axis: self._axis(flight, axis, now, known.get(axis), moving.get(axis)) for axis in flight.axes}
+        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0])
+
+    def _axis(
+        self, flight: Flight, axis: str, now: float, followed: Followed | None, motion: AxisMotion | None
+    ) -> TrackedAxis:
+        """What is known of one axis."""
+        knowledge, state = _knowledge(flight, axis, now, followed)
+        if axis in self._changed:
+            state = f"changed at {self._changed[axis]:.1f} s, {state}"
+        out = TrackedAxis(knowledge, state)
+        if followed is not None:
+            words = said(followed, axis)
+            structure = followed.fit.model.axes[axis].structure
+            out = replace(
+                out, values=words.values, ci95=words.ci95, ci95_vehicle=words.ci95_vehicle, structure=structure
+            )
+        if motion is None:
+            return out
+        return replace(
+            out,
+            wind=motion.wind,
+            wind_ci95=_around(motion.wind, motion.wind_error),
+            gusts=motion.gusts,
+            velocity=motion.velocity,
+            ahead=motion.ahead,
+            ahead_ci95=_around(motion.ahead, motion.ahead_error),
+        )
+
+
+def _knowledge(flight: Flight, axis: str, now: float, followed: Followed | None) -> tuple[Knowledge, str]:
+    """What an axis is, in one word and in words."""
+    if not commands_axis(flight, axis):
+        return "not_excited", "not excited: no command moves it"
+    if followed is None:
+        return "learning", "learning"
+    if axis not in followed.estimates:
+        silent = followed.fit.model.axes[axis].status["input"] == "not_excited"
+        return ("not_excited", "not excited") if silent else ("learning", "learning")
+    quiet = _quiet(flight, axis, now)
+    if quiet > QUIET:
+        return "holding", f"holding (no excitation for {quiet:.0f} s)"
+    values = said(followed, axis).values
+    if all(values[name] is not None for name in ("input", "damping", "delay")):
+        return "known", "known"
+    return "not_identifiable", "not identifiable"
+
+
+def _around(value: float, error: float) -> Interval:
+    return value - NORMAL * error, value + NORMAL * error
+
+
+def _quiet(flight: Flight, axis: str, now: float) -> float:
+    """How long an axis has had the same command [s]."""
+    u = flight.command[:, AXES.index(axis)]
+    new = np.flatnonzero(np.diff(u))
+    return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
+
+
+def _part(flight: Flight, since: float, now: float) -> Flight | None:
+    """The flight between two times; None where no segment lies there."""
+    if since <= flight.segments[0].start and now >= flight.segments[-1].end:
+        return flight
+    part = between(flight, since, now)
+    return part if part.segments and part.pose_time.size > 1 else None
+
+
+def _scores(followed: Followed) -> list[Scores]:
+    """The scores of each likelihood of a group."""
+    by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
+    for axis, estimate in followed.estimates.items():
+        by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
+    return [scores_of(each) for each in by_optimum.values() if each[0][1].records]
