@@ -30,6 +30,9 @@ REFIT = 1.5
 PASSES = 3
 """Passes over the data that a step may take: one to see, two to move."""
 
+LEVELS_EVERY = 5
+"""Every so many steps the levels of the disturbance move, too: they change slowly, and cost as much as the rest."""
+
 Half = tuple[float | None, float | None]
 
 
@@ -40,10 +43,11 @@ class Followed:
     Attributes:
         group: Names.
         fit: The last refit.
-        seen: Time that it saw [s].
+        seen: Excited time that it saw [s].
         estimates: Axis name to the estimate now; none of axes without numbers.
         half: Axis and quantity to the half widths of the intervals at the refit, of these flights and of the vehicle,
             and the standard error then, all on the scale of the quantity.
+        steps: Since the refit.
     """
 
     group: tuple[str, ...]
@@ -51,6 +55,7 @@ class Followed:
     seen: float
     estimates: Mapping[str, Estimate]
     half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
+    steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -62,20 +67,29 @@ class Said:
     ci95_vehicle: Mapping[str, Interval]
 
 
-def refitted(flight: Flight, group: Sequence[str], structure: str) -> Followed:
+def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> Followed:
     """The batch estimator on the flight so far.
 
     Args:
         flight: So far.
         group: Axes that are fitted together.
         structure: As `fit` takes it.
+        seen: Excited time of the flight so far [s].
     """
-    found = fit([flight], axes=group, structure=structure)
-    estimates = {
-        axis: estimate for axis, estimate in found.estimates.items() if found.model.axes[axis].predictor is not None
-    }
+    return followed_of(fit([flight], axes=group, structure=structure), group, seen)
+
+
+def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
+    """A fit of one flight, as it is followed.
+
+    Args:
+        found: Of these axes, and perhaps others.
+        group: Axes that are fitted together.
+        seen: Excited time that it saw [s].
+    """
+    estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
     half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
-    return Followed(tuple(group), found, flight.duration, estimates, half)
+    return Followed(tuple(group), found, seen, estimates, half)
 
 
 def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
@@ -105,18 +119,19 @@ def stepped(followed: Followed, flight: Flight) -> Followed:
     """
     if not followed.estimates:
         return followed
-    estimates = dict(followed.estimates)
+    estimates, steps = dict(followed.estimates), followed.steps + 1
+    levels = steps % LEVELS_EVERY == 0
     together = {id(one.optimum): one for one in estimates.values()}
     if len(together) == 1 and len(estimates) == 2:  # x and y through the heading: one optimum
         one = next(iter(together.values()))
-        moved = _moved(one, _records(flight, followed.group))
+        moved = _moved(one, _records(flight, followed.group), levels)
         estimates = {axis: replace(moved, place=each.place) for axis, each in estimates.items()}
     else:
-        estimates = {axis: _moved(one, _records(flight, _seen_by(one))) for axis, one in estimates.items()}
+        estimates = {axis: _moved(one, _records(flight, _seen_by(one)), levels) for axis, one in estimates.items()}
         if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
             coupled = couple_axes(_records(flight, followed.group), list(estimates.values()))
             estimates = dict(zip(estimates, coupled, strict=True))
-    return replace(followed, estimates=estimates)
+    return replace(followed, estimates=estimates, steps=steps)
 
 
 def _seen_by(estimate: Estimate) -> tuple[str, ...]:
@@ -128,7 +143,7 @@ def _records(flight: Flight, axes: Sequence[str]) -> list[Record]:
     return [found] if found else []
 
 
-def _moved(estimate: Estimate, records: list[Record]) -> Estimate:
+def _moved(estimate: Estimate, records: list[Record], levels: bool) -> Estimate:
     """An estimate after a step on newer records; as it was where there are none."""
     if not records:
         return estimate
@@ -137,10 +152,11 @@ def _moved(estimate: Estimate, records: list[Record]) -> Estimate:
     same = point.n == optimum.point.n
     free = np.concatenate([optimum.free[: point.coefficients + point.trim.size], np.ones(point.start.size, bool),
                            optimum.free[optimum.point.n :]])  # fmt: skip
-    inverse = optimum.inverse if same else None
-    return replace(
-        estimate, records=records, optimum=maximise(records, point, free, inverse, most=PASSES, prior=optimum.prior)
-    )
+    moving = free.copy()
+    moving[point.n :] &= levels
+    inverse = optimum.inverse if same and np.array_equal(moving, optimum.free) else None
+    found = maximise(records, point, moving, inverse, most=PASSES, prior=optimum.prior)
+    return replace(estimate, records=records, optimum=replace(found, free=free))
 
 
 def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) -> Point:

@@ -4,6 +4,7 @@ Every sample goes into the growing flight and costs no more than that. Once a se
 take a step, the last seconds are compared with the rest, and the state is put together. It never commands a vehicle.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,8 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
-from rotorfit.core.model import Interval, Model
+from rotorfit.core.model import Interval
+from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
@@ -23,7 +25,7 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, scores_of, since_when
-from rotorfit.tracking.following import REFIT, Followed, refitted, said, stepped
+from rotorfit.tracking.following import REFIT, Followed, followed_of, refitted, said, stepped
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 EVERY = 1.0
@@ -132,20 +134,24 @@ class Following:
             flight: All of it.
             now: Its end [s].
         """
-        for axes, group in self._groups.items():
-            if group.followed and (part := _part(flight, group.since, now)):
-                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure))
         ends = [*(since for since, _ in self._bounds[1:]), now]
-        regimes = [
-            Regime(since, end, self._model(flight, since, end), alarm)
-            for (since, alarm), end in zip(self._bounds, ends, strict=True)
-        ]
-        return self._tracked(flight, now, ()), tuple(regimes)
+        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
+        regimes = tuple(
+            Regime(since, end, found.model if found else None, alarm)
+            for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
+        )
+        for axes, group in self._groups.items():
+            part = _part(flight, group.since, now) if group.followed else None
+            if fits[-1] and group.since == self._bounds[-1][0]:
+                self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
+            elif part:  # what did not change was not begun anew, and is told by more than the last regime
+                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
+        return self._tracked(flight, now, ()), regimes
 
-    def _model(self, flight: Flight, since: float, end: float) -> Model | None:
-        """The model of a regime; None where it is too short."""
+    def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
+        """The fit of a regime; None where it is too short."""
         part = _part(flight, since, end)
-        return fit([part], structure=self._structure).model if part and part.duration >= LEAST_TIME else None
+        return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
 
     def _followed(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
@@ -158,9 +164,9 @@ class Following:
         part = _part(flight, max(since, now - LONGEST), now)
         if part is None or part.duration < LEAST_TIME:
             return group
-        before = group.followed
-        if before is None or (part.duration >= REFIT * before.seen and part.duration > before.seen + EVERY / 2):
-            return replace(group, followed=refitted(part, axes, self._structure))
+        before, excited = group.followed, _excited(part, axes, now)
+        if before is None or excited >= REFIT * before.seen or (not before.estimates and excited > before.seen):
+            return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part))
 
     def _change(self, flight: Flight, now: float) -> Alarm | None:
@@ -251,6 +257,13 @@ def _quiet(flight: Flight, axis: str, now: float) -> float:
     u = flight.command[:, AXES.index(axis)]
     new = np.flatnonzero(np.diff(u))
     return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
+
+
+def _excited(flight: Flight, axes: Sequence[str], now: float) -> float:
+    """Time in which commands of some axes were new, or had not yet had their answer [s]."""
+    u = flight.command[:, [AXES.index(axis) for axis in axes]]
+    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
+    return float(np.minimum(np.diff(np.append(new, now)), QUIET).sum())
 
 
 def _part(flight: Flight, since: float, now: float) -> Flight | None:

@@ -1,0 +1,148 @@
+"""Is what `rotorfit track` says true at every moment? Simulated flights of the coverage benchmark, as if live.
+
+    python bench/bench_track.py [FLIGHTS] [--structure S] [--jobs N]
+
+FLIGHTS (default 40) of 60 s in open loop and as many in closed loop, over five coefficient sets (see `designs.py`), by
+default under `first_order_delay`, the law that these vehicles obey.
+
+- covered: share of the 95 % intervals of input, damping and delay that hold the truth, 5, 10, 20, 40 s after the start
+  and at landing; of the axes that had numbers by then.
+- known: time until an axis is `known`, over the time at which the Cramer-Rao bound of the flight so far, taken as an
+  interval, would first have been: median.
+- landing: what the last step before landing says less what the batch fit says, in standard errors of the batch.
+- cost: processor seconds of tracking a second of flight, steps and refits apart.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from designs import Design, bounds, designs, flown, truth_of
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.tracking.replayed import growing, until
+from rotorfit.tracking.tracker import Following
+
+MOMENTS = (5.0, 10.0, 20.0, 40.0)
+"""After the start [s]; and at landing."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What came of one flight.
+
+    Attributes:
+        held: Moment (the last is landing) to whether each interval held the truth.
+        known: Time until known over the earliest possible, of each axis that both reached.
+        off: Last step less the batch fit, in standard errors.
+        cost: Processor seconds a second of flight.
+        steps: Of the looks without a refit, median [s].
+        alarms: How many.
+    """
+
+    held: dict[float, list[bool]]
+    known: list[float]
+    off: list[float]
+    cost: float
+    steps: float
+    alarms: int
+
+
+def told_of(job: tuple[Design, str]) -> Told:
+    """Flies a design and tracks it."""
+    design, structure = job
+    flight = flown(design)
+    following, held, first, looks = Following(structure), {}, {}, []
+    begun, alarms, state = time.process_time(), 0, None
+    for part, now in growing(flight, following.next_look):
+        before = time.process_time()
+        state = following.look(part, now)
+        looks.append(time.process_time() - before)
+        alarms += len(state.alarms)
+        for axis, known in state.axes.items():
+            if known.knowledge == "known":
+                first.setdefault(axis, now)
+        if any(abs(now - moment) < 1e-6 for moment in MOMENTS):
+            held[now] = _held(design, state)
+    cost = (time.process_time() - begun) / flight.duration
+    last = state
+    state, _ = following.finish(flight, flight.segments[-1].end)
+    held[np.inf] = _held(design, state)
+    batch = fit([flight], structure=structure).model
+    off = [
+        (last.axes[axis].values[name] - getattr(batch.axes[axis], name)) / batch.axes[axis].stderr[name]
+        for axis in flight.axes
+        for name in COEFFICIENTS
+        if last.axes[axis].values[name] is not None and getattr(batch.axes[axis], name) is not None
+    ]
+    possible = _possible(design, flight)
+    known = [first[axis] / possible[axis] for axis in flight.axes if axis in first and axis in possible]
+    return Told(held, known, off, cost, float(np.median(looks)), alarms)
+
+
+def _held(design: Design, state) -> list[bool]:
+    out = []
+    for axis, known in state.axes.items():
+        for name, true in zip(COEFFICIENTS, truth_of(design, axis), strict=True):
+            if name in known.ci95:
+                low, high = known.ci95[name]
+                out.append((low is None or low <= true) and (high is None or true <= high))
+    return out
+
+
+def _possible(design: Design, flight: Flight) -> dict[str, float]:
+    """When each axis could have been known at the earliest: by the bound of the flight so far."""
+    out: dict[str, float] = {}
+    for now in np.arange(6.0, flight.duration):
+        if len(out) == len(flight.axes):
+            break
+        found = bounds(design, until(flight, float(now)))
+        for axis, errors in found.items():
+            truth = truth_of(design, axis)
+            ends = {n: (v - 1.96 * e, v + 1.96 * e) for n, v, e in zip(COEFFICIENTS, truth, errors, strict=True)}
+            grow = np.exp(1.96 * errors[1] / truth[1])
+            ends["damping"] = (truth[1] / grow, truth[1] * grow)
+            if all(said == "ok" for said in statuses(ends).values()) and ends["input"][0] > 0:
+                out.setdefault(axis, float(now))
+    return out
+
+
+def report(name: str, told: Sequence[Told]) -> None:
+    """Prints the figures of one loop."""
+    print(f"\n{name}: {len(told)} flights")
+    for moment in (*MOMENTS, np.inf):
+        held = [one for each in told for one in each.held.get(moment, [])]
+        if held:
+            when = "at landing" if np.isinf(moment) else f"at {moment:g} s"
+            print(f"  {when:11} {100 * np.mean(held):5.1f} % of {len(held)} intervals hold the truth")
+    known, off = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off"))
+    size = np.abs(off)
+    print(f"  known after {np.median(known):.2f} times the earliest time (median of {known.size} axes)")
+    print(
+        f"  last step off the batch by {np.median(size):.3f} (median), {np.quantile(size, 0.99):.3f} (99 %) std errors"
+    )
+    cost, step = np.mean([each.cost for each in told]), np.median([each.steps for each in told])
+    print(f"  {100 * cost:.1f} % of a core; a step {1e3 * step:.0f} ms")
+    print(f"  {sum(each.alarms for each in told)} false alarms in {len(told) / 60:.1f} h")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("flights", nargs="?", type=int, default=40)
+    parser.add_argument("--structure", default="first_order_delay")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for closed in (False, True):
+            jobs = [(design, given.structure) for design in designs(given.flights, closed)]
+            report("closed loop" if closed else "open loop", list(pool.map(told_of, jobs)))
+
+
+if __name__ == "__main__":
+    main()
