@@ -41,6 +41,27 @@ class Gusts:
 
 
 @dataclass(frozen=True)
+class Rise:
+    """Wind that rises, or falls, along a straight line and stays so.
+
+    Attributes:
+        start: Since the start of the flight [s].
+        end: [s].
+        mean: Added to the mean by then, world [m/s].
+        gusts: Factor on the gusts' standard deviation by then.
+    """
+
+    start: float
+    end: float
+    mean: Three = (0.0, 0.0, 0.0)
+    gusts: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.start < self.end or self.gusts < 0:
+            raise ValueError("rise: it must start before it ends, and its factor on gusts must not be negative")
+
+
+@dataclass(frozen=True)
 class Wind:
     """How the air moves.
 
@@ -49,17 +70,24 @@ class Wind:
         gusts: None for none.
         steps: Changes of the mean: the time since the start [s] and what is added from then on [m/s]. A step takes
             0.02 s, one interval between the nodes of the wind.
+        rises: See `Rise`; their factors on the gusts multiply.
     """
 
     mean: Three = (0.0, 0.0, 0.0)
     gusts: Gusts | None = None
     steps: tuple[tuple[float, Three], ...] = ()
+    rises: tuple[Rise, ...] = ()
 
 
 def wind_at_nodes(wind: Wind, first: int, count: int, period: float, gusts: Array) -> Array:
     """Air velocity at nodes `first`, `first` + 1, ..., shape (count, 3) [m/s]; `gusts` are those at the same nodes."""
     time = (first + np.arange(count)) * period
+    shares = [np.clip((time - rise.start) / (rise.end - rise.start), 0.0, 1.0)[:, None] for rise in wind.rises]
+    for share, rise in zip(shares, wind.rises, strict=True):
+        gusts = gusts * (1 + share * (rise.gusts - 1))
     air: Array = gusts + np.array(wind.mean)
+    for share, rise in zip(shares, wind.rises, strict=True):
+        air += share * np.array(rise.mean)
     for start, change in wind.steps:
         air[time > start] += np.array(change)
     return air

@@ -16,6 +16,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.log import Log, Sample, Table
 from rotorfit.simulation import rigid_body
 from rotorfit.simulation.air import GustSource, Wind, wind_at_nodes
+from rotorfit.simulation.change import Change, changed
 from rotorfit.simulation.sensors import (
     BATTERY_RATE,
     FrameStream,
@@ -51,6 +52,7 @@ class Conditions:
         vehicle_clock: Stamps of onboard velocities and of the battery.
         charge: Of the battery at the start, 0 to 1.
         floor: Height of the floor, world [m].
+        changes: What becomes of the vehicle in flight.
     """
 
     wind: Wind = field(default_factory=Wind)
@@ -60,6 +62,7 @@ class Conditions:
     vehicle_clock: SenderClock = field(default_factory=SenderClock)
     charge: float = 1.0
     floor: float = 0.0
+    changes: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ class RoomFlight:
         true_position: Then, world, shape (N, 3) [m].
         true_velocity: Then, world, shape (N, 3) [m/s].
         true_quaternion: Then, body to world, w, x, y, z, shape (N, 4).
+        true_wind: How the air moves then, world, shape (N, 3) [m/s].
     """
 
     vehicle: Vehicle
@@ -126,6 +130,7 @@ class RoomFlight:
     true_position: Array
     true_velocity: Array
     true_quaternion: Array
+    true_wind: Array
 
 
 class FlightRoom:
@@ -169,12 +174,14 @@ class FlightRoom:
         self._radio = RadioSource(conditions.radio or vehicle.radio, radio)
         self._streams = _streams(vehicle, conditions, *map(np.random.default_rng, frames))
         self._gusts = GustSource(conditions.wind.gusts, WIND_PERIOD, np.random.default_rng(gusts))
-        self._parameters, self._max_step = rigid_body.parameters(vehicle, conditions.floor), max_step
+        self._changes = sorted(conditions.changes, key=lambda change: change.time)
+        self._regimes = rigid_body.regimes(rigid_body.parameters(vehicle, conditions.floor), self._changes)
+        self._max_step = max_step
         self._state = rigid_body.initial_state(vehicle, start, flying, conditions.charge, conditions.floor)
         self._held, self._progress = np.zeros(4), np.zeros(rigid_body.PROGRESS, np.int64)
         self._progress[rigid_body.MODE] = rigid_body.FLYING if flying else rigid_body.GROUNDED
         self._event, self._events = _no_events(64), 0
-        self._shot, self._seen = np.empty(0, np.int64), np.empty((0, rigid_body.STATES))
+        self._shot, self._seen = np.empty(0, np.int64), np.empty((0, rigid_body.SEEN))
         self._wind, self._blocks = np.empty((0, 3)), 0
         self._fly(0)  # with this every kernel is loaded: no later call waits for that
         for stream in self._streams:
@@ -226,7 +233,7 @@ class FlightRoom:
         state, held, progress = self._state.copy(), self._held.copy(), self._progress.copy()
         if self.now > 0:  # the kernel stops at its last node: a copy flies on to a shot that is taken now
             progress[rigid_body.NEXT_SHOT] = 0
-            shot, seen = np.array([self.now]), np.empty((1, rigid_body.STATES))
+            shot, seen = np.array([self.now]), np.empty((1, rigid_body.SEEN))
             self._run(state, held, progress, self.now, shot, seen)
         s = state.tolist()
         return TrueState(
@@ -234,17 +241,34 @@ class FlightRoom:
             s[rigid_body.CHARGE], MODES[progress[rigid_body.MODE]],
         )  # fmt: skip
 
+    def wind(self, instant: Integers) -> Array:
+        """How the air moves at instants up to `now`, shape (N,) [ns]: world, shape (N, 3) [m/s]."""
+        row, rest = np.divmod(instant, rigid_body.WIND_STEP)
+        place = (rest / rigid_body.WIND_STEP)[:, None]
+        return np.asarray((1 - place) * self._wind[row] + place * self._wind[row + 1])
+
     def _send(self, sent: Integers, commands: Array) -> None:
         """Sends commands at instants that are not before `now`, in order; cuts them at the vehicle's limits."""
         if commands.shape != (sent.size, 4) or not np.isfinite(commands).all():
             raise ValueError("a command is four finite numbers: forward, left, up, counter-clockwise")
-        limits = np.array(self.vehicle.limits())
-        asked = np.clip(commands * np.array(self.vehicle.full_scale()), -limits, limits)
-        arrival, kept = self._radio.arrivals(sent)
+        arrival, kept = self._radio.arrivals(sent, self._slower(sent))
+        asked = _asked(self.vehicle, commands)
+        for count, change in enumerate(self._changes, start=1):
+            if change.limits():
+                after = arrival >= change.time * 1e9
+                asked[after] = _asked(changed(self.vehicle, self._changes[:count]), commands[after])
         self._queue(arrival[kept], rigid_body.COMMANDED, asked[kept])
 
     def _ask(self, kind: int) -> None:
-        self._queue(np.array([self._radio.arrival_of_request(self.now)]), kind, np.zeros((1, 4)))
+        slower = float(self._slower(np.array([self.now]))[0])
+        self._queue(np.array([self._radio.arrival_of_request(self.now, slower)]), kind, np.zeros((1, 4)))
+
+    def _slower(self, sent: Integers) -> Array:
+        """Time on the way beyond the radio's latency of what is sent at instants, because it has changed [s]."""
+        slower = np.zeros(sent.size)
+        for change in self._changes:
+            slower[sent >= change.time * 1e9] += change.latency
+        return slower
 
     def _queue(self, arrival: Integers, kind: int, asked: Array) -> None:
         end = self._events + arrival.size
@@ -265,7 +289,7 @@ class FlightRoom:
 
     def _run(self, state: Array, held: Array, progress: Integers, until: int, shot: Integers, seen: Array) -> None:
         rigid_body.advance(
-            self._parameters, state, held, progress, until, *self._event, self._events,
+            *self._regimes, state, held, progress, until, *self._event, self._events,
             shot, shot.size, seen, self._wind, self._max_step,
         )  # fmt: skip
 
@@ -283,9 +307,15 @@ class FlightRoom:
             stream.place(rows)
         self._shot = np.concatenate([self._shot, instant[order]])
         if self._shot.size > len(self._seen):  # twice the room, so that long flights do not copy it in every block
-            grown = np.empty((2 * self._shot.size, rigid_body.STATES))
+            grown = np.empty((2 * self._shot.size, rigid_body.SEEN))
             grown[: len(self._seen)] = self._seen
             self._seen = grown
+
+
+def _asked(vehicle: Vehicle, commands: Array) -> Array:
+    """What commands ask a vehicle for, cut at its limits: rad or m/s, forward and left; m/s up; rad/s."""
+    limits = np.array(vehicle.limits())
+    return np.asarray(np.clip(commands * np.array(vehicle.full_scale()), -limits, limits))
 
 
 def _streams(
@@ -345,11 +375,10 @@ def fly_commands(
         (stream.frames.stamp[index], stream.frames.arrival[index], stream.values(room._seen, index))
         for stream, index in zip(room._streams, taken, strict=True)
     )
-    frames, row = room._streams[0].frames, room._streams[0].row[taken[0]]
-    true = room._seen[row]
+    instant, true = room._streams[0].frames.instant[taken[0]], room._seen[room._streams[0].row[taken[0]]]
     return RoomFlight(
         vehicle, conditions, seed, sent, command, *pose, *velocity, battery[0], battery[1], battery[2][:, 0],
-        frames.instant[taken[0]], true[:, :3], true[:, 3:6], true[:, 6:10],
+        instant, true[:, :3], true[:, 3:6], true[:, 6:10], room.wind(instant),
     )  # fmt: skip
 
 

@@ -4,14 +4,15 @@
     v' = R e_z F / m - g e_z - R D R^T (v - w)
     q' = q * (0, omega) / 2                    body to world
     I omega' = M - omega x I omega
-    f_i' = (s c_i - f_i) / T                   rotor thrust behind its command c_i; s falls with the battery's voltage
+    f_i' = (s k_i c_i - f_i) / T               rotor thrust behind its command c_i; s falls with the battery's voltage
 
-F is the sum of the thrusts f_i, M their moment. Between two nodes (the grid of `max_step`, the instants at which
-somebody measures, the arrivals of commands, time-outs) one classic Runge-Kutta step is taken, the autopilot's laws
-evaluated in each of its stages. Nodes depend on neither how often nor up to when the kernel is called, so a flight in
-one piece and one in many are the same bit for bit.
+F is the sum of the thrusts f_i, M their moment; k_i is 1 but for a weak rotor. Between two nodes (the grid of
+`max_step`, the instants at which somebody measures, the arrivals of commands, time-outs, changes of the vehicle) one
+classic Runge-Kutta step is taken, the autopilot's laws evaluated in each of its stages. Nodes depend on neither how
+often nor up to when the kernel is called, so a flight in one piece and one in many are the same bit for bit.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -19,15 +20,21 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.core.limits import GRAVITY
+from rotorfit.simulation.change import Change
 from rotorfit.simulation.vehicle import Four, Vehicle
 
 # State, by index
-POSITION, VELOCITY, QUATERNION, RATES, THRUST, GAIN, CHARGE, STATES = 0, 3, 6, 10, 13, 17, 18, 19
-"""Position, velocity (world), quaternion w x y z, body rates, rotor thrusts, learnt thrust gain, battery's charge."""
+POSITION, VELOCITY, QUATERNION, RATES, THRUST, GAIN, CHARGE, SEEN = 0, 3, 6, 10, 13, 17, 18, 19
+"""Position, velocity (world), quaternion w x y z, body rates, rotor thrusts, learnt thrust gain, battery's charge; as
+many are kept of every shot."""
+
+FADE, LOAD, ROTORS, STATES = 19, 20, 21, 25
+"""Share of the thrust that a failing battery has left, learnt factor on the mass, learnt factors on the rotors."""
 
 # Progress, whole numbers by index
-TIME, NEXT_EVENT, NEXT_SHOT, MODE, HEARD, LAST, STEPS, PROGRESS = 0, 1, 2, 3, 4, 5, 6, 7
-"""Time [ns], next event, next shot, mode, whether a command has come, when the last one came [ns], steps taken."""
+TIME, NEXT_EVENT, NEXT_SHOT, MODE, HEARD, LAST, STEPS, REGIME, PROGRESS = 0, 1, 2, 3, 4, 5, 6, 7, 8
+"""Time [ns], next event, next shot, mode, whether a command has come, when the last one came [ns], steps taken, which
+of the vehicle's regimes is in force."""
 
 GROUNDED, TAKING_OFF, FLYING, LANDING = 0, 1, 2, 3
 
@@ -39,8 +46,6 @@ WIND_STEP = 20_000_000  # ns between the nodes of the wind; a multiple of the st
 
 NEVER = np.iinfo(np.int64).max
 
-GAIN_TIME = 0.2  # s in which an autopilot learns that its thrust gain has changed; chosen: it sinks 1 cm a minute
-
 LEAST_COSINE = 0.5  # beyond a tilt of 60 deg height is no longer held at any price
 
 _DTYPE = np.dtype(
@@ -49,7 +54,9 @@ _DTYPE = np.dtype(
         *[(name, "f8") for name in ("stiffness", "rate_gain", "rate_limit", "slope_limit", "velocity", "climb")],
         *[(name, "f8") for name in ("climb_acceleration", "yaw", "yaw_acceleration", "speed_up", "speed_down")],
         *[(name, "f8") for name in ("take_off_height", "flight_time", "sag", "land_below", "floor")],
+        *[(name, "f8") for name in ("learning", "load", "fade_rate")],
         *[(name, "f8", (3,)) for name in ("inertia", "drag")],
+        ("rotors", "f8", (4,)),
         *[(name, "i8") for name in ("tilts", "brakes", "timeout", "land_after")],
     ]
 )
@@ -72,12 +79,39 @@ def parameters(vehicle: Vehicle, floor: float) -> npt.NDArray[Any]:
         "take_off_height": pilot.take_off_height,
         "flight_time": vehicle.battery.flight_time, "sag": vehicle.battery.sag,
         "land_below": vehicle.battery.land_below, "floor": floor,
+        "learning": pilot.learning, "load": 1.0, "rotors": 1.0,
         "tilts": vehicle.command.horizontal == "tilt", "brakes": pilot.brakes_on_zero,
         "timeout": _nanoseconds(pilot.command_timeout), "land_after": _nanoseconds(pilot.land_after),
     }  # fmt: skip
     for name, value in values.items():
         record[name] = value
     return record
+
+
+def regimes(first: npt.NDArray[Any], changes: Sequence[Change]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any]]:
+    """What the kernel wants to know of a vehicle that changes.
+
+    A battery that gives way makes two regimes, one in which its thrust falls and one after that.
+
+    Args:
+        first: Of the vehicle before, as `parameters` gives it, shape (1,).
+        changes: In any order.
+
+    Returns:
+        When each regime begins, shape (P,) [ns], the first at 0; and its parameters, shape (P,).
+    """
+    instant = {0} | {_nanoseconds(one.time) for one in changes}
+    instant |= {_nanoseconds(one.time + one.fade_time) for one in changes if one.fade > 0}
+    starts = np.array(sorted(instant), np.int64)
+    records = np.repeat(first, starts.size)
+    for one in changes:
+        after = starts >= _nanoseconds(one.time)
+        records["load"][after] *= one.mass
+        records["drag"][after] /= one.mass
+        records["rotors"][after] *= one.rotors
+        fading = after & (starts < _nanoseconds(one.time + one.fade_time))
+        records["fade_rate"][fading] -= one.fade / one.fade_time
+    return starts, records
 
 
 def initial_state(vehicle: Vehicle, start: Four, flying: bool, charge: float, floor: float) -> npt.NDArray[np.float64]:
@@ -88,6 +122,7 @@ def initial_state(vehicle: Vehicle, start: Four, flying: bool, charge: float, fl
     state[THRUST : THRUST + 4] = vehicle.mass * GRAVITY / 4 if flying else 0.0
     state[GAIN] = 1 - vehicle.battery.sag * (1 - charge)
     state[CHARGE] = charge
+    state[FADE:STATES] = 1.0
     return state
 
 
@@ -139,7 +174,7 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
             forward, left = forward * par.slope_limit / steep, left * par.slope_limit / steep
     lift = par.climb * (target[2] - s[5])
     lift = GRAVITY + min(max(lift, -par.climb_acceleration), par.climb_acceleration)
-    collective = par.mass * lift / max(r33, LEAST_COSINE) / s[17]
+    collective = par.mass * s[20] * lift / max(r33, LEAST_COSINE) / s[17]
 
     # Attitude loop: the shortest turn from the thrust's direction to the wanted one, seen from the body
     length = np.sqrt(1 + forward * forward + left * left)
@@ -161,20 +196,25 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
     )  # fmt: skip
 
     # Rotors and battery
-    gain = 1 - par.sag * (1 - s[18])
+    gain = (1 - par.sag * (1 - s[18])) * s[19]
     for i in range(4):
-        out[13 + i] = (gain * command[i] - s[13 + i]) / par.rotor_time
+        if s[21 + i] != 1.0:  # what was learnt of a rotor goes on top of what the mixer asks it for
+            command[i] = min(command[i] / s[21 + i], par.most)
+        out[13 + i] = (gain * par.rotors[i] * command[i] - s[13 + i]) / par.rotor_time
+        out[21 + i] = (par.rotors[i] - s[21 + i]) / par.learning
     thrust = s[13] + s[14] + s[15] + s[16]
-    out[17] = (gain - s[17]) / GAIN_TIME
-    load = thrust / (par.mass * GRAVITY)
-    out[18] = -load * np.sqrt(load) / par.flight_time
+    out[17] = (gain - s[17]) / par.learning
+    effort = thrust / (par.mass * GRAVITY)
+    out[18] = -effort * np.sqrt(effort) / par.flight_time
+    out[19] = par.fade_rate
+    out[20] = (par.load - s[20]) / par.learning
 
     # Rigid body
     ax, ay, az = s[3] - wind[0], s[4] - wind[1], s[5] - wind[2]
     drag = par.drag
     fx = -drag[0] * (r11 * ax + r21 * ay + r31 * az)
     fy = -drag[1] * (r12 * ax + r22 * ay + r32 * az)
-    fz = -drag[2] * (r13 * ax + r23 * ay + r33 * az) + thrust / par.mass
+    fz = -drag[2] * (r13 * ax + r23 * ay + r33 * az) + thrust / (par.mass * par.load)
     out[0], out[1], out[2] = s[3], s[4], s[5]
     out[3] = r11 * fx + r12 * fy + r13 * fz
     out[4] = r21 * fx + r22 * fy + r23 * fz
@@ -272,12 +312,13 @@ def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def advance(  # type: ignore[no-untyped-def]
-    parameter, state, held, progress, until, arrival, kind, asked, count, shot, shots, seen, wind, max_step
+    starts, parameter, state, held, progress, until, arrival, kind, asked, count, shot, shots, seen, wind, max_step
 ):
     """Flies on to the last node up to `until`; writes the state at every shot on the way.
 
     Args:
-        parameter: As `parameters` gives it, shape (1,).
+        starts: When the vehicle's regimes begin, shape (P,) [ns].
+        parameter: Of each regime, as `regimes` gives them, shape (P,).
         state: Shape (STATES,), changed.
         held: Targets of the last command that arrived, shape (4,), changed.
         progress: Whole numbers, see above, shape (PROGRESS,), changed.
@@ -288,16 +329,18 @@ def advance(  # type: ignore[no-untyped-def]
         count: Number of events.
         shot: Instants at which the state is wanted, in order, the first `shots` count [ns].
         shots: Number of shots.
-        seen: The state at the shots, shape (., STATES), filled as far as flown.
+        seen: The state at the shots, shape (., SEEN), filled as far as flown.
         wind: Air velocity at multiples of WIND_STEP, world, shape (., 3) [m/s].
         max_step: Longest step [ns].
     """
-    par = parameter[0]
     room, target = np.empty((5, STATES)), np.zeros(4)
     while True:
         now = progress[TIME]
+        while progress[REGIME] + 1 < starts.size and starts[progress[REGIME] + 1] <= now:
+            progress[REGIME] += 1
+        par = parameter[progress[REGIME]]
         while progress[NEXT_SHOT] < shots and shot[progress[NEXT_SHOT]] <= now:
-            seen[progress[NEXT_SHOT]] = state
+            seen[progress[NEXT_SHOT]] = state[:SEEN]
             progress[NEXT_SHOT] += 1
         while progress[NEXT_EVENT] < count and arrival[progress[NEXT_EVENT]] <= now:
             row = progress[NEXT_EVENT]
@@ -308,6 +351,8 @@ def advance(  # type: ignore[no-untyped-def]
             end = min(end, shot[progress[NEXT_SHOT]])
         if progress[NEXT_EVENT] < count:
             end = min(end, arrival[progress[NEXT_EVENT]])
+        if progress[REGIME] + 1 < starts.size:
+            end = min(end, starts[progress[REGIME] + 1])
         silent = now - progress[LAST]
         if silent < par.timeout:
             end = min(end, now + (par.timeout - silent))

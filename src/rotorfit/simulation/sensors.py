@@ -41,6 +41,19 @@ class Swap:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """The mocap's frame turned for good, as by another calibration: positions and headings turn about the vertical.
+
+    Attributes:
+        start: Since the start of the flight [s].
+        angle: By which poses are seen turned, counter-clockwise about the world's origin [rad].
+    """
+
+    start: float
+    angle: float
+
+
+@dataclass(frozen=True)
 class Mocap:
     """Motion capture, as it reaches the user.
 
@@ -54,6 +67,8 @@ class Mocap:
         lost: Share of frames that never arrive, each drawn alone.
         drop_outs: Intervals (start, end) without frames, since the start of the flight [s].
         swaps: See `Swap`.
+        frozen: Intervals (start, end) in which every frame repeats the last one before, under fresh stamps [s].
+        turns: See `Turn`; they add up.
     """
 
     rate: float = 120.0
@@ -65,6 +80,8 @@ class Mocap:
     lost: float = 0.0
     drop_outs: tuple[tuple[float, float], ...] = ()
     swaps: tuple[Swap, ...] = ()
+    frozen: tuple[tuple[float, float], ...] = ()
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         shares = (self.stale, self.lost)
@@ -103,7 +120,7 @@ class Frames:
         shown: Index of the frame whose content it carries, shape (N,): its own, or an older one where it is stale.
         kept: Whether it arrives at all.
         error: Drawn errors: of pose x, y, z [m], three turns [rad]; of velocity x, y, z [m/s], yaw rate [rad/s].
-        shift: For poses: x, y, z [m] and turn [rad] of swapped markers, shape (N, 4).
+        shift: For poses: x, y, z [m] and turn [rad] of swapped markers, turn of the frame [rad], shape (N, 5).
     """
 
     instant: Integers
@@ -136,10 +153,14 @@ def mocap_frames(
     kept = drawn[:, 0] >= mocap.lost
     for start, end in mocap.drop_outs:
         kept &= (time < start) | (time >= end)
-    shift = np.zeros((count, 4))
+    shift = np.zeros((count, 5))
     for swap in mocap.swaps:
-        shift[(time >= swap.start) & (time < swap.end)] += (*swap.offset, swap.turn)
+        shift[(time >= swap.start) & (time < swap.end), :4] += (*swap.offset, swap.turn)
+    for turn in mocap.turns:
+        shift[time >= turn.start, 4] += turn.angle
     fresh = kept & (drawn[:, 1] >= mocap.stale)
+    for start, end in mocap.frozen:
+        fresh &= (time < start) | (time >= end)
     fresh[0] |= before[0] < 0  # the very first frame has none to repeat
     shown = np.maximum.accumulate(np.where(fresh, index, before[0]))
     arrival = _in_order(instant, mocap.latency, mocap.jitter * late, before[1])
@@ -177,7 +198,7 @@ def _plain_frames(rate: float, latency: float, clock: SenderClock, first: int, e
     index = first + np.arange(len(error))
     instant = np.round(index / rate * 1e9).astype(np.int64)
     arrival, kept = instant + round(latency * 1e9), np.ones(len(error), np.bool_)
-    return Frames(instant, arrival, clock.shows(instant), index, kept, error, np.zeros((len(error), 4)))
+    return Frames(instant, arrival, clock.shows(instant), index, kept, error, np.zeros((len(error), 5)))
 
 
 def _in_order(instant: Integers, latency: float, late: Array, before: int) -> Integers:
@@ -275,7 +296,7 @@ def _see_poses(seen, row, shown, error, shift, out):  # type: ignore[no-untyped-
         row: The shot of each frame of the stream.
         shown: Which frames' contents are wanted, shape (N,).
         error: Of each frame of the stream, shape (., 6).
-        shift: Of each frame of the stream, shape (., 4).
+        shift: Of each frame of the stream, shape (., 5).
         out: Shape (N, 7), filled.
     """
     for n in range(shown.size):
@@ -291,8 +312,12 @@ def _see_poses(seen, row, shown, error, shift, out):  # type: ignore[no-untyped-
             y + w * b + z * a - x * c,
             z + w * c + x * b - y * a,
         )
-        if shift[k, 3] != 0.0:  # a turn about the world's vertical
-            p, q = np.cos(shift[k, 3] / 2), np.sin(shift[k, 3] / 2)
+        if shift[k, 4] != 0.0:
+            p, q = np.cos(shift[k, 4]), np.sin(shift[k, 4])
+            out[n, 0], out[n, 1] = p * out[n, 0] - q * out[n, 1], p * out[n, 1] + q * out[n, 0]
+        turn = shift[k, 3] + shift[k, 4]
+        if turn != 0.0:  # about the world's vertical
+            p, q = np.cos(turn / 2), np.sin(turn / 2)
             w, x, y, z = p * w - q * z, p * x - q * y, p * y + q * x, p * z + q * w
         norm = np.sqrt(w * w + x * x + y * y + z * z)
         out[n, 3], out[n, 4], out[n, 5], out[n, 6] = w / norm, x / norm, y / norm, z / norm
@@ -323,14 +348,19 @@ class RadioSource:
         self._radio, self._last = radio, 0
         self._late, self._lost = (np.random.default_rng(one) for one in seed.spawn(2))
 
-    def arrivals(self, sent: Integers) -> tuple[Integers, npt.NDArray[np.bool_]]:
-        """Arrival of each command sent now or later [ns], and whether it arrives at all."""
-        late = self._radio.jitter * self._late.standard_exponential(sent.size)
+    def arrivals(self, sent: Integers, slower: Array) -> tuple[Integers, npt.NDArray[np.bool_]]:
+        """Arrival of each command sent now or later [ns], and whether it arrives at all.
+
+        Args:
+            sent: Shape (N,) [ns].
+            slower: Beyond the latency, because the radio has changed, shape (N,) [s].
+        """
+        late = slower + self._radio.jitter * self._late.standard_exponential(sent.size)
         arrival = _in_order(sent, self._radio.latency, late, self._last)
         self._last = int(arrival[-1]) if sent.size else self._last
         return arrival, self._lost.random(sent.size) >= self._radio.loss
 
-    def arrival_of_request(self, now: int) -> int:
+    def arrival_of_request(self, now: int, slower: float) -> int:
         """Of a take-off or a landing: never lost, not before the commands that were sent before [ns]."""
-        self._last = max(self._last, now + round(self._radio.latency * 1e9))
+        self._last = max(self._last, now + round((self._radio.latency + slower) * 1e9))
         return self._last
