@@ -9,7 +9,8 @@ how far its own estimate would lie from that of the rest r. With the trim and th
 is the likelihood ratio for coefficients of their own in the window, to first order; wind that comes or turns is trim
 and level, and in neither. T is looked at in the directions of M in which the window knows more than was to be expected,
 each over the variance that the scores of the regime really have, from their sums over `CHUNK`: gusts, colour, and
-whatever in the law is a little wrong make it larger than the likelihood believes, and alarms rarer.
+whatever in the law is a little wrong make it larger than the likelihood believes, and alarms rarer. What the refit's
+tests of the law found a coefficient to vary by, with the size of commands, the speed or the method, is added to it.
 
 The promise: each look has a p-value, and the alarm sounds below (false alarms an hour) / (looks an hour). The expected
 number of false alarms an hour is then at most what was asked for, however the looks depend on each other, because
@@ -20,7 +21,7 @@ likelihood ratio); T. L. Lai, J. R. Statist. Soc. B 57 (1995), pp. 613-658 (its 
 Biometrika 73 (1986), pp. 13-22 (variance from the sums of scores).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,13 +31,16 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
 from rotorfit.estimation.likelihood.likelihood import response, whiten
 
-WINDOWS = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
+WINDOWS = (1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 """Lengths of the windows that are looked at [s]."""
 
-CHUNK = 2.0
+CHUNK = 1.0
 """Over this time sums of scores are taken as independent of the next [s]."""
 
-LEAST_CHUNKS = 8
+LATELY = 12.0
+"""Time over which the scores are asked how they vary now [s]."""
+
+LEAST_CHUNKS = 12
 """Chunks of the rest of a regime below which its variance is not known and nothing is asked."""
 
 EXPECTED = {"input": 0.3, "damping": 0.5, "delay": 0.05, "lag": 0.5, "trim": 0.5}
@@ -67,6 +71,7 @@ class Scores:
         free: By trims and start velocities that may be another in every window, shape (N, Q).
         names: `AXIS.QUANTITY` of each that may change.
         scale: What one unit of it is.
+        doubt: Standard deviation by which tests of the law found each to vary without a change, on that scale, (P,).
     """
 
     time: Array
@@ -75,6 +80,7 @@ class Scores:
     free: Array
     names: tuple[str, ...]
     scale: Array
+    doubt: Array
 
 
 @dataclass(frozen=True)
@@ -98,11 +104,12 @@ class Contrast:
     p_value: float
 
 
-def scores_of(estimates: Sequence[tuple[str, Estimate]]) -> Scores:
+def scores_of(estimates: Sequence[tuple[str, Estimate]], doubts: Mapping[str, Mapping[str, float]]) -> Scores:
     """The scores of the axes of one likelihood.
 
     Args:
         estimates: Names and estimates of the axes that share an optimum.
+        doubts: Axis and quantity to the standard deviation by which the law was found wrong, on its own scale.
     """
     first = estimates[0][1]
     (rec,), point = first.records, first.optimum.point
@@ -112,7 +119,7 @@ def scores_of(estimates: Sequence[tuple[str, Estimate]]) -> Scores:
     rows = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
     innovation, columns = rows[:, 0], rows[:, 1:]
     trim, start = point.coefficients, point.coefficients + K
-    tested, names, scale, own = [], [], [], []
+    tested, names, scale, doubt, own = [], [], [], [], []
     for axis, estimate in estimates:
         k = estimate.place
         for name in ("input", "damping", "delay", *(extra.name for extra in estimated_extras(estimate.optimum, k))):
@@ -121,44 +128,90 @@ def scores_of(estimates: Sequence[tuple[str, Estimate]]) -> Scores:
             tested.append(columns[:, point.place(name, k)] * unit)
             names.append(f"{axis}.{name}")
             scale.append(size)
+            doubt.append(doubts.get(axis, {}).get(name, 0.0) / size)
         if axis in TRIMMED:
             tested.append(columns[:, trim + k] * EXPECTED["trim"])
             names.append(f"{axis}.trim")
             scale.append(EXPECTED["trim"])
+            doubt.append(0.0)
             own.append(k)
     segment = np.repeat(np.cumsum(rec.fresh) - 1, K)
     free = [columns[:, trim + k] for k in range(K) if k not in own]
     free += [columns[:, start + k] * (segment == s) for k in range(K) for s in range(rec.starts.size)]
     time = np.repeat(rec.block_time, K)
-    return Scores(time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale))
+    return Scores(
+        time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale), np.array(doubt)
+    )
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
-    """The window from an instant to the end against what was before; None where either tells nothing."""
+    """The window from an instant to the end against what was before, in all directions; None where either is silent."""
+    compared = _compared(scores, since)
+    return _along(scores, compared, np.eye(len(scores.names))) if compared else None
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """A window against the rest: u, M, the factor of its noise, and where it begins."""
+
+    since: float
+    at: int
+    u: Array
+    M: Array
+    noise: float
+    shift: Array
+
+
+def _compared(scores: Scores, since: float) -> _Compared | None:
     at = int(np.searchsorted(scores.time, since))
-    chunks = _chunks(scores.time[:at])
-    if at == scores.time.size or chunks.size < LEAST_CHUNKS:
+    if at == scores.time.size or _chunks(scores.time[:at]).size < LEAST_CHUNKS:
         return None
     G_w, s_w, left = _projected(scores, slice(at, None))
     G_r, s_r, _ = _projected(scores, slice(0, at))
     share = G_w @ np.linalg.pinv(G_w + G_r, hermitian=True)
     u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
-    value, vector = np.linalg.eigh(0.5 * (M + M.T))
+    noise = max(left / max(scores.time.size - at - u.size, 1), 1.0)
+    return _Compared(since, at, u, 0.5 * (M + M.T), noise, np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ u)
+
+
+def _along(scores: Scores, compared: _Compared, basis: Array) -> Contrast | None:
+    """The contrast inside a subspace of the shifts, shape (P, k); None where the window knows nothing of it."""
+    value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
     keep = value > 1.0
     if not keep.any():
         return None
-    along = scores.tested @ vector[:, keep]
-    rest = along[:at] * scores.innovation[:at, None]
-    sums = np.add.reduceat(rest, chunks, axis=0)
-    rows = scores.time.size - at
-    noise = np.maximum(left / max(rows - keep.sum(), 1), 1.0)
-    excess = np.maximum((sums**2).sum(axis=0) / np.maximum((rest**2).sum(axis=0), 1e-300), 1.0)
-    variance = noise * excess
-    parts = (u @ vector[:, keep]) ** 2 / (value[keep] * variance)
-    statistic, directions = float(parts.sum()), int(keep.sum())
-    shift = vector[:, keep] @ ((u @ vector[:, keep]) / value[keep])
-    precision = (vector[:, keep] * (value[keep] / variance)) @ vector[:, keep].T
-    return Contrast(since, shift, precision, statistic, directions, _p_value(statistic, directions, chunks.size))
+    vector, value = basis @ vector[:, keep], value[keep]
+    variance = compared.noise * _excess(scores, compared, scores.tested @ vector)
+    variance += value * (scores.doubt**2 @ vector**2)
+    along = compared.u @ vector
+    statistic, directions = float((along**2 / (value * variance)).sum()), int(keep.sum())
+    chunks = _chunks(scores.time[: compared.at]).size
+    return Contrast(
+        compared.since,
+        vector @ (along / value),
+        (vector * (value / variance)) @ vector.T,
+        statistic,
+        directions,
+        _p_value(statistic, directions, chunks),
+    )
+
+
+def _excess(scores: Scores, compared: _Compared, along: Array) -> Array:
+    """Variance of the scores along some directions over what white innovations would give: before, and lately.
+
+    Lately is the window with what came before it, its own shift taken off: gusts that rise colour the innovations of a
+    filter that still believes in calm air.
+    """
+    before = along[: compared.at] * scores.innovation[: compared.at, None]
+    late = slice(int(np.searchsorted(scores.time, scores.time[-1] - LATELY)), None)
+    innovation = scores.innovation.copy()
+    innovation[compared.at :] -= scores.tested[compared.at :] @ compared.shift
+    lately = along[late] * innovation[late, None]
+    parts = [
+        (np.add.reduceat(z, _chunks(t), axis=0) ** 2).sum(axis=0) / np.maximum((z**2).sum(axis=0), 1e-300)
+        for z, t in ((before, scores.time[: compared.at]), (lately, scores.time[late]))
+    ]
+    return np.asarray(np.maximum(np.max(parts, axis=0), 1.0))
 
 
 def _p_value(statistic: float, directions: int, chunks: int) -> float:
@@ -186,10 +239,26 @@ def _projected(scores: Scores, part: slice) -> tuple[Array, Array, float]:
 
 
 def looked_for(scores: Scores) -> list[Contrast]:
-    """The contrasts of all windows that are not longer than what was before them."""
+    """The contrasts of all windows that are not longer than what was before them, in all directions and in each alone
+    that changes have.
+    """
     now, begin = float(scores.time[-1]), float(scores.time[0])
     windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
-    return [found for since in windows if (found := contrast(scores, since))]
+    compared = [one for since in windows if (one := _compared(scores, since))]
+    return [found for one in compared for basis in _bases(scores) if (found := _along(scores, one, basis))]
+
+
+def looks(scores: Scores) -> int:
+    """How many contrasts a look at these scores is."""
+    return len(WINDOWS) * len(_bases(scores))
+
+
+def _bases(scores: Scores) -> list[Array]:
+    """All directions; the trims that are the vehicle's; one factor of all gains; one step of all delays."""
+    kind = np.array([name.split(".")[1] for name in scores.names])
+    alone = [np.eye(kind.size)[:, [i]] for i in np.flatnonzero(kind == "trim")]
+    alike = [(kind == name)[:, None].astype(float) for name in ("input", "delay")]
+    return [np.eye(kind.size), *alone, *alike]
 
 
 def since_when(scores: Scores, found: Contrast) -> tuple[Contrast, tuple[float, float]]:

@@ -110,6 +110,12 @@ def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
     return ends, axis.ci95_flight.get(name, ends)
 
 
+def doubt_of(axis: Axis) -> dict[str, float]:
+    """By how much tests found each coefficient of an axis to vary under its law, as a standard deviation."""
+    names = {name for test in axis.evidence for name in test.sd}
+    return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
+
+
 def stepped(followed: Followed, flight: Flight) -> Followed:
     """A step or two of the climb on the flight so far, from where the estimate stands.
 

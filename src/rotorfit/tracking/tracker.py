@@ -24,8 +24,8 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, scores_of, since_when
-from rotorfit.tracking.following import REFIT, Followed, followed_of, refitted, said, stepped
+from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.following import REFIT, Followed, doubt_of, followed_of, refitted, said, stepped
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 EVERY = 1.0
@@ -176,8 +176,7 @@ class Following:
             if group.followed is None or all(_quiet(flight, axis, now) > WINDOWS[0] for axis in group.axes):
                 continue
             scored += [(scores, looked_for(scores)) for scores in _scores(group.followed)]
-        looks = 3600.0 / EVERY * max(len(scored), 1) * len(WINDOWS)
-        threshold = self._false_alarms / looks
+        threshold = self._false_alarms * EVERY / 3600.0 / max(sum(looks(scores) for scores, _ in scored), 1)
         found = [(one.p_value, scores, one) for scores, looked in scored for one in looked]
         if not found or min(found, key=lambda each: each[0])[0] > threshold:
             return None
@@ -279,4 +278,5 @@ def _scores(followed: Followed) -> list[Scores]:
     by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
     for axis, estimate in followed.estimates.items():
         by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
-    return [scores_of(each) for each in by_optimum.values() if each[0][1].records]
+    doubts = {axis: doubt_of(followed.fit.model.axes[axis]) for axis in followed.estimates}
+    return [scores_of(each, doubts) for each in by_optimum.values() if each[0][1].records]
