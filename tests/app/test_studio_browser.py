@@ -8,11 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sync_playwright
 
 from rotorfit.files.models import load
 from studio_room import bag
@@ -93,6 +94,28 @@ def step(page: Page, name: str) -> None:
     page.get_by_role("navigation").get_by_text(name).click()
 
 
+class Held:
+    """Requests of a page that wait for the test to say what becomes of them, in their order."""
+
+    def __init__(self, page: Page, pattern: str) -> None:
+        self._page, self._pattern = page, pattern
+        self._waiting: list[Route] = []
+        page.route(pattern, lambda route: self._waiting.append(route))
+
+    def next(self) -> Route:
+        end = time.monotonic() + SOON / 1000
+        while not self._waiting:
+            assert time.monotonic() < end, f"no request for {self._pattern}"
+            self._page.wait_for_timeout(20)
+        return self._waiting.pop(0)
+
+    def release(self) -> None:
+        """Those that wait, and those to come, go their way."""
+        self._page.unroute(self._pattern)
+        while self._waiting:
+            self._waiting.pop(0).continue_()
+
+
 def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, address: str, tmp_path: Path) -> None:
     page = opened(context, address)
     assert "token" not in page.url
@@ -135,6 +158,7 @@ def test_from_drop_to_download_and_over_a_reload(context: BrowserContext, addres
     step(page, "Fit")
     for axis in ("z", "yaw"):
         page.get_by_role("checkbox", name=axis).uncheck()
+    page.get_by_label("Structure").select_option("first_order_delay")
     page.get_by_role("button", name="Fit", exact=True).click()
     expect(page.locator("#fit .progress")).to_be_visible()
     expect(page.locator("#result .question")).to_contain_text("looks 1 s ahead", timeout=WORK)
@@ -214,19 +238,66 @@ def test_two_windows_see_the_same_and_neither_loses_what_was_typed(context: Brow
     expect(other.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 11"))
     expect(other.get_by_label("tilt", exact=True)).to_have_value("11")
 
-    other.route("**/api/session*", lambda route: route.abort())  # the other window hears nothing of what comes
-    one.get_by_label("tilt", exact=True).fill("12")
-    one.get_by_label("tilt", exact=True).press("Enter")
-    expect(one.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 12"))
-    mine = other.get_by_label("The card as TOML").input_value() + "\n# mine\n"
+    text, theirs = (page.get_by_label("The card as TOML") for page in (other, one))
+    offer = other.get_by_role("button", name="Put my text in its place")
+
+    def changed_by_one(value: str) -> None:
+        one.get_by_label("tilt", exact=True).fill(value)
+        one.get_by_label("tilt", exact=True).press("Enter")
+        expect(theirs).to_have_value(re.compile(f"value = {value}"))
+
+    # the polls fail before the refusal and after it: the text stays, until the other one can be shown
+    polls = Held(other, "**/api/session*")
+    polls.next().abort()
+    changed_by_one("12")
+    mine = text.input_value() + "\n# first\n"
     with other.expect_response(lambda response: response.url.endswith("/api/card")) as refused:
-        other.get_by_label("The card as TOML").fill(mine)
+        text.fill(mine)
     assert refused.value.status == 409
-    other.unroute("**/api/session*")
-    expect(other.get_by_text("Put my text in its place")).to_be_visible()
-    expect(other.get_by_label("The card as TOML")).to_have_value(re.compile(r"value = 12"))
-    other.get_by_text("Put my text in its place").click()
-    expect(one.get_by_label("The card as TOML")).to_have_value(re.compile(r"# mine"))
+    for _ in range(2):
+        polls.next().abort()
+    assert text.input_value() == mine
+    polls.release()
+    expect(offer).to_be_visible()
+    expect(text).to_have_value(re.compile(r"value = 12"))
+    offer.click()
+    expect(theirs).to_have_value(re.compile("# first"))
+    expect(text).to_have_value(re.compile("# first"))
+
+    # a poll succeeds while the text is on its way to the refusal; put in its place, it is refused once more
+    changes = Held(other, "**/api/card")
+    text.press_sequentially("\n# second")
+    on_its_way = changes.next()
+    changed_by_one("13")
+    expect(other.get_by_label("tilt", exact=True)).to_have_value("13")
+    text.press_sequentially(", and more")
+    on_its_way.continue_()
+    expect(text).to_have_value(re.compile(r"value = 13"))
+    offer.click()
+    on_its_way = changes.next()
+    changed_by_one("14")
+    on_its_way.continue_()
+    expect(text).to_have_value(re.compile(r"value = 14"))
+    offer.click()
+
+    # neither the change nor, the next time, its answer gets through: the page goes on trying
+    changes.next().abort()
+    changes.next().fetch()  # done, and nobody hears of it
+    changes.release()
+    expect(theirs).to_have_value(re.compile("# second, and more"))
+    expect(text).to_have_value(re.compile("# second, and more"))
+    expect(offer).to_have_count(0)
+
+    # a value that is half typed in the table
+    other.get_by_label("tilt", exact=True).fill("1")
+    changed_by_one("15")
+    expect(text).to_have_value(re.compile(r"value = 15"))
+    expect(other.get_by_label("tilt", exact=True)).to_have_value("1")
+    other.get_by_label("tilt", exact=True).press("6")
+    other.get_by_label("tilt", exact=True).press("Enter")
+    expect(theirs).to_have_value(re.compile(r"value = 16"))
+    for page in (one, other):
+        assert page.complaints == []  # type: ignore[attr-defined]
 
 
 def test_a_fit_that_is_killed_or_cancelled_leaves_the_page_usable(context: BrowserContext, address: str) -> None:

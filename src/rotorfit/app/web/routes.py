@@ -177,13 +177,15 @@ class Studio:
         self.workspace.set_ranges(upload.id, ranges, seen)
 
     def card(self, _: Request, body: Any) -> Any:
-        """Changes the card: by a text, by single values, by a built-in card, or by a draft for a log."""
+        """Changes the card by a text, single values, a built-in card or a draft for a log; answers its revision."""
+        workspace = self.workspace
         if "draft" in body and body.get("seen") == 0:  # on a session without a card, by every page that looks at it
-            if not self.workspace.session.card:
-                self.workspace.first_card(self._drafted(str(body["draft"])))
-            return
-        change, seen = edits_from(body, self._drafted)
-        self.workspace.set_card(change, seen)
+            there = workspace.session
+            revision = there.card_revision if there.card else workspace.first_card(self._drafted(str(body["draft"])))
+        else:
+            change, seen = edits_from(body, self._drafted)
+            revision = workspace.set_card(change, seen)
+        return {"card_revision": revision}
 
     def _drafted(self, log_id: str) -> str:
         """The card that a log carries, if it is one, else one drafted from its names and its motion."""

@@ -277,24 +277,33 @@ class Workspace:
             new = replace(upload, ranges=ranges, revision=seen + 1)
             self._changed(uploads=tuple(new if one.id == log_id else one for one in self._session.uploads))
 
-    def first_card(self, text: str) -> None:
-        """Gives a session without a card its first one; a card that is there stands, for another page was faster."""
+    def first_card(self, text: str) -> int:
+        """Gives a session without a card its first one; a card that is there stands, for another page was faster.
+
+        Returns:
+            The revision that the card has then.
+        """
         with self._lock:
             if not self._session.card:
                 self.set_card(lambda _: text, self._session.card_revision)
+            return self._session.card_revision
 
-    def set_card(self, change: Callable[[str], str], seen: int) -> None:
-        """Changes the text of the card.
+    def set_card(self, change: Callable[[str], str], seen: int) -> int:
+        """Changes the text of the card; what it says already is no change, and may be said on any revision.
+
+        Returns:
+            The revision that the card has then.
 
         Raises:
             StaleError: It was changed since revision `seen`.
         """
         with self._lock:
-            if self._session.card_revision != seen:
-                raise StaleError("the card was changed in another window: that text is shown now")
             text = change(self._session.card)
             if text != self._session.card:
+                if self._session.card_revision != seen:
+                    raise StaleError("the card was changed in another window: that text is shown now")
                 self._changed(card=text, card_revision=seen + 1)
+            return self._session.card_revision
 
     def begin_fit(self, settings: Mapping[str, Any], logs: tuple[str, ...]) -> FitEntry:
         """A new fit and its folder.

@@ -27,19 +27,46 @@ export function cardPanel(place, studio) {
         h("details", {className: "panel", open: true}, h("summary", {}, h("h2", {}, "As text (TOML)")), text)),
       h("div", {className: "sticky"}, h("div", {className: "panel"}, h("h2", {}, "What it makes of the log"), about, flight), h("div", {className: "panel"}, h("h2", {}, "Findings"), findings))),
     h("p", {className: "next"}, h("a", {className: "button primary", href: "#ranges"}, "Next: ranges")));
-  let drawnCard = -1, drawnLogs = "", seenOn = "", columnsOf = null;
+  let drawnCard = -1, drawnText = null, drawnLogs = "", seenOn = "", columnsOf = null;
 
-  const change = (body, seen = studio.session.card_revision) => studio.change("PUT", "/api/card", {...body, seen});
-  const edit = edits => change({edits});
+  const change = (body, refused) => studio.change("PUT", "/api/card", {seen: studio.session.card_revision, ...body}, refused);
+  const edit = edits => change({edits}, status => { if (status === 409) notice("warning", "Your value was not kept.", {words: "Put my value in its place", run: () => edit(edits)}); });
+
+  // The text. What was typed stands here until the server has it, or in a notice that offers it: no order of refusals and
+  // of answers that fail or come late loses it.
   let typedOn = null; // the revision that the text was typed on; null where it is the server's
-  const saved = later(500, async () => {
-    const mine = text.value, answer = await change({text: mine}, typedOn);
-    typedOn = saved.waiting() ? studio.session.card_revision : null;
-    if (answer !== null || studio.session.card === mine) return;
-    draw(studio, true);
-    notice("warning", "Your text of the card was not kept.", {words: "Put my text in its place", run: () => change({text: mine})});
-  });
-  const typed = () => { typedOn ??= studio.session.card_revision; saved(); };
+  let saving = false;
+  const saved = later(500, () => save());
+  const typed = () => { typedOn ??= studio.session.card_revision; drawnText = null; saved(); };
+  addEventListener("beforeunload", event => { if (typedOn !== null) event.preventDefault(); });
+
+  async function save() {
+    if (typedOn === null) return;
+    if (saving) { saved(); return; } // its answer says which revision this one stands on
+    saving = true;
+    const mine = text.value;
+    try {
+      const answer = await change({text: mine, seen: typedOn}, () => offer());
+      if (answer !== null) typedOn = text.value === mine ? null : answer.card_revision;
+      draw(studio);
+    } catch (error) {
+      if (!(error instanceof TypeError)) throw error;
+      saved(); // it did not get through: the page says so, and tries again
+    } finally { saving = false; }
+  }
+
+  function offer() { // shows the server's text, and what was typed until now can come back
+    const mine = text.value;
+    typedOn = null;
+    draw(studio);
+    if (mine !== text.value) notice("warning", "Your text of the card was not kept.", {words: "Put my text in its place", run: () => put(mine)});
+  }
+
+  function put(mine) {
+    if (typedOn !== null) offer();
+    text.value = mine;
+    typed();
+  }
 
   function begin() {
     const [kind, name] = start.value.split("|");
@@ -175,17 +202,25 @@ export function cardPanel(place, studio) {
     return h("button", {type: "button", className: "small wrong", title: sure, onclick: () => table.querySelector(`[aria-label="Turn the sign of command ${axis}"]`)?.click()}, `+ ${LEADS[axis][1]}: turn the sign`);
   }
 
-  function draw({session, constants}, forced = false) {
+  let halfTyped = false; // a value of the table, which a table drawn anew would forget
+  for (const [kind, half] of [["input", true], ["change", false], ["focusout", false]]) {
+    for (const part of [table, limits]) part.addEventListener(kind, () => { halfTyped = half; }, true);
+  }
+
+  function draw({session, constants}) {
     const one = studio.log(), logs = JSON.stringify([session.uploads.map(each => [each.id, each.name]), one && one.id]);
     if (logs !== drawnLogs) {
       drawnLogs = logs;
       options(log, session.uploads.map(each => [each.id, each.name]), one && one.id);
       options(start, [["", "choose"], ...session.uploads.map(each => [`draft|${each.id}`, `a draft for ${each.name}`]), ...Object.entries(constants.cards).map(([name, words]) => [`builtin|${name}`, `${name}: ${words}`])], "");
     }
-    if (forced || drawnCard !== session.card_revision) {
+    if (typedOn === null && drawnText !== session.card) {
+      drawnText = session.card;
+      if (text.value !== session.card) text.value = session.card;
+    }
+    if (drawnCard !== session.card_revision && !halfTyped) {
       const focused = document.activeElement, again = focused && table.contains(focused) ? focused.id || focused.getAttribute("aria-label") : null;
       drawnCard = session.card_revision;
-      if (forced || (typedOn === null && text.value !== session.card)) text.value = session.card;
       problem.textContent = session.problem || "";
       problem.hidden = !session.problem;
       rows(session);

@@ -30,7 +30,7 @@ export function labelled(words, control, className = "field") {
 
 export function notice(kind, text, action = null) {
   const place = document.getElementById("notices");
-  for (const old of [...place.children]) if (old.dataset.text === text) old.remove();
+  if (!action) for (const old of [...place.children]) if (old.dataset.text === text) old.remove(); // each offer is of another text
   const element = h("div", {className: `notice ${kind}${action ? " offer" : ""}`, "data-text": text}, h("p", {}, text));
   if (action) element.append(h("button", {type: "button", onclick: () => { element.remove(); action.run(); }}, action.words));
   element.append(h("button", {type: "button", className: "close", "aria-label": "Dismiss", onclick: () => element.remove()}, "×"));
@@ -51,9 +51,7 @@ export function wide(table) { // a table that goes on beside the screen says so
 
 export function later(milliseconds, run) { // the last call wins
   let timer = 0;
-  const call = (...values) => { clearTimeout(timer); timer = setTimeout(() => { timer = 0; run(...values); }, milliseconds); };
-  call.waiting = () => timer !== 0;
-  return call;
+  return (...values) => { clearTimeout(timer); timer = setTimeout(run, milliseconds, ...values); };
 }
 
 export function bytes(count) {

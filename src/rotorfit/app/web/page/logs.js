@@ -36,7 +36,7 @@ export function logsPanel(place, studio) {
       });
       item.remove();
       studio.chosen.write("log", id);
-      await studio.refresh();
+      await studio.caughtUp();
     } catch (error) { refuse(item, file.name, error.message); }
     return undefined;
   }

@@ -24,17 +24,16 @@ const studio = {
     return uploads.find(one => one.id === this.chosen.read("log")) || uploads[0] || null;
   },
   look(id) { this.chosen.write("log", id); this.draw(); },
-  async change(method, path, body = {}) { // asks for a change, and shows what came of it; null where it was refused
-    try {
-      const answer = await send(method, path, body);
-      await this.refresh();
-      return answer;
-    } catch (error) {
+  async change(method, path, body = {}, refused = () => {}) { // asks for a change, and shows what came of it; null where it was refused
+    let answer = null, status = 0;
+    try { answer = await send(method, path, body); } catch (error) {
       if (!(error instanceof Refusal)) throw error;
-      notice(error.status === 409 ? "warning" : "error", error.message);
-      await this.refresh();
-      return null;
+      status = error.status;
+      notice(status === 409 ? "warning" : "error", error.message);
     }
+    await this.caughtUp();
+    if (status) refused(status);
+    return answer;
   },
   async draft() { // the first card, once the first plot is there: a draft looks at the whole flight
     const log = this.log();
@@ -42,7 +41,17 @@ const studio = {
     this.drafting = log.id;
     await this.change("PUT", "/api/card", {draft: log.id, seen: 0});
   },
-  async refresh() {
+  async caughtUp() { // the session as it is now, however long the studio is silent
+    for (;;) {
+      try { return await this.refresh(); } catch { await new Promise(go => setTimeout(go, 1000)); }
+    }
+  },
+  asking: Promise.resolve(),
+  refresh() { // one at a time: no older answer follows a newer one
+    this.asking = this.asking.catch(() => {}).then(() => this.ask());
+    return this.asking;
+  },
+  async ask() {
     const seen = this.session ? `?seen=${this.session.revision}` : "";
     const found = await get(`/api/session${seen}`);
     const was = this.session;
