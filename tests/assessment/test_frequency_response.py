@@ -15,7 +15,8 @@ from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.frequency.law_test import law_test, matched
 from rotorfit.assessment.frequency.response import frequency_response, response_bands
-from rotorfit.assessment.frequency.spectra import held_integral, spectra_of, windows_of
+from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
+from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
 from rotorfit.assessment.frequency.tones import tones_of
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.flight_plan import value
@@ -80,11 +81,23 @@ def test_laws_that_are_not_linear_have_none() -> None:
 
 
 def test_held_commands_are_integrated_exactly() -> None:
-    omega = np.array([0.7, 3.0])
     switch, held = np.array([2.0, 2.5, 4.0]), np.array([1.0, -2.0])
-    s = 1j * omega
+    s = 1j * np.pi * np.arange(1, 8)
     exact = (1 - np.exp(-0.5 * s)) / s - 2 * (np.exp(-0.5 * s) - np.exp(-2 * s)) / s
-    np.testing.assert_allclose(held_integral(switch, held, omega), exact, rtol=1e-12)
+    found, nothing = held_integrals(switch, [held, 0 * held], 7)
+    np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-14)
+    assert not nothing.any()
+
+
+def test_sums_over_irregular_points_are_those_of_the_matrix() -> None:
+    rng = np.random.default_rng(5)
+    for points, count in ((1, 1), (300, 7), (40, 501), (0, 5)):
+        x = rng.uniform(-3, 900, points)
+        matrix = np.exp(-1j * np.outer(np.arange(count), x))
+        over, at = rng.standard_normal(points) * (1 + 2j), rng.standard_normal(count)
+        sums = IrregularFourier(x, count)
+        np.testing.assert_allclose(sums.over_points(over), matrix @ over, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(sums.at_points(at), at @ matrix, rtol=0, atol=1e-9)
 
 
 def test_what_a_law_leaves_of_a_still_flight_is_smooth() -> None:

@@ -20,9 +20,10 @@ def variance_of_mean(series: Array, count: int) -> Array:
 
     Source: Lazarus et al. 2018, section 3: the mean square of the first terms of the cosine transform.
     """
+    from scipy.fft import dct
+
     n = len(series)
-    cosines = np.cos(np.pi * np.outer(np.arange(1, count + 1), np.arange(n) + 0.5) / n)
-    terms = np.sqrt(2 / n) * cosines @ series
+    terms = dct(series, axis=0, norm="ortho")[1 : count + 1]
     return np.asarray(terms.T @ terms / count / n)
 
 

@@ -10,11 +10,12 @@ heading: right for a vehicle whose x and y answer alike. What the other axis add
 first order, with its command times the turn.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.assessment.frequency.tones import Tones, tones_of
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
@@ -40,9 +41,6 @@ TURNED = np.radians(60.0)
 
 TURNS = 0.05
 """Time between the samples of a command that turns with the vehicle [s]."""
-
-AT_ONCE = 2_000_000
-"""Exponentials that are held in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -190,32 +188,35 @@ def spectra_of(window: Window, instrument: Tones | Array | None = None) -> Spect
     """
     count = int(highest_of(window) * window.duration / (2 * np.pi))
     omega = np.asarray(2 * np.pi / window.duration * np.arange(1, count + 1), np.float64)
-    command = held_integral(window.switch, window.command, omega)
-    outside = command
+    held = [window.command, window.turned, window.turning]
+    if instrument is not None and not isinstance(instrument, Tones):
+        held.append(instrument)
+    command, turned, turning, *told = held_integrals(window.switch, held, omega.size)
+    outside = told[0] if told else command
     if isinstance(instrument, Tones):
         outside = _regular_integral(instrument.value(_regular(window.time)), window.duration, omega.size)
-    elif instrument is not None:
-        outside = held_integral(window.switch, instrument, omega)
     motion = _velocity_integral(window.time, window.position, omega)
-    turned, turning = (held_integral(window.switch, each, omega) for each in (window.turned, window.turning))
     return Spectra(window.duration, omega, motion, command, outside, turned, turning)
 
 
-def held_integral(switch: Array, value: Array, omega: Array) -> Spectrum:
-    """Integral of v(t) exp(-i w t) of values that are held from one switch to the next, t from the first: exact.
+def held_integrals(switch: Array, values: Sequence[Array], count: int) -> list[Spectrum]:
+    """Integrals of v(t) exp(-i w t) of values that are held from one switch to the next, t from the first: exact.
 
     Args:
         switch: Shape (M + 1,) [s].
-        value: Shape (M,).
-        omega: Shape (F,), positive [rad/s].
+        values: Each of shape (M,).
+        count: Of the frequencies w, the first whole multiples of one turn from the first switch to the last.
+
+    Returns:
+        Each of shape (count,).
     """
-    out = np.zeros(omega.size, np.complex128)
-    if not value.any():
-        return out
-    for part in np.array_split(np.arange(omega.size), max(1, omega.size * switch.size // AT_ONCE)):
-        turn = np.exp(-1j * np.multiply.outer(omega[part], switch - switch[0]))
-        out[part] = (turn[:, :-1] - turn[:, 1:]) @ value / (1j * omega[part])
-    return out
+    lowest = 2 * np.pi / (switch[-1] - switch[0])
+    sums = IrregularFourier(lowest * (switch - switch[0]), count + 1)
+    s = 1j * lowest * np.arange(1, count + 1)
+    return [
+        sums.over_points(np.diff(value, prepend=0.0, append=0.0))[1:] / s if value.any() else np.zeros_like(s)
+        for value in values
+    ]
 
 
 def _regular(time: Array) -> Array:

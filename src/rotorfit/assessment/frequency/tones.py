@@ -7,11 +7,14 @@ from outside: what answers the motion has a spectrum without lines.
 Source: F. J. Harris, Proc. IEEE 66 (1978), pp. 51-83 (the window, and what two lines must be apart behind it).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
+from rotorfit.core.frames import Array, Mask
+from rotorfit.core.frequency_response import Spectrum
 
 STANDS_OUT = 25.0
 """Power of a tone over the median of what is left around it. Of 1,000 frequencies of noise none exceeds 20 in 99 %."""
@@ -31,6 +34,12 @@ LEAST = 1e-2
 PADDING = 8
 """Points of the spectrum a bin."""
 
+CONVERGED = 1e-12
+"""Gradient of least squares, as a share of the first, at which a solution is taken."""
+
+MOST_STEPS = 200
+"""After which it is taken, too: two lines that nearly are one share their weight somehow."""
+
 
 @dataclass(frozen=True)
 class Tones:
@@ -49,9 +58,8 @@ class Tones:
     share: float
 
     def value(self, time: Array) -> Array:
-        """The sum at some times, shape of time [s]."""
-        turn = np.multiply.outer(time, self.frequency)
-        return np.asarray(np.cos(turn) @ self.cosine + np.sin(turn) @ self.sine)
+        """The sum at regular times, shape (N,) [s]."""
+        return _Lines(time, self.frequency).sum(self.cosine + 1j * self.sine)
 
 
 def tones_of(time: Array, signal: Array, highest: float) -> Tones:
@@ -66,12 +74,10 @@ def tones_of(time: Array, signal: Array, highest: float) -> Tones:
     t, bin_ = time - middle, 2 * np.pi / (step * time.size)
     signal = signal - signal.mean()
     found = _refined(t, signal, _peaks(t, signal, bin_, highest), bin_)
-    rest = signal - _explained(t, signal, found)
-    found = found[[_stands_out(t, signal, rest, line, bin_) for line in found]]
-    columns = _columns(t, found)
-    weights = np.linalg.lstsq(columns, signal)[0]
-    rest, power = signal - columns @ weights, float(signal @ signal)
-    a, b = weights[: found.size], weights[found.size :]
+    rest = _Lines(t, found).fitted(signal)[1]
+    found = found[_stand_out(t, signal, rest, found, bin_)]
+    weights, rest = _Lines(t, found).fitted(signal)
+    a, b, power = weights.real, weights.imag, float(signal @ signal)
     c, s = np.cos(found * middle), np.sin(found * middle)
     share = 1 - float(rest @ rest) / power if power > 0 else 0.0
     return Tones(found, a * c - b * s, a * s + b * c, share)
@@ -87,28 +93,81 @@ def _peaks(t: Array, signal: Array, bin_: float, highest: float) -> Array:
     return np.asarray(bin_ / PADDING * (top + 0.5 * (low - high) / (low - 2 * middle + high)))
 
 
-def _stands_out(t: Array, signal: Array, rest: Array, line: float, bin_: float) -> bool:
-    """Whether a line is far above what is left around it; at its own place nothing is left."""
-    around = line + bin_ * np.arange(-SURROUNDINGS, SURROUNDINGS + 1)
-    around = around[(np.abs(around - line) > APART * bin_) & (around > 0)]
-    near = np.median(np.abs(np.exp(-1j * np.multiply.outer(around, t)) @ rest) ** 2)
-    return bool(np.abs(np.exp(-1j * line * t) @ signal) ** 2 > STANDS_OUT * near)
-
-
-def _columns(t: Array, frequency: Array) -> Array:
-    turn = np.multiply.outer(t, frequency)
-    return np.hstack([np.cos(turn), np.sin(turn)])
-
-
-def _explained(t: Array, signal: Array, frequency: Array) -> Array:
-    columns = _columns(t, frequency)
-    return np.asarray(columns @ np.linalg.lstsq(columns, signal)[0])
+def _stand_out(t: Array, signal: Array, rest: Array, lines: Array, bin_: float) -> Mask:
+    """Which lines are far above what is left around them; at its own place nothing is left."""
+    beside = np.arange(-SURROUNDINGS, SURROUNDINGS + 1)
+    around = lines[:, None] + bin_ * beside[np.abs(beside) > APART]
+    left = np.abs(_Lines(t, around.ravel()).products(rest)).reshape(around.shape) ** 2
+    near = np.nanmedian(np.where(around > 0, left, np.nan), axis=1)
+    return np.asarray(np.abs(_Lines(t, lines).products(signal)) ** 2 > STANDS_OUT * near)
 
 
 def _refined(t: Array, signal: Array, frequency: Array, bin_: float) -> Array:
     """Frequencies after a step of Gauss and Newton, no longer than a quarter of a bin."""
-    K, columns = frequency.size, _columns(t, frequency)
-    weights = np.linalg.lstsq(columns, signal)[0]
-    slope = t[:, None] * (columns[:, :K] * weights[K:] - columns[:, K:] * weights[:K])
-    step = np.linalg.lstsq(np.hstack([columns, slope]), signal - columns @ weights)[0][2 * K :]
+    lines = _Lines(t, frequency)
+    weights, rest = lines.fitted(signal)
+    size = np.maximum(np.abs(weights), 1e-300) * np.sqrt(np.mean(t**2))  # of a column of the slope, beside the others
+    turn = -1j * weights / size
+
+    def forward(z: Spectrum) -> Array:
+        own, moved = np.split(z, 2)
+        return lines.sum(own) + t * lines.sum(turn * moved.real)
+
+    def backward(rows: Array) -> Spectrum:
+        return np.concatenate([lines.products(rows), (turn.conj() * lines.products(t * rows)).real])
+
+    step = _least_squares(forward, backward, rest)[0][frequency.size :].real / size
     return np.asarray(frequency + np.clip(step, -bin_ / 4, bin_ / 4))
+
+
+class _Lines:
+    """The columns cos(w_k t) and sin(w_k t) at regular times; weights a and b of the two are one number, a + i b."""
+
+    def __init__(self, t: Array, frequency: Array) -> None:
+        self._start = np.exp(-1j * frequency * t[0])
+        self._sums = IrregularFourier(frequency * (t[-1] - t[0]) / (t.size - 1), t.size)
+
+    def sum(self, weights: Spectrum) -> Array:
+        """Of the weighted columns, shape (N,)."""
+        return np.asarray(self._sums.over_points(weights * self._start).real)
+
+    def products(self, rows: Array) -> Spectrum:
+        """Of the columns with a signal, shape (K,): of the cosine plus i times that of the sine."""
+        return np.asarray((self._sums.at_points(rows) * self._start).conj())
+
+    def fitted(self, signal: Array) -> tuple[Spectrum, Array]:
+        """Weights by least squares, shape (K,), and what they leave of the signal, shape (N,)."""
+        return _least_squares(self.sum, self.products, signal)
+
+
+def _least_squares(
+    forward: Callable[[Spectrum], Array], backward: Callable[[Array], Spectrum], target: Array
+) -> tuple[Spectrum, Array]:
+    """Least squares by conjugate gradients, and what is left of the target.
+
+    Lines that are a bin or more apart are nearly orthogonal, so that some twenty steps give all digits.
+
+    Args:
+        forward: The matrix's product with unknowns, which are pairs of real numbers.
+        backward: Its transpose's product.
+        target: Shape (N,).
+
+    Source: M. R. Hestenes, E. Stiefel, J. Res. Natl. Bur. Stand. 49 (1952), pp. 409-436, section 10.
+    """
+    rest, slope = target, backward(target)
+    found, along, power = np.zeros_like(slope), slope, _power(slope)
+    enough = CONVERGED**2 * power
+    for _ in range(MOST_STEPS):
+        if power <= enough:
+            break
+        moved = forward(along)
+        step = power / float(moved @ moved)
+        found, rest = found + step * along, rest - step * moved
+        slope = backward(rest)
+        before, power = power, _power(slope)
+        along = slope + power / before * along
+    return found, rest
+
+
+def _power(values: Spectrum) -> float:
+    return float(np.vdot(values, values).real)
