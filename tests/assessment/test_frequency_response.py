@@ -13,9 +13,9 @@ from models import VEHICLE, model_of
 from other_laws import TRUTH, flown_by
 from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
+from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.assessment.frequency.law_test import law_test, matched
 from rotorfit.assessment.frequency.response import frequency_response, response_bands
-from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
 from rotorfit.assessment.frequency.tones import tones_of
 from rotorfit.core.flight_data import Flight
