@@ -117,7 +117,7 @@ def page_of(name: str) -> str:
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
     """A folder with a user's two logs after the shell blocks of the README were run in it, and what they printed."""
     folder = tmp_path_factory.mktemp("user")
-    for name, duration, seed in (("flight1.csv", 40.0, 11), ("flight2.csv", 20.0, 12)):
+    for name, duration, seed in (("flight1.csv", 25.0, 11), ("flight2.csv", 15.0, 12)):
         write_csv(simulate_flight(Truth(), two_sines, duration, seed, controller=Controller(0.3, 0.5)), folder / name)
     printed = {}
     with pytest.MonkeyPatch.context() as patch:

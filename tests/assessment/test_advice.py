@@ -141,10 +141,10 @@ def test_a_negative_delay_within_one_clock_is_about_how_often_commands_are_logge
 
 def test_commands_stamped_later_than_any_searched_delay_are_a_matter_of_clocks_not_of_excitation() -> None:
     """Two computers, 0.25 s apart: a frequent mistake. The finding must lead to it."""
-    flight = flown(NO_STALE, steps(seed=2), 40.0, 2)
+    flight = flown(NO_STALE, steps(("z", "yaw"), seed=2), 30.0, 2)
     late = replace(flight, command_time=flight.command_time + 0.3, segments=(Segment(0.3, flight.segments[0].end),))
 
-    told = findings_of_fit(fit([late]))
+    told = findings_of_fit(fit([late], axes=("z", "yaw")))
     assert any("clock" in f"{f.evidence} {f.effect} {f.remedy}" for f in told)
 
 
@@ -244,6 +244,6 @@ def test_where_the_frame_is_wrong_the_sign_of_a_gain_is_not_told() -> None:
 
 @pytest.mark.parametrize("method", ["ml", "paper"])
 def test_findings_of_both_methods_are_made_without_error(method: str) -> None:
-    result = fit([flown(Truth(), two_sines, 30.0, 4)], method)  # type: ignore[arg-type]
+    result = fit([flown(Truth(), two_sines, 12.0, 4)], method)  # type: ignore[arg-type]
 
     assert all(isinstance(finding, Finding) for finding in findings_of_fit(result))

@@ -15,7 +15,7 @@ from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.assessment.frequency.law_test import law_test, matched
-from rotorfit.assessment.frequency.response import frequency_response, response_bands
+from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
 from rotorfit.assessment.frequency.tones import tones_of
 from rotorfit.core.flight_data import Flight
@@ -198,9 +198,10 @@ def counted(seeds: range, closed: bool, axes: tuple[str, ...]) -> tuple[Array, A
     for seed in seeds:
         flight = flown(truth, many_sines(60.0), 60.0, 1000 + seed, controller=LOOP if closed else None)
         for axis in axes:
-            found, point = frequency_response(flight, axis), point_of(truth, axis)
+            bands, instrument, why = response_bands(flight, axis)
+            found, point = response_of_bands(axis, bands, instrument, why), point_of(truth, axis)
             hits.append(inside(found, law_response(FIRST_ORDER_DELAY, point, found.frequency)).ravel())
-            test = law_test(response_bands(flight, axis)[0], FIRST_ORDER_DELAY, point)
+            test = law_test(bands, FIRST_ORDER_DELAY, point)
             assert test is not None
             ps.append(test.p)
     return np.concatenate(hits), np.array(ps)

@@ -29,13 +29,13 @@ BREEZE = replace(Truth(), wind_sigma=(0.02, 0.02, 0.1, 0.02))
 @cache
 def opened() -> Ladder:
     """z in an open loop, light wind."""
-    return ladder([flown(Truth(), steps(("z",)), 60.0, 11)], ("z",))
+    return ladder([flown(Truth(), steps(("z",)), 40.0, 11)], ("z",))
 
 
 @cache
 def closed() -> Ladder:
     """z in a tight feedback loop, in a wind that matters."""
-    return ladder([flown(BREEZE, steps(("z",)), 60.0, 12, controller=Controller(3.0, 3.0))], ("z",))
+    return ladder([flown(BREEZE, steps(("z",)), 40.0, 12, controller=Controller(3.0, 3.0))], ("z",))
 
 
 def rows(result: Ladder, axis: str = "z") -> dict[str, MethodRow]:

@@ -432,7 +432,7 @@ def test_info_fit_validate_and_report_work_on_a_log_without_x_and_y(tmp_path: Pa
 
 def test_the_tello_log_is_fitted_in_its_yaw_and_forward_velocity(real_flights: Path, tmp_path: Path) -> None:
     model = tmp_path / "model.json"
-    ran("fit", real_flights / "tello" / "demo_spotlight.txt", "-o", model)
+    ran("fit", real_flights / "tello" / "demo_spotlight.txt", "--structure", "first_order_delay", "-o", model)
     axes = json.loads(model.read_text())["axes"]
 
     low, high = axes["yaw"]["combinations"]["steady_gain"]["ci95_flight"]
