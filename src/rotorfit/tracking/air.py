@@ -70,6 +70,10 @@ def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate
     """Two axes that predict together, at the last pose."""
     first = next(iter(known.values()))
     begin = float(first.records[-1].starts[-1])
+    start = _start(pair, known)
+    if flight.pose_time[-1] - begin > LOOKS_BACK:
+        begin = float(flight.pose_time[-1]) - LOOKS_BACK
+        start = _measured(flight, pair, begin)
     i = int(np.searchsorted(flight.pose_time, begin))
     time, heading = flight.pose_time[i:], flight.yaw[i:]
     if time.size < LEAST:
@@ -82,7 +86,7 @@ def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate
     pose = np.column_stack([flight.position, flight.yaw])[i:][keep][:, column]
     laws = np.array([_law(known.get(axis)) for axis in pair])
     driven = free_run(
-        flight.command_time, np.ascontiguousarray(flight.command[:, column]), laws, pose[0], _start(pair, known),
+        flight.command_time, np.ascontiguousarray(flight.command[:, column]), laws, pose[0], start,
         np.concatenate([[begin], time, [time[-1] + AHEAD]]), np.concatenate([turn[:1], turn, turn[-1:]]),
     )  # fmt: skip
     steps, step = distinct_steps(time)
@@ -91,6 +95,20 @@ def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate
     moved = {axis: _at_last(laws[pair.index(axis)], state, driven[:, 2 + pair.index(axis)])
              for axis, state in found.items()}  # fmt: skip
     return moved if level else _with_heading(moved, laws, float(heading[-1]))
+
+
+LOOKS_BACK, SLOPE = 40.0, 0.3
+"""The motion is followed from at most so long ago [s]; the velocity there is measured over `SLOPE` [s], and what is
+wrong with it is the disturbance's."""
+
+
+def _measured(flight: Flight, pair: tuple[str, str], time: float) -> Array:
+    """World velocity of a pair as the poses show it."""
+    pose = np.column_stack([flight.position, flight.yaw])[:, [AXES.index(axis) for axis in pair]]
+    low, high = np.searchsorted(flight.pose_time, [time - SLOPE / 2, time + SLOPE / 2])
+    low = min(int(low), flight.pose_time.size - 2)
+    high = max(min(int(high), flight.pose_time.size - 1), low + 1)
+    return np.asarray((pose[high] - pose[low]) / (flight.pose_time[high] - flight.pose_time[low]))
 
 
 LEAST = 10

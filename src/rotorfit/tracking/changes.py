@@ -28,6 +28,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array, Indices
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
 from rotorfit.estimation.likelihood.likelihood import response, whiten
 
@@ -36,6 +37,9 @@ WINDOWS = (1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 
 CHUNK = 1.0
 """Over this time sums of scores are taken as independent of the next [s]."""
+
+UNLIKELY = 1e-3
+"""A contrast whose p-value is larger even under white innovations is not looked at further."""
 
 LATELY = 12.0
 """Time over which the scores are asked how they vary now [s]."""
@@ -49,6 +53,9 @@ window knows less than this is left out."""
 
 OTHERWISE = 0.5
 """The same of any other parameter of a law, in the estimator's coordinate."""
+
+FADES = 0.7
+"""Time constant with which an autopilot learns a new weight or torque [s]."""
 
 TRIMMED = ("z", "yaw")
 """Axes whose trim is the vehicle's: thrust against weight, torque. On x and y it is wind, which is no change."""
@@ -72,6 +79,8 @@ class Scores:
         names: `AXIS.QUANTITY` of each that may change.
         scale: What one unit of it is.
         doubt: Standard deviation by which tests of the law found each to vary without a change, on that scale, (P,).
+        jolts: Whitened motion after an acceleration of `EXPECTED` that begins `WINDOWS` before the end and fades, of an
+            axis of `TRIMMED`, shape (N, windows); none of other axes.
     """
 
     time: Array
@@ -81,6 +90,7 @@ class Scores:
     names: tuple[str, ...]
     scale: Array
     doubt: Array
+    jolts: Array
 
 
 @dataclass(frozen=True)
@@ -115,7 +125,9 @@ def scores_of(estimates: Sequence[tuple[str, Estimate]], doubts: Mapping[str, Ma
     (rec,), point = first.records, first.optimum.point
     K = point.gain.size
     mean, sensitivity = response(rec, point, 0, point.start)
-    rows, _ = whiten(rec, np.concatenate([(rec.position - mean)[:, None], sensitivity], axis=1), point.levels)
+    jolts = _jolts(rec, estimates)
+    parts = [(rec.position - mean)[:, None], sensitivity, jolts]
+    rows, _ = whiten(rec, np.concatenate(parts, axis=1), point.levels)
     rows = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
     innovation, columns = rows[:, 0], rows[:, 1:]
     trim, start = point.coefficients, point.coefficients + K
@@ -140,8 +152,23 @@ def scores_of(estimates: Sequence[tuple[str, Estimate]], doubts: Mapping[str, Ma
     free += [columns[:, start + k] * (segment == s) for k in range(K) for s in range(rec.starts.size)]
     time = np.repeat(rec.block_time, K)
     return Scores(
-        time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale), np.array(doubt)
-    )
+        time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
+        np.array(doubt), columns[:, columns.shape[1] - jolts.shape[1] :],
+    )  # fmt: skip
+
+
+def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
+    """Position after an acceleration that fades as an autopilot learns it, from `WINDOWS` before the end, (B, J, K).
+
+    v' = -b v + a exp(-t / `FADES`).
+    """
+    axis, estimate = estimates[0]
+    if axis not in TRIMMED:
+        return np.empty((rec.count.size, 0, len(rec.axes)))
+    b, fade = float(np.exp(estimate.optimum.point.log_damping[estimate.place])), 1.001 / FADES
+    t = np.maximum(rec.block_time[:, None] - (rec.block_time[-1] - np.array(WINDOWS)), 0.0)
+    rise = (-np.expm1(-fade * t) / fade + np.expm1(-b * t) / b) / (b - fade)
+    return np.asarray(EXPECTED["trim"] * rise[:, :, None])
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
@@ -175,17 +202,19 @@ def _compared(scores: Scores, since: float) -> _Compared | None:
 
 
 def _along(scores: Scores, compared: _Compared, basis: Array) -> Contrast | None:
-    """The contrast inside a subspace of the shifts, shape (P, k); None where the window knows nothing of it."""
+    """The contrast inside a subspace of the shifts, shape (P, k); None where it shows nothing."""
     value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
     keep = value > 1.0
     if not keep.any():
         return None
     vector, value = basis @ vector[:, keep], value[keep]
+    along, directions = compared.u @ vector, int(keep.sum())
+    chunks = _chunks(scores.time[: compared.at]).size
+    if _p_value(float((along**2 / value).sum()) / compared.noise, directions, chunks) > UNLIKELY:
+        return None  # the variance can only be larger than that of white innovations
     variance = compared.noise * _excess(scores, compared, scores.tested @ vector)
     variance += value * (scores.doubt**2 @ vector**2)
-    along = compared.u @ vector
-    statistic, directions = float((along**2 / (value * variance)).sum()), int(keep.sum())
-    chunks = _chunks(scores.time[: compared.at]).size
+    statistic = float((along**2 / (value * variance)).sum())
     return Contrast(
         compared.since,
         vector @ (along / value),
@@ -245,12 +274,38 @@ def looked_for(scores: Scores) -> list[Contrast]:
     now, begin = float(scores.time[-1]), float(scores.time[0])
     windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
     compared = [one for since in windows if (one := _compared(scores, since))]
-    return [found for one in compared for basis in _bases(scores) if (found := _along(scores, one, basis))]
+    found = [each for one in compared for basis in _bases(scores) if (each := _along(scores, one, basis))]
+    return [*found, *_jolted(scores)]
 
 
 def looks(scores: Scores) -> int:
     """How many contrasts a look at these scores is."""
-    return len(WINDOWS) * len(_bases(scores))
+    return len(WINDOWS) * len(_bases(scores)) + int(scores.jolts.shape[1])
+
+
+def _jolted(scores: Scores) -> list[Contrast]:
+    """An acceleration that came at once and fades, as of a payload that the autopilot then carries, for each window.
+
+    Its variance is what the same filter, matched to it, has given at every instant before.
+    """
+    out = []
+    trim = np.array([name.endswith(".trim") for name in scores.names])
+    begin, now = float(scores.time[0]), float(scores.time[-1])
+    for window, jolt in zip(WINDOWS, scores.jolts.T, strict=False):
+        since = now - window
+        at = int(np.searchsorted(scores.time, since))
+        h, e, before = jolt[at:], scores.innovation[at:], scores.innovation[:at]
+        chunks = (since - begin) / max(window, FADES)
+        if chunks < LEAST_CHUNKS or before.size <= h.size:
+            continue
+        power = float(h @ h)
+        usual = np.correlate(before, h, "valid") ** 2 / power
+        late = usual[-int(LATELY / (now - begin) * scores.time.size) :]
+        variance = max(float(usual.mean()), float(late.mean()), 1.0)
+        statistic = float(h @ e) ** 2 / (power * variance)
+        shift, precision = trim * float(h @ e) / power, np.diag(trim * power / variance)
+        out.append(Contrast(since, shift, precision, statistic, 1, _p_value(statistic, 1, int(chunks))))
+    return out
 
 
 def _bases(scores: Scores) -> list[Array]:

@@ -17,7 +17,7 @@ from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval
-from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes
+from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
@@ -27,8 +27,14 @@ from rotorfit.estimation.likelihood.parameters import Point
 REFIT = 1.5
 """Growth of the time that a fit saw after which the batch estimator looks again."""
 
+SILENT = 1.2
+"""The same as long as it has found nothing."""
+
 PASSES = 3
 """Passes over the data that a step may take: one to see, two to move."""
+
+EARLY, GROWN = 30.0, 1.03
+"""A step is taken each second for so long [s], then whenever the excited time has grown by this."""
 
 LEVELS_EVERY = 5
 """Every so many steps the levels of the disturbance move, too: they change slowly, and cost as much as the rest."""
@@ -48,6 +54,7 @@ class Followed:
         half: Axis and quantity to the half widths of the intervals at the refit, of these flights and of the vehicle,
             and the standard error then, all on the scale of the quantity.
         steps: Since the refit.
+        stepped: Excited time at the last of them [s].
     """
 
     group: tuple[str, ...]
@@ -56,6 +63,7 @@ class Followed:
     estimates: Mapping[str, Estimate]
     half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
     steps: int = 0
+    stepped: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +97,7 @@ def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
     """
     estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
     half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
-    return Followed(tuple(group), found, seen, estimates, half)
+    return Followed(tuple(group), found, seen, estimates, half, stepped=seen)
 
 
 def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
@@ -116,28 +124,32 @@ def doubt_of(axis: Axis) -> dict[str, float]:
     return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
 
 
-def stepped(followed: Followed, flight: Flight) -> Followed:
-    """A step or two of the climb on the flight so far, from where the estimate stands.
+def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
+    """The estimate on the flight so far: a step or two of the climb, from where it stands, once that tells something.
 
     Args:
         followed: Before.
         flight: So far; its first segments are those that the estimate saw.
+        excited: Excited time of it [s].
     """
     if not followed.estimates:
         return followed
-    estimates, steps = dict(followed.estimates), followed.steps + 1
-    levels = steps % LEVELS_EVERY == 0
-    together = {id(one.optimum): one for one in estimates.values()}
-    if len(together) == 1 and len(estimates) == 2:  # x and y through the heading: one optimum
-        one = next(iter(together.values()))
-        moved = _moved(one, _records(flight, followed.group), levels)
-        estimates = {axis: replace(moved, place=each.place) for axis, each in estimates.items()}
+    renewed = {axis: _renewed(one, _records(flight, _seen_by(one))) for axis, one in followed.estimates.items()}
+    grown = any(one.optimum.point.n != followed.estimates[axis].optimum.point.n for axis, one in renewed.items())
+    due = grown or excited < EARLY or excited > GROWN * followed.stepped
+    levels = due and (followed.steps + 1) % LEVELS_EVERY == 0
+    held_pair = len(renewed) == 2 and all(one.optimum.point.gain.size == 1 for one in renewed.values())
+    if held_pair:
+        pair = coupled_records(_records(flight, followed.group), list(renewed.values()))
+        renewed = dict(zip(renewed, pair, strict=True))
+    if not due:
+        return replace(followed, estimates=renewed)
+    if len(renewed) == 2 and not held_pair:  # x and y through the heading: one optimum
+        one = _moved(next(iter(renewed.values())), levels)
+        moved = {axis: replace(each, records=one.records, optimum=one.optimum) for axis, each in renewed.items()}
     else:
-        estimates = {axis: _moved(one, _records(flight, _seen_by(one)), levels) for axis, one in estimates.items()}
-        if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
-            coupled = couple_axes(_records(flight, followed.group), list(estimates.values()))
-            estimates = dict(zip(estimates, coupled, strict=True))
-    return replace(followed, estimates=estimates, steps=steps)
+        moved = {axis: _moved(one, levels) for axis, one in renewed.items()}
+    return replace(followed, estimates=moved, steps=followed.steps + 1, stepped=excited)
 
 
 def _seen_by(estimate: Estimate) -> tuple[str, ...]:
@@ -149,20 +161,25 @@ def _records(flight: Flight, axes: Sequence[str]) -> list[Record]:
     return [found] if found else []
 
 
-def _moved(estimate: Estimate, records: list[Record], levels: bool) -> Estimate:
-    """An estimate after a step on newer records; as it was where there are none."""
+def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
+    """An estimate on newer records, where it stands; as it was where there are none."""
     if not records:
         return estimate
     optimum = estimate.optimum
     point = _grown(optimum.point, estimate.records, records)
-    same = point.n == optimum.point.n
-    free = np.concatenate([optimum.free[: point.coefficients + point.trim.size], np.ones(point.start.size, bool),
-                           optimum.free[optimum.point.n :]])  # fmt: skip
-    moving = free.copy()
-    moving[point.n :] &= levels
-    inverse = optimum.inverse if same and np.array_equal(moving, optimum.free) else None
-    found = maximise(records, point, moving, inverse, most=PASSES, prior=optimum.prior)
-    return replace(estimate, records=records, optimum=replace(found, free=free))
+    known = point.coefficients + point.trim.size
+    starts = np.ones(point.start.size, bool)
+    free = np.concatenate([optimum.free[:known], starts, optimum.free[optimum.point.n :]])
+    return replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
+
+
+def _moved(estimate: Estimate, levels: bool) -> Estimate:
+    """An estimate after a step."""
+    optimum = estimate.optimum
+    moving = optimum.free.copy()
+    moving[optimum.point.n :] &= levels
+    found = maximise(estimate.records, optimum.point, moving, most=PASSES, prior=optimum.prior)
+    return replace(estimate, optimum=replace(found, free=optimum.free))
 
 
 def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) -> Point:

@@ -25,7 +25,7 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, looks, scores_of, since_when
-from rotorfit.tracking.following import REFIT, Followed, doubt_of, followed_of, refitted, said, stepped
+from rotorfit.tracking.following import REFIT, SILENT, Followed, doubt_of, followed_of, refitted, said, stepped
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 EVERY = 1.0
@@ -165,9 +165,9 @@ class Following:
         if part is None or part.duration < LEAST_TIME:
             return group
         before, excited = group.followed, _excited(part, axes, now)
-        if before is None or excited >= REFIT * before.seen or (not before.estimates and excited > before.seen):
+        if before is None or excited >= (REFIT if before.estimates else SILENT) * before.seen:
             return replace(group, followed=refitted(part, axes, self._structure, excited))
-        return replace(group, followed=stepped(before, part))
+        return replace(group, followed=stepped(before, part, excited))
 
     def _change(self, flight: Flight, now: float) -> Alarm | None:
         """The alarm of this look, and the regime that begins with it."""

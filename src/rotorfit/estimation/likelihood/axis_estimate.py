@@ -105,19 +105,35 @@ def couple_axes(records: Sequence[Record], estimates: Sequence[Estimate]) -> lis
     """
     out = list(estimates)
     for _ in range(COUPLING_ROUNDS):
-        points = [estimate.optimum.point for estimate in out]
-        joint = _joined(points)
-        rows = segments(records)
-        offsets = [_offset(rec, joint, points, j, rows[j]) for j, rec in enumerate(records)]
-        for k, (before, plain) in enumerate(zip(out, estimates, strict=True)):
-            shifted = [
-                replace(rec, position=rec.position - offset[:, k : k + 1])
-                for rec, offset in zip(plain.records, offsets, strict=True)
-            ]
-            top = before.optimum
-            optimum = maximise(shifted, top.point, top.free, top.inverse, prior=top.prior)
-            out[k] = replace(before, records=shifted, optimum=optimum)
+        out = [replace(one, records=each.records) for one, each in zip(out, estimates, strict=True)]
+        out = [
+            replace(one, optimum=maximise(one.records, top.point, top.free, top.inverse, prior=top.prior))
+            for one in coupled_records(records, out)
+            for top in (one.optimum,)
+        ]
     return out
+
+
+def coupled_records(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
+    """The estimates with what each axis does to the other, at their points, taken off their data.
+
+    Args:
+        records: Of both axes.
+        estimates: Of each alone, on data from which nothing was taken.
+    """
+    points = [estimate.optimum.point for estimate in estimates]
+    joint, rows = _joined(points), segments(records)
+    offsets = [_offset(rec, joint, points, j, rows[j]) for j, rec in enumerate(records)]
+    return [
+        replace(
+            estimate,
+            records=[
+                replace(rec, position=rec.position - offset[:, k : k + 1])
+                for rec, offset in zip(estimate.records, offsets, strict=True)
+            ],
+        )
+        for k, estimate in enumerate(estimates)
+    ]
 
 
 _JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("start", 1), ("levels", 0))
