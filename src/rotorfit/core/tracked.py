@@ -72,6 +72,32 @@ class TrackedAxis:
 
 
 @dataclass(frozen=True)
+class Air:
+    """The mean wind of the last half minute, where commands are tilts and damping is drag.
+
+    Attributes:
+        speed: [m/s].
+        speed_ci95: [m/s].
+        direction: Where it blows to, from the world's x counter-clockwise [rad].
+        direction_ci95: [rad].
+    """
+
+    speed: float
+    speed_ci95: tuple[float, float]
+    direction: float
+    direction_ci95: tuple[float, float]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As a line of JSON holds it."""
+        return {
+            "speed": self.speed,
+            "speed_ci95": list(self.speed_ci95),
+            "direction": self.direction,
+            "direction_ci95": list(self.direction_ci95),
+        }
+
+
+@dataclass(frozen=True)
 class Alarm:
     """The vehicle, or what measures it, is not what it was.
 
@@ -138,6 +164,7 @@ class Tracked:
         alarms: Raised since the state before.
         regime: Number of the regime, from 0.
         regime_start: When it began [s].
+        air: The mean wind; None where it is not known, or damping is no drag.
     """
 
     time: float
@@ -145,6 +172,7 @@ class Tracked:
     alarms: tuple[Alarm, ...] = ()
     regime: int = 0
     regime_start: float = 0.0
+    air: Air | None = None
 
     def to_mapping(self) -> dict[str, Any]:
         """As a line of JSON holds it."""
@@ -153,6 +181,7 @@ class Tracked:
             "time": self.time,
             "regime": self.regime,
             "axes": {name: axis.to_mapping() for name, axis in self.axes.items()},
+            "air": self.air.to_mapping() if self.air else None,
         }
 
 

@@ -5,7 +5,7 @@ position, velocity and acceleration n, s, s' of the disturbance (see `dynamics.d
 is then c + b s + s', the trim with it: through a drag b, air that moves at (c + b s + s') / b.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +13,14 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Indices, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
+from rotorfit.core.limits import meaning_of
+from rotorfit.core.tracked import Air
 from rotorfit.dynamics.disturbance import discretize, distinct_steps, stationary
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.dynamics.predictor import free_run
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
+from rotorfit.estimation.likelihood.likelihood import inverted
 
 AHEAD = 1.0
 """How far the prediction goes [s]."""
@@ -44,6 +47,9 @@ class AxisMotion:
     ahead_error: float
 
 
+State = tuple[Array, Array, Array]
+"""Levels of an axis, means (B, 3) and covariances (B, 3, 3) of n, s and s' at the poses."""
+
 SAMPLES = 30.0
 """Poses a second that the filter takes [1/s]: as many as the likelihood's blocks."""
 
@@ -51,22 +57,26 @@ STILL = (0.0, 1.0, 0.0)
 """Input, damping and delay of an axis that is not told: it only keeps the other company."""
 
 
-def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, AxisMotion]:
-    """The motion at the last pose of the axes that are told; none where the last segment is too short.
+def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> tuple[dict[str, AxisMotion], Air | None]:
+    """The motion at the last pose of the axes that are told; none where the last segment is too short. And the wind.
 
     Args:
         flight: So far.
         estimates: Axis name to its estimate.
     """
     out: dict[str, AxisMotion] = {}
+    air = None
     for pair in (("x", "y"), ("z", "yaw")):
         known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
         if known:
-            out |= _of_pair(flight, pair, known)
-    return out
+            motion, wind = _of_pair(flight, pair, known)
+            out, air = out | motion, air or wind
+    return out, air
 
 
-def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate]) -> dict[str, AxisMotion]:
+def _of_pair(
+    flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate]
+) -> tuple[dict[str, AxisMotion], Air | None]:
     """Two axes that predict together, at the last pose."""
     first = next(iter(known.values()))
     begin = float(first.records[-1].starts[-1])
@@ -77,7 +87,7 @@ def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate
     i = int(np.searchsorted(flight.pose_time, begin))
     time, heading = flight.pose_time[i:], flight.yaw[i:]
     if time.size < LEAST:
-        return {}
+        return {}, None
     keep = np.unique(np.searchsorted(time, np.arange(time[0], time[-1], 1 / SAMPLES)))
     keep = np.append(keep[keep < time.size - 1], time.size - 1)
     time, heading = time[keep], heading[keep]
@@ -94,7 +104,55 @@ def _of_pair(flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate
              if axis in known}  # fmt: skip
     moved = {axis: _at_last(laws[pair.index(axis)], state, driven[:, 2 + pair.index(axis)])
              for axis, state in found.items()}  # fmt: skip
-    return moved if level else _with_heading(moved, laws, float(heading[-1]))
+    if level:
+        return moved, None
+    drag = all(meaning_of(flight.card, axis).asked == "tilt" for axis in pair)
+    air = None
+    if drag and len(found) == 2:
+        air = _air(time, heading, laws, [found[axis] for axis in pair], [_damping_error(known[axis]) for axis in pair])
+    return _with_heading(moved, laws, found, float(heading[-1])), air
+
+
+def _damping_error(estimate: Estimate) -> float:
+    """Standard error of the logarithm of the damping."""
+    optimum, k = estimate.optimum, estimate.place
+    at = optimum.point.place("damping", k)
+    return float(np.sqrt(inverted(optimum.score.information, optimum.free)[at, at]))
+
+
+def _air(
+    time: Array, heading: Array, laws: Array, states: Sequence[State], damping_error: Sequence[float]
+) -> Air | None:
+    """The mean wind, from the drag that the law's damping is where commands are tilts; None before `AVERAGED` seconds.
+
+    (c + s') / b + s of each axis of the heading frame, turned into the world. How far b is known tells how far the
+    wind is.
+    """
+    settled = time > time[0] + AVERAGED / 2
+    if time[-1] - time[0] < AVERAGED:
+        return None
+    s, change = (np.column_stack([means[settled, i] for _, means, _ in states]) for i in (1, 2))
+    damping, turn = laws[:, DAMPING], heading[settled]
+    pushed = (heading_from_world(change, turn) + laws[:, TRIM]) / damping
+    wind = world_from_heading(pushed, turn) + s
+    mean, part = wind.mean(axis=0), np.floor((time[settled] - time[settled][0]) / ALIKE).astype(int)
+    parts = np.column_stack([np.bincount(part, w) / np.bincount(part) for w in wind.T])
+    covariance = np.diag(parts.var(axis=0, ddof=1) / len(parts))
+    for k, error in enumerate(damping_error):
+        slope = world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0)
+        covariance += np.outer(slope, slope) * error**2
+    speed = float(np.hypot(*mean))
+    ahead, across = mean / speed, np.array([-mean[1], mean[0]]) / speed
+    off, turned = (float(np.sqrt(direction @ covariance @ direction)) for direction in (ahead, across))
+    angle = float(np.arctan2(mean[1], mean[0]))
+    wide = NORMAL * min(turned / speed, np.pi / NORMAL)
+    return Air(speed, (max(speed - NORMAL * off, 0.0), speed + NORMAL * off), angle, (angle - wide, angle + wide))
+
+
+AVERAGED, ALIKE = 10.0, 3.0
+"""The mean wind is told after so long; over the second, gusts are taken as one [s]."""
+
+NORMAL = 1.96
 
 
 LOOKS_BACK, SLOPE = 40.0, 0.3
@@ -113,9 +171,6 @@ def _measured(flight: Flight, pair: tuple[str, str], time: float) -> Array:
 
 LEAST = 10
 """Poses below which the filter has seen nothing."""
-
-State = tuple[Array, Array, Array]
-"""Levels of an axis, mean and covariance of (n, s, s') at the last pose."""
 
 
 def _law(estimate: Estimate | None) -> Array:
@@ -143,15 +198,15 @@ def _start(pair: tuple[str, str], known: Mapping[str, Estimate]) -> Array:
 
 
 def _disturbed(estimate: Estimate, steps: Array, step: Indices, residual: Array) -> State:
-    """The disturbance of an axis at the last pose."""
+    """The disturbance of an axis at the poses."""
     levels = np.exp(estimate.optimum.point.levels[estimate.place, :4])
     means, covariances = disturbance_states(steps, step, residual, np.full(residual.size, levels[1]), levels)
-    return levels, means[-1], covariances[-1]
+    return levels, means, covariances
 
 
 def _at_last(law: Array, state: State, driven: Array) -> AxisMotion:
     """The motion of an axis from the driven velocity at the last pose and a second later, and the disturbance."""
-    levels, mean, covariance = state
+    levels, mean, covariance = state[0], state[1][-1], state[2][-1]
     b = law[DAMPING]
     pull = np.array([0.0, b, 1.0])
     F, Q = np.zeros((3, 3)), np.zeros((3, 3))
@@ -167,14 +222,25 @@ def _at_last(law: Array, state: State, driven: Array) -> AxisMotion:
     )
 
 
-def _with_heading(moved: Mapping[str, AxisMotion], laws: Array, heading: float) -> dict[str, AxisMotion]:
-    """The wind of x and y in the heading frame, where the trim stands; the disturbance was followed in the world.
+def _with_heading(
+    moved: Mapping[str, AxisMotion], laws: Array, states: Mapping[str, State], heading: float
+) -> dict[str, AxisMotion]:
+    """The wind of x and y in the heading frame, where their dampings and trims stand; they were followed in the world.
 
     One axis alone keeps its wind as along the heading that was held.
     """
     if len(moved) < 2:
         return dict(moved)
-    trim = laws[:, TRIM]
-    world = np.array([[moved[axis].wind for axis in ("x", "y")]]) - trim
-    turned = heading_from_world(world, np.array([heading]))[0] + trim
-    return {axis: replace(moved[axis], wind=float(turned[k])) for k, axis in enumerate(("x", "y"))}
+    c, s = np.cos(heading), np.sin(heading)
+    turn = np.array([[c, s], [-s, c]])
+    mean = turn @ np.array([states[axis][1][-1] for axis in ("x", "y")])
+    out = {}
+    for k, axis in enumerate(("x", "y")):
+        pull = np.array([0.0, laws[k, DAMPING], 1.0])
+        variance = sum(
+            turn[k, j] ** 2 * float(pull @ states[other][2][-1] @ pull) for j, other in enumerate(("x", "y"))
+        )
+        out[axis] = replace(
+            moved[axis], wind=float(pull @ mean[k] + laws[k, TRIM]), wind_error=float(np.sqrt(variance))
+        )
+    return out

@@ -44,6 +44,10 @@ UNLIKELY = 1e-3
 LATELY = 12.0
 """Time over which the scores are asked how they vary now [s]."""
 
+RISEN = 2.0
+"""Ratio of the variance lately to that of the regime beyond which the air is another: then the few values of lately
+count, and make alarms rare until the levels have followed."""
+
 LEAST_CHUNKS = 12
 """Chunks of the rest of a regime below which its variance is not known and nothing is asked."""
 
@@ -57,11 +61,21 @@ OTHERWISE = 0.5
 FADES = 0.7
 """Time constant with which an autopilot learns a new weight or torque [s]."""
 
+LASTS, NEW, EARLIEST = 2.0, 1.0, 0.15
+"""Of the matched filters [s]: twice their length; how much is new at a look; what a jolt needs to be seen."""
+
 TRIMMED = ("z", "yaw")
 """Axes whose trim is the vehicle's: thrust against weight, torque. On x and y it is wind, which is no change."""
 
 LATEST = 3.84
 """Fall of T from its largest to the ends of the 95 % interval of the time of a change."""
+
+RARE, RARE_OF_NORMAL = 0.99, 6.63
+"""Jolts are measured by the largest hundredth of what came before, too: air and poses have more outliers than a normal
+distribution, whose squared 99 % quantile is the second."""
+
+TOGETHER = 0.5
+"""Changes of several axes so near to each other are one [s]."""
 
 STEP = 0.2
 """Grid of that time [s]."""
@@ -79,8 +93,8 @@ class Scores:
         names: `AXIS.QUANTITY` of each that may change.
         scale: What one unit of it is.
         doubt: Standard deviation by which tests of the law found each to vary without a change, on that scale, (P,).
-        jolts: Whitened motion after an acceleration of `EXPECTED` that begins `WINDOWS` before the end and fades, of an
-            axis of `TRIMMED`, shape (N, windows); none of other axes.
+        jolts: Whitened positions of an axis of `TRIMMED` after an acceleration, and of poses that are wrong, see
+            `_jolts`, shape (N, 3); none of other axes.
     """
 
     time: Array
@@ -158,17 +172,20 @@ def scores_of(estimates: Sequence[tuple[str, Estimate]], doubts: Mapping[str, Ma
 
 
 def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
-    """Position after an acceleration that fades as an autopilot learns it, from `WINDOWS` before the end, (B, J, K).
+    """Positions after an acceleration that fades as an autopilot learns it, at one pose alone, after a step: (B, 3, K).
 
-    v' = -b v + a exp(-t / `FADES`).
+    All begin `LASTS` before the end; v' = -b v + a exp(-t / `FADES`). The last two are what a pose that is wrong does.
     """
     axis, estimate = estimates[0]
-    if axis not in TRIMMED:
+    t = rec.block_time - (rec.block_time[-1] - LASTS)
+    if axis not in TRIMMED or t[0] > -LASTS:
         return np.empty((rec.count.size, 0, len(rec.axes)))
     b, fade = float(np.exp(estimate.optimum.point.log_damping[estimate.place])), 1.001 / FADES
-    t = np.maximum(rec.block_time[:, None] - (rec.block_time[-1] - np.array(WINDOWS)), 0.0)
-    rise = (-np.expm1(-fade * t) / fade + np.expm1(-b * t) / b) / (b - fade)
-    return np.asarray(EXPECTED["trim"] * rise[:, :, None])
+    later = np.maximum(t, 0.0)
+    rise = (-np.expm1(-fade * later) / fade + np.expm1(-b * later) / b) / (b - fade)
+    first = int(np.searchsorted(t, 0.0))
+    columns = np.column_stack([EXPECTED["trim"] * rise, np.arange(t.size) == first, np.arange(t.size) >= first])
+    return np.asarray(columns[:, :, None])
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
@@ -212,21 +229,22 @@ def _along(scores: Scores, compared: _Compared, basis: Array) -> Contrast | None
     chunks = _chunks(scores.time[: compared.at]).size
     if _p_value(float((along**2 / value).sum()) / compared.noise, directions, chunks) > UNLIKELY:
         return None  # the variance can only be larger than that of white innovations
-    variance = compared.noise * _excess(scores, compared, scores.tested @ vector)
-    variance += value * (scores.doubt**2 @ vector**2)
+    excess, freedom = _excess(scores, compared, scores.tested @ vector)
+    variance = compared.noise * excess + value * (scores.doubt**2 @ vector**2)
     statistic = float((along**2 / (value * variance)).sum())
+    p_value = _p_value(statistic, directions, freedom)
     return Contrast(
         compared.since,
         vector @ (along / value),
         (vector * (value / variance)) @ vector.T,
         statistic,
         directions,
-        _p_value(statistic, directions, chunks),
+        p_value,
     )
 
 
-def _excess(scores: Scores, compared: _Compared, along: Array) -> Array:
-    """Variance of the scores along some directions over what white innovations would give: before, and lately.
+def _excess(scores: Scores, compared: _Compared, along: Array) -> tuple[Array, int]:
+    """Variance of the scores along some directions over what white innovations would give, and chunks behind it.
 
     Lately is the window with what came before it, its own shift taken off: gusts that rise colour the innovations of a
     filter that still believes in calm air.
@@ -240,7 +258,15 @@ def _excess(scores: Scores, compared: _Compared, along: Array) -> Array:
         (np.add.reduceat(z, _chunks(t), axis=0) ** 2).sum(axis=0) / np.maximum((z**2).sum(axis=0), 1e-300)
         for z, t in ((before, scores.time[: compared.at]), (lately, scores.time[late]))
     ]
-    return np.asarray(np.maximum(np.max(parts, axis=0), 1.0))
+    sizes = [_chunks(t).size for t in (scores.time[: compared.at], scores.time[late])]
+    variance, freedom = _usual(parts[0], parts[1], *sizes)
+    return np.maximum(variance, 1.0), freedom
+
+
+def _usual(before: Array, lately: Array, chunks: int, late: int) -> tuple[Array, int]:
+    """The variance to be expected, and how many independent values tell it: the long one, unless it has risen."""
+    risen = lately > RISEN * before
+    return np.where(risen, lately, before), late if risen.any() else chunks
 
 
 def _p_value(statistic: float, directions: int, chunks: int) -> float:
@@ -279,32 +305,49 @@ def looked_for(scores: Scores) -> list[Contrast]:
 
 
 def looks(scores: Scores) -> int:
-    """How many contrasts a look at these scores is."""
-    return len(WINDOWS) * len(_bases(scores)) + int(scores.jolts.shape[1])
+    """How many contrasts a look at these scores is, a second after the last."""
+    recent = int(np.sum(scores.time > scores.time[-1] - NEW)) if scores.jolts.size else 0
+    return len(WINDOWS) * len(_bases(scores)) + recent
 
 
 def _jolted(scores: Scores) -> list[Contrast]:
-    """An acceleration that came at once and fades, as of a payload that the autopilot then carries, for each window.
+    """The likeliest acceleration that came at once and fades, as of a payload that the autopilot then carries.
 
-    Its variance is what the same filter, matched to it, has given at every instant before.
+    A matched filter at every instant that is new since the last look. Its variance is what it has given before. Where a
+    wrong pose explains more, nothing is said.
     """
-    out = []
-    trim = np.array([name.endswith(".trim") for name in scores.names])
     begin, now = float(scores.time[0]), float(scores.time[-1])
-    for window, jolt in zip(WINDOWS, scores.jolts.T, strict=False):
-        since = now - window
-        at = int(np.searchsorted(scores.time, since))
-        h, e, before = jolt[at:], scores.innovation[at:], scores.innovation[:at]
-        chunks = (since - begin) / max(window, FADES)
-        if chunks < LEAST_CHUNKS or before.size <= h.size:
-            continue
-        power = float(h @ h)
-        usual = np.correlate(before, h, "valid") ** 2 / power
-        late = usual[-int(LATELY / (now - begin) * scores.time.size) :]
-        variance = max(float(usual.mean()), float(late.mean()), 1.0)
-        statistic = float(h @ e) ** 2 / (power * variance)
-        shift, precision = trim * float(h @ e) / power, np.diag(trim * power / variance)
-        out.append(Contrast(since, shift, precision, statistic, 1, _p_value(statistic, 1, int(chunks))))
+    chunks = int((now - NEW - LASTS - begin) / CHUNK)
+    if not scores.jolts.size or chunks < LEAST_CHUNKS:
+        return []
+    first = int(np.searchsorted(scores.time, now - LASTS))
+    shapes = scores.jolts[first : first + int(np.searchsorted(scores.time, now - LASTS / 2)) - first]
+    new = np.flatnonzero((scores.time > now - NEW - EARLIEST) & (scores.time <= now - EARLIEST))
+    matched = np.array([_matched(scores.innovation, h, new) for h in shapes.T])
+    gain = matched[:, 0] ** 2 / matched[:, 1]
+    best = int(np.argmax(gain[0]))
+    if gain[0, best] < gain[1:].max():
+        return []
+    h, before = shapes[:, 0], scores.innovation[: new[0]]
+    usual = np.correlate(before, h, "valid") ** 2 / float(h @ h)
+    late = usual[-int(LATELY / (now - begin) * scores.time.size) :]
+    found, freedom = _usual(usual.mean()[None], late.mean()[None], chunks, int(LATELY / CHUNK))
+    largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
+    variance = max(float(found[0]), largest, 1.0)
+    size, power = float(matched[0, 0, best] / matched[0, 1, best]), float(matched[0, 1, best])
+    trim = np.array([name.endswith(".trim") for name in scores.names])
+    statistic = float(gain[0, best]) / variance
+    p_value = _p_value(statistic, 1, freedom)
+    since = float(scores.time[new[best]])
+    return [Contrast(since, trim * size, np.diag(trim * power / variance), statistic, 1, p_value)]
+
+
+def _matched(innovation: Array, h: Array, at: Indices) -> Array:
+    """Products of a shape with the innovations from some places on, and its own power as far as they go, (2, n)."""
+    out = np.empty((2, at.size))
+    for n, i in enumerate(at):
+        part = innovation[i : i + h.size]
+        out[:, n] = part @ h[: part.size], h[: part.size] @ h[: part.size]
     return out
 
 
@@ -316,13 +359,18 @@ def _bases(scores: Scores) -> list[Array]:
     return [np.eye(kind.size), *alone, *alike]
 
 
+def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
+    """What other axes show of a change at an instant: the window from there, or a jolt at that time."""
+    near = [one for one in looked if abs(one.since - since) < TOGETHER]
+    window = contrast(scores, since)
+    return min((*near, *([window] if window else ())), key=lambda one: one.p_value, default=None)
+
+
 def since_when(scores: Scores, found: Contrast) -> tuple[Contrast, tuple[float, float]]:
     """The likeliest time of a change that was found, and its 95 % interval."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
     low = max(found.since - WINDOWS[-1] / 4, begin)
     tried = [one for t in np.arange(low, now - STEP, STEP) if (one := contrast(scores, float(t)))]
-    if not tried:
-        return found, (found.since, now)
-    best = max(tried, key=lambda one: one.statistic - 2 * one.directions)
-    near = [one.since for one in tried if one.statistic >= best.statistic - LATEST]
+    best = max((*tried, found), key=lambda one: one.statistic - 2 * one.directions)
+    near = [one.since for one in (*tried, best) if one.statistic >= best.statistic - LATEST]
     return best, (min(near) - STEP / 2, min(max(near) + STEP / 2, now))

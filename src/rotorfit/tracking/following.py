@@ -132,24 +132,34 @@ def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
         flight: So far; its first segments are those that the estimate saw.
         excited: Excited time of it [s].
     """
-    if not followed.estimates:
-        return followed
-    renewed = {axis: _renewed(one, _records(flight, _seen_by(one))) for axis, one in followed.estimates.items()}
-    grown = any(one.optimum.point.n != followed.estimates[axis].optimum.point.n for axis, one in renewed.items())
-    due = grown or excited < EARLY or excited > GROWN * followed.stepped
-    levels = due and (followed.steps + 1) % LEVELS_EVERY == 0
-    held_pair = len(renewed) == 2 and all(one.optimum.point.gain.size == 1 for one in renewed.values())
-    if held_pair:
-        pair = coupled_records(_records(flight, followed.group), list(renewed.values()))
-        renewed = dict(zip(renewed, pair, strict=True))
-    if not due:
-        return replace(followed, estimates=renewed)
-    if len(renewed) == 2 and not held_pair:  # x and y through the heading: one optimum
-        one = _moved(next(iter(renewed.values())), levels)
-        moved = {axis: replace(each, records=one.records, optimum=one.optimum) for axis, each in renewed.items()}
+    new = renewed(followed, flight)
+    if not new.estimates or EARLY < excited < GROWN * followed.stepped:
+        return new
+    levels = (followed.steps + 1) % LEVELS_EVERY == 0
+    if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y by one likelihood
+        one = _moved(next(iter(new.estimates.values())), levels)
+        moved = {axis: replace(each, optimum=one.optimum) for axis, each in new.estimates.items()}
     else:
-        moved = {axis: _moved(one, levels) for axis, one in renewed.items()}
-    return replace(followed, estimates=moved, steps=followed.steps + 1, stepped=excited)
+        moved = {axis: _moved(one, levels) for axis, one in new.estimates.items()}
+    return replace(new, estimates=moved, steps=followed.steps + 1, stepped=excited)
+
+
+def renewed(followed: Followed, flight: Flight) -> Followed:
+    """The estimate where it stands, on the flight so far.
+
+    Args:
+        followed: Before.
+        flight: So far.
+    """
+    new: dict[int, Estimate] = {}
+    for one in followed.estimates.values():
+        if id(one.optimum) not in new:
+            new[id(one.optimum)] = _renewed(one, _records(flight, _seen_by(one)))
+    estimates = {axis: replace(new[id(one.optimum)], place=one.place) for axis, one in followed.estimates.items()}
+    if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
+        pair = coupled_records(_records(flight, followed.group), list(estimates.values()))
+        estimates = dict(zip(estimates, pair, strict=True))
+    return replace(followed, estimates=estimates)
 
 
 def _seen_by(estimate: Estimate) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ Every sample goes into the growing flight and costs no more than that. Once a se
 take a step, the last seconds are compared with the rest, and the state is put together. It never commands a vehicle.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +24,8 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import WINDOWS, Contrast, Scores, contrast, looked_for, looks, scores_of, since_when
-from rotorfit.tracking.following import REFIT, SILENT, Followed, doubt_of, followed_of, refitted, said, stepped
+from rotorfit.tracking.changes import Contrast, Scores, at_once, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.following import REFIT, SILENT, Followed, doubt_of, followed_of, refitted, renewed, said, stepped
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 EVERY = 1.0
@@ -50,6 +50,15 @@ class Group:
     axes: tuple[str, ...]
     since: float
     followed: Followed | None = None
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A change that was seen at the last look and is named at this one: which likelihood, as what, what else."""
+
+    names: tuple[str, ...]
+    contrast: Contrast
+    looked: Mapping[tuple[str, ...], Sequence[Contrast]]
 
 
 class Tracker:
@@ -109,7 +118,7 @@ class Following:
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
-        self._alarms: list[Alarm] = []
+        self._seen: _Seen | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self.next_look = LEAST_TIME
 
@@ -124,7 +133,7 @@ class Following:
         for axes in groups_of([flight], flight.axes):
             self._groups[axes] = self._followed(axes, flight, now)
         self._groups = {axes: group for axes, group in self._groups.items() if axes in groups_of([flight], flight.axes)}
-        alarm = self._change(flight, now)
+        alarm = self._change(now)
         return self._tracked(flight, now, (alarm,) if alarm else ())
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
@@ -159,31 +168,38 @@ class Following:
         group = self._groups.get(axes, Group(axes, since))
         if group.since != since:
             group = Group(axes, since)
-        if group.followed and all(_quiet(flight, axis, now) > QUIET for axis in axes):
-            return group  # nothing new is told: the last values hold
         part = _part(flight, max(since, now - LONGEST), now)
         if part is None or part.duration < LEAST_TIME:
             return group
         before, excited = group.followed, _excited(part, axes, now)
+        if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
+            return replace(group, followed=renewed(before, part))  # nothing new is told: the last values hold
         if before is None or excited >= (REFIT if before.estimates else SILENT) * before.seen:
             return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part, excited))
 
-    def _change(self, flight: Flight, now: float) -> Alarm | None:
+    def _change(self, now: float) -> Alarm | None:
         """The alarm of this look, and the regime that begins with it."""
-        scored: list[tuple[Scores, list[Contrast]]] = []
-        for group in self._groups.values():
-            if group.followed is None or all(_quiet(flight, axis, now) > WINDOWS[0] for axis in group.axes):
-                continue
-            scored += [(scores, looked_for(scores)) for scores in _scores(group.followed)]
-        threshold = self._false_alarms * EVERY / 3600.0 / max(sum(looks(scores) for scores, _ in scored), 1)
-        found = [(one.p_value, scores, one) for scores, looked in scored for one in looked]
-        if not found or min(found, key=lambda each: each[0])[0] > threshold:
+        followed = [group.followed for group in self._groups.values() if group.followed]
+        scored = {scores.names: scores for one in followed for scores in _scores(one)}
+        looked = {names: looked_for(scores) for names, scores in scored.items()}
+        seen, self._seen = self._seen, None
+        if seen is None:
+            threshold = self._false_alarms * EVERY / 3600.0 / max(sum(looks(scores) for scores in scored.values()), 1)
+            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
+            self._seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
+            return None  # a second more tells what it is
+        if seen.names not in scored:
             return None
-        p_value, scores, first = min(found, key=lambda each: each[0])
-        best, since = since_when(scores, first)
-        together = [(other, there) for other, _ in scored if (there := contrast(other, best.since))]
-        named = diagnosis(together or [(scores, best)])
+        best, since = since_when(scored[seen.names], seen.contrast)
+        others = [
+            (scores, there)
+            for names, scores in scored.items()
+            if names != seen.names
+            if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
+        ]
+        named = diagnosis([(scored[seen.names], best), *others])
+        p_value = seen.contrast.p_value
         alarm = Alarm(now, named.axes, named.cause, since, named.change, named.confidence, p_value, named.why)
         for axis in named.axes:
             self._since[axis] = self._changed[axis] = best.since
@@ -198,9 +214,9 @@ class Following:
         """The state in words and numbers."""
         known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
-        moving = motion_now(flight, estimates)
+        moving, air = motion_now(flight, estimates)
         axes = {axis: self._axis(flight, axis, now, known.get(axis), moving.get(axis)) for axis in flight.axes}
-        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0])
+        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air)
 
     def _axis(
         self, flight: Flight, axis: str, now: float, followed: Followed | None, motion: AxisMotion | None

@@ -1,0 +1,100 @@
+"""Does `rotorfit track` know the wind? Flights of the flight room in gusts, beside a filter that knows the vehicle.
+
+    python bench/bench_track_wind.py [FLIGHTS] [--structure S]
+
+FLIGHTS (default 4) of 90 s for each of gusts of 1, 2, 3 and 5 m/s (Dryden) with a mean wind of 3 m/s, a Bebop 2 in
+closed loop (tilts: its damping is drag).
+
+- ratio: RMS error, from 30 s on, of the acceleration that the air gives x and y, over that of the same filter at the
+  vehicle's true input, damping and delay, its levels and trim fitted there.
+- held: share of the 95 % intervals of that acceleration that hold it.
+- mean wind: errors of speed and direction over all seconds from 30 s on, median and 90 %, and the share of intervals
+  that hold the mean of the wind over the same time.
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from changing_flights import ChangingFlight, Scenario, changing_flight
+from rotorfit.core.frames import AXES, heading_from_world
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, motion_now
+from rotorfit.tracking.replayed import growing
+from rotorfit.tracking.tracker import Following
+
+SETTLED = 30.0
+
+
+def informed(estimate: Estimate, flown: ChangingFlight, axis: str) -> Estimate:
+    """The estimate at the vehicle's true coefficients: trims, start velocities and levels fitted."""
+    truth, point, places = flown.linear[0], estimate.optimum.point, {"x": 0, "y": 1}
+    K = point.gain.size
+    gain, log_damping, delay = point.gain.copy(), point.log_damping.copy(), point.delay.copy()
+    for name, k in places.items() if K == 2 else ((axis, 0),):
+        i = AXES.index(name)
+        gain[k], log_damping[k], delay[k] = truth.gamma[2 * i], np.log(truth.gamma[2 * i + 1]), truth.delay[i]
+    free = estimate.optimum.free.copy()
+    free[: point.coefficients] = False
+    there = replace(point, gain=gain, log_damping=log_damping, delay=delay)
+    return replace(estimate, optimum=replace(maximise(estimate.records, there, free), free=estimate.optimum.free))
+
+
+def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
+    """Errors of every second from `SETTLED` on."""
+    following, flight, out = Following(structure), flown.flight, []
+    damping = np.array(flown.linear[0].gamma[1:4:2])
+    for part, now in growing(flight, following.next_look):
+        state = following.look(part, now)
+        if now < SETTLED or any(state.axes[axis].wind is None for axis in "xy"):
+            continue
+        n = part.pose_time.size
+        true = damping * heading_from_world(flown.wind[n - 1 : n, :2], part.yaw[-1:])[0]
+        estimates = {}
+        for group in following._groups.values():
+            estimates |= group.followed.estimates if group.followed else {}
+        known, _ = motion_now(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"})
+        row = {}
+        for k, axis in enumerate("xy"):
+            low, high = state.axes[axis].wind_ci95
+            row[f"{axis} error"] = state.axes[axis].wind - true[k]
+            row[f"{axis} informed"] = known[axis].wind - true[k]
+            row[f"{axis} held"] = low <= true[k] <= high
+        if state.air:
+            back = min(now - part.segments[-1].start, LOOKS_BACK) - AVERAGED / 2
+            mean = flown.wind[:n][part.pose_time > now - back, :2].mean(axis=0)
+            turned = (state.air.direction - np.arctan2(mean[1], mean[0]) + np.pi) % (2 * np.pi) - np.pi
+            low, high = state.air.speed_ci95
+            row |= {"speed": state.air.speed - np.hypot(*mean), "direction": np.degrees(turned)}
+            row["speed held"] = low <= np.hypot(*mean) <= high
+        out.append(row)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("flights", nargs="?", type=int, default=4)
+    parser.add_argument("--structure", default="first_order_delay")
+    given = parser.parse_args()
+    for gusts in (1.0, 2.0, 3.0, 5.0):
+        rows = []
+        for seed in range(given.flights):
+            scenario = Scenario("none", "bebop2", "closed", gusts, mean=3.0, duration=90.0)
+            rows += errors(changing_flight(900 + seed, scenario), given.structure)
+        ours, known = (np.array([[row[f"{a} {what}"] for a in "xy"] for row in rows]) for what in ("error", "informed"))
+        held = np.mean([[row[f"{a} held"] for a in "xy"] for row in rows])
+        speed, turned = (np.abs([row[what] for row in rows if what in row]) for what in ("speed", "direction"))
+        inside = np.mean([row["speed held"] for row in rows if "speed held" in row])
+        rms = [float(np.sqrt(np.mean(each**2))) for each in (ours, known)]
+        print(
+            f"gusts {gusts:g} m/s: RMS {rms[0]:.3f} against {rms[1]:.3f} m/s^2, ratio {rms[0] / rms[1]:.2f}; "
+            f"held {100 * held:.0f} % of {2 * len(rows)}; mean wind off by {np.median(speed):.2f} ({np.quantile(speed, 0.9):.2f}) m/s, "
+            f"{np.median(turned):.0f} ({np.quantile(turned, 0.9):.0f}) deg, held {100 * inside:.0f} %",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
