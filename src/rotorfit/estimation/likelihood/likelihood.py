@@ -257,13 +257,14 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         few = columns.shape[2] - width  # the residual and what is fixed: all that the levels' part needs
         rows, moved, variance = _filtered(rec, np.ascontiguousarray(columns), levels, few)
         rows, log_variance = rows.reshape(-1, few + width), np.log(variance).reshape(len(levels), -1)
+        shared = [*range(first_trim), *range(first_trim + j * K, first_trim + (j + 1) * K)]
         parts = [
-            (np.r_[:first_trim, first_trim + j * K : first_trim + (j + 1) * K, first : first + K], part)
+            (np.array([*shared, *range(first, first + K)]), part)
             for first, part in zip(_start_places(first_trim, K, F, at), _segment_parts(rec, K), strict=True)
         ]
         products = [rows[part].T @ rows[part] for _, part in parts]
         for (where, _), product in zip(parts, products, strict=True):
-            information[np.ix_(where, where)] += product[few:, few:]
+            information[where[:, None], where] += product[few:, few:]
             gradient[where] += product[few:, 0]
             log_likelihood -= 0.5 * float(product[0, 0])
         log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
@@ -277,7 +278,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             d_innovation[i], d_log_variance[i] = there[:, 0] - e, log_variance[1 + m] - log_variance[0]
             for (where, part), product in zip(parts, products, strict=True):
                 change = there[part].T @ there[part] - product[:few, :few]
-                slopes[i][np.ix_(where, where)] += change[1:, 1:] / LEVEL_STEP
+                slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
                 cross[where, i] += change[1:, 0] / LEVEL_STEP
         if scaled:
             # q and r together only scale every variance but that of the unknown start: one filter pass saved.
@@ -285,7 +286,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
-            projected[np.ix_(where, where)] += product[1:few, 1:few]
+            projected[where[:, None], where] += product[1:few, 1:few]
             if scaled:  # minus the gradient, of which the second level's share is taken off below
                 cross[where, 0] -= product[1:few, 0]
         d_innovation /= LEVEL_STEP
@@ -317,7 +318,8 @@ def _segment_parts(rec: Record, K: int) -> list[slice]:
 
 def _log_determinant(information: Array, active: Mask) -> float:
     """Of the active block, with the ridge of `inverted`."""
-    block = information[np.ix_(active, active)]
+    index = np.flatnonzero(active)
+    block = information[index[:, None], index]
     size = np.sqrt(np.maximum(np.diag(block), 1e-12))
     scaled = block / np.outer(size, size) + 1e-10 * np.eye(size.size)
     return float(np.linalg.slogdet(scaled)[1] + 2 * np.log(size).sum())
@@ -368,8 +370,10 @@ def inverted(information: Array, active: Mask) -> Array:
     """Inverse of the information over the active parameters, zero elsewhere."""
     out = np.zeros_like(information)
     index = np.flatnonzero(active)
-    block = information[np.ix_(index, index)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-12))
-    inverse = np.linalg.inv(block * np.outer(scale, scale) + 1e-10 * np.eye(index.size))
-    out[np.ix_(index, index)] = inverse * np.outer(scale, scale)
+    square = index[:, None], index  # as numpy.ix_, in a tenth of its time: this runs at every step of every climb
+    block = information[square]
+    scale = 1 / np.sqrt(np.maximum(block.diagonal(), 1e-12))
+    both = scale[:, None] * scale
+    inverse = np.linalg.inv(block * both + 1e-10 * np.eye(index.size))
+    out[square] = inverse * both
     return out

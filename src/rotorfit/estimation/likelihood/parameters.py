@@ -4,6 +4,7 @@ Coefficients enter as (g, log b, tau), so the damping is positive by constructio
 """
 
 import functools
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,8 +79,9 @@ class Point:
     def with_flat(self, values: Array) -> "Point":
         """The point with all parameters replaced, in the order of `flat`."""
         K = self.gain.size
-        ends = np.cumsum([K, K, K, self.extra.size, self.trim.size, self.start.size])
-        gain, log_damping, delay, extra, trim, start, levels = np.split(values, ends)
+        sizes = (0, K, K, K, self.extra.size, self.trim.size, self.start.size, self.levels.size)
+        ends = itertools.pairwise(itertools.accumulate(sizes))
+        gain, log_damping, delay, extra, trim, start, levels = (values[low:high] for low, high in ends)
         return Point(
             gain, log_damping, delay, trim.reshape(-1, K), start.reshape(-1, K), levels.reshape(K, -1),
             self.structures, extra.reshape(self.extra.shape), self.measured,
