@@ -411,7 +411,7 @@ def test_figures_are_written_where_they_were_asked_for(folder: Path, tmp_path: P
 def test_a_training_log_that_has_changed_is_left_out_with_a_note(folder: Path, tmp_path: Path) -> None:
     log, model = tmp_path / "flight.bag", tmp_path / "model.json"
     log.write_bytes((folder / "first.bag").read_bytes())
-    done("fit", log, "--axes", "x", "-o", model)
+    done("fit", log, "--axes", "x", *LAW, "-o", model)
     log.write_bytes((folder / "second.bag").read_bytes())
 
     found = json_of("report", model, folder / "second.bag", "-o", tmp_path / "report.html")

@@ -61,7 +61,7 @@ ARDUCOPTER = "arducopter/2014-10-18_20-04-24.bin"
 
 @cache
 def fitted(path: Path) -> Fit:
-    return fit_logs([LogSpan(str(path), (None, None))])
+    return fit_logs([LogSpan(str(path), (None, None))], structure="first_order_delay")
 
 
 def codes(flight: Flight) -> dict[str, int]:

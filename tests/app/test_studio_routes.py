@@ -241,7 +241,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Studio, T
         page = client_of(studio)
         drafted(page)
         added(page, "proof.bag", bag(2))
-        for asked in ({"axes": ["x", "y"], "method": "ml"}, {"axes": ["x", "y"], "method": "paper"}):
+        for method in ("ml", "paper"):
+            asked = {"axes": ["x", "y"], "method": method, "structure": "first_order_delay"}
             assert page.post("/api/fits", json=asked).status_code == 200
             settled(studio)
         assert page.post("/api/fits", json={"compare": ["1", "2"]}).status_code == 200
