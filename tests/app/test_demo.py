@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorfit.app.cli import main
 import rotorfit.app.demo as demo_module
+from rotorfit.app.cli import main
 from rotorfit.app.demo import Demo, demo, demo_mapping, recovered, scores
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.outlook import demo_view
@@ -32,7 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(folder: Path) -> Iterator[Demo]:
     """Of flights that are shorter than the demo's own, flown by its plans."""
-    shorter = {name: (design, axes, 0.5 * time, high) for name, (design, axes, time, high) in demo_module.FLIGHTS.items()}
+    full = demo_module.FLIGHTS
+    shorter = {name: (design, axes, 0.5 * duration, high) for name, (design, axes, duration, high) in full.items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_module, "FLIGHTS", shorter)
         yield demo(folder)

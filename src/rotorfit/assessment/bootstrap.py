@@ -22,6 +22,7 @@ from rotorfit.core.frames import Array, Indices, Mask, world_from_heading
 from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.disturbance import (
     axis_start,
+    fill_step_tables,
     predict_covariance,
     propagate,
     rotate,
@@ -83,27 +84,28 @@ def colour_plane(
     """The inverse of `whitening.whiten_plane`: positions (B, R, 2), heading frame, of innovations (B, R, 2)."""
     B, R, _ = innovations.shape
     out = np.empty((B, R, 2))
-    Fx, Qx = step_tables(steps, levels[0, 2], levels[0, 3])
-    Fy, Qy = step_tables(steps, levels[1, 2], levels[1, 3])
-    P = np.zeros((3, 3, 3))
+    F, Q = np.zeros((1, 2, steps.size, 3, 3)), np.zeros((1, 2, steps.size, 3, 3))
+    for a in range(2):
+        fill_step_tables(steps, levels[a, 2], levels[a, 3], F[0, a], Q[0, a])
+    P = np.zeros((1, 3, 3, 3))
     state = np.zeros((R, 6))
     gain = np.empty((2, 6))
     root = np.empty(2)
     for i in range(B):
         if fresh[i]:
             state[:] = 0.0
-            start_covariance(P, levels)
+            start_covariance(P[0], levels)
         else:
-            fx, fy = Fx[step[i]], Fy[step[i]]
+            fx, fy = F[0, 0, step[i]], F[0, 1, step[i]]
             half = 0.5 * (yaw[i] - yaw[i - 1])
             c, s = np.cos(half), np.sin(half)
-            predict_covariance(P, fx, fy, Qx[step[i]], Qy[step[i]], levels, c, s)
+            predict_covariance(P, 0, F, Q, 0, step[i], levels[0, 0], levels[1, 0], c, s)
             for j in range(R):
                 rotate(state[j], c, s)
                 propagate(state[j], fx, fy)
                 rotate(state[j], c, s)
         for a in range(2):
-            root[a] = np.sqrt(update_covariance(P, a, levels[a, 1] / count[i], gain[a]))
+            root[a] = np.sqrt(update_covariance(P, 0, a, levels[a, 1] / count[i], gain[a]))
         for j in range(R):
             for a in range(2):
                 e = innovations[i, j, a] * root[a]

@@ -156,31 +156,31 @@ def propagate(vector: Array, fx: Array, fy: Array) -> None:
 
 
 @inner()
-def _turn_covariance(P: Array, c: float, s: float) -> None:
-    """Turns the frame of a covariance held as blocks: P[0] of x, P[1] of y, P[2] of x with y, each (3, 3), in place."""
+def _turn_covariance(P: Array, m: int, c: float, s: float) -> None:
+    """Turns the frame of a covariance held as blocks: P[m, 0] of x, 1 of y, 2 of x with y, each (3, 3), in place."""
     cc, ss, cs = c * c, s * s, c * s
     for i in range(3):
         for j in range(i, 3):
-            a, b, m, n = P[0, i, j], P[1, i, j], P[2, i, j], P[2, j, i]
-            P[0, i, j] = P[0, j, i] = cc * a + ss * b + cs * (m + n)
-            P[1, i, j] = P[1, j, i] = ss * a + cc * b - cs * (m + n)
-            P[2, i, j] = cc * m - ss * n + cs * (b - a)
-            P[2, j, i] = cc * n - ss * m + cs * (b - a)
+            a, b, x, y = P[m, 0, i, j], P[m, 1, i, j], P[m, 2, i, j], P[m, 2, j, i]
+            P[m, 0, i, j] = P[m, 0, j, i] = cc * a + ss * b + cs * (x + y)
+            P[m, 1, i, j] = P[m, 1, j, i] = ss * a + cc * b - cs * (x + y)
+            P[m, 2, i, j] = cc * x - ss * y + cs * (b - a)
+            P[m, 2, j, i] = cc * y - ss * x + cs * (b - a)
 
 
 @inner()
-def _step_block(P: Array, F: Array, G: Array) -> None:
-    """P <- F P G^T for the transitions F and G of (n, s, s'), in place."""
+def _step_block(P: Array, m: int, b: int, F: Array, g: int, first: int, second: int, k: int) -> None:
+    """P[m, b] <- F P[m, b] G^T for the transitions F and G of (n, s, s') of two axes, in place."""
     for j in range(3):
-        s, d = P[1, j], P[2, j]
-        P[0, j] += F[0, 1] * s + F[0, 2] * d
-        P[1, j] = F[1, 1] * s + F[1, 2] * d
-        P[2, j] = F[2, 1] * s + F[2, 2] * d
+        s, d = P[m, b, 1, j], P[m, b, 2, j]
+        P[m, b, 0, j] += F[g, first, k, 0, 1] * s + F[g, first, k, 0, 2] * d
+        P[m, b, 1, j] = F[g, first, k, 1, 1] * s + F[g, first, k, 1, 2] * d
+        P[m, b, 2, j] = F[g, first, k, 2, 1] * s + F[g, first, k, 2, 2] * d
     for i in range(3):
-        s, d = P[i, 1], P[i, 2]
-        P[i, 0] += G[0, 1] * s + G[0, 2] * d
-        P[i, 1] = G[1, 1] * s + G[1, 2] * d
-        P[i, 2] = G[2, 1] * s + G[2, 2] * d
+        s, d = P[m, b, i, 1], P[m, b, i, 2]
+        P[m, b, i, 0] += F[g, second, k, 0, 1] * s + F[g, second, k, 0, 2] * d
+        P[m, b, i, 1] = F[g, second, k, 1, 1] * s + F[g, second, k, 1, 2] * d
+        P[m, b, i, 2] = F[g, second, k, 2, 1] * s + F[g, second, k, 2, 2] * d
 
 
 @kernel()
@@ -200,52 +200,67 @@ def start_covariance(P: Array, levels: Array) -> None:
 
 
 @inner()
-def predict_covariance(P: Array, fx: Array, fy: Array, qx: Array, qy: Array, levels: Array, c: float, s: float) -> None:
-    """Moves the blocks P (3, 3, 3) one step: half the turn, the step with its driving noise, the other half; in place.
+def predict_covariance(
+    P: Array, m: int, F: Array, Q: Array, g: int, k: int, qx: float, qy: float, c: float, s: float
+) -> None:
+    """Moves the blocks P[m] one step: half the turn, the step with its driving noise, the other half; in place.
 
-    fx, fy are the transitions and qx, qy the covariances for a unit power, (3, 3); c and s belong to half the turn.
+    Whole arrays and places in them, here and below: of each part that is cut out, its references are counted, and that
+    took most of the time of a filter.
+
+    Args:
+        P: Blocks, shape (M, 3, 3, 3).
+        m: Whose.
+        F: Transitions of the two axes, shape (A, 2, U, 3, 3).
+        Q: Covariances for a unit power, of the same shape.
+        g: Which of the A.
+        k: Which of the U.
+        qx: Power along x.
+        qy: Power along y.
+        c: Cosine of half the turn.
+        s: Its sine.
     """
     if s != 0.0:
-        _turn_covariance(P, c, s)
+        _turn_covariance(P, m, c, s)
     for a in range(2):
-        F, Q = (fx, qx) if a == 0 else (fy, qy)
-        _step_block(P[a], F, F)
+        _step_block(P, m, a, F, g, a, a, k)
+        power = qx if a == 0 else qy
         for i in range(3):
             for j in range(i, 3):
-                P[a, i, j] += levels[a, 0] * Q[i, j]
-                P[a, j, i] = P[a, i, j]
-    _step_block(P[2], fx, fy)
+                P[m, a, i, j] += power * Q[g, a, k, i, j]
+                P[m, a, j, i] = P[m, a, i, j]
+    _step_block(P, m, 2, F, g, 0, 1, k)
     if s != 0.0:
-        _turn_covariance(P, c, s)
+        _turn_covariance(P, m, c, s)
 
 
 @inner()
-def update_covariance(P: Array, axis: int, noise: float, gain: Array) -> Any:
-    """Takes a measured position of one axis into the blocks P (3, 3, 3); fills the gain (6,), returns the variance."""
-    own, other = P[axis], P[1 - axis]
-    S = own[0, 0] + noise
+def update_covariance(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
+    """Takes a measured position of one axis into the blocks P[m]; fills the gain (6,), returns the variance."""
+    S = P[m, axis, 0, 0] + noise
     for i in range(3):
-        gain[3 * axis + i] = own[i, 0] / S
-        gain[3 * (1 - axis) + i] = (P[2, 0, i] if axis == 0 else P[2, i, 0]) / S
-    for i in range(3):
-        for j in range(3):
-            own[i, j] -= gain[3 * axis + i] * gain[3 * axis + j] * S
-            other[i, j] -= gain[3 * (1 - axis) + i] * gain[3 * (1 - axis) + j] * S
-            P[2, i, j] -= gain[i] * gain[3 + j] * S
+        gain[3 * axis + i] = P[m, axis, i, 0] / S
+        gain[3 * (1 - axis) + i] = (P[m, 2, 0, i] if axis == 0 else P[m, 2, i, 0]) / S
+    _take_off(P, m, gain, S)
     return S
 
 
 @inner()
-def update_rate(P: Array, axis: int, noise: float, gain: Array) -> Any:
+def update_rate(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
     """The same of a measured velocity s of one axis."""
-    own = P[axis]
-    S = own[1, 1] + noise
+    S = P[m, axis, 1, 1] + noise
     for i in range(3):
-        gain[3 * axis + i] = own[1, i] / S
-        gain[3 * (1 - axis) + i] = (P[2, 1, i] if axis == 0 else P[2, i, 1]) / S
+        gain[3 * axis + i] = P[m, axis, 1, i] / S
+        gain[3 * (1 - axis) + i] = (P[m, 2, 1, i] if axis == 0 else P[m, 2, i, 1]) / S
+    _take_off(P, m, gain, S)
+    return S
+
+
+@inner()
+def _take_off(P: Array, m: int, gain: Array, S: float) -> None:
+    """What a measurement of variance S with this gain takes off the blocks P[m]."""
     for i in range(3):
         for j in range(3):
-            P[0, i, j] -= gain[i] * gain[j] * S
-            P[1, i, j] -= gain[3 + i] * gain[3 + j] * S
-            P[2, i, j] -= gain[i] * gain[3 + j] * S
-    return S
+            P[m, 0, i, j] -= gain[i] * gain[j] * S
+            P[m, 1, i, j] -= gain[3 + i] * gain[3 + j] * S
+            P[m, 2, i, j] -= gain[i] * gain[3 + j] * S

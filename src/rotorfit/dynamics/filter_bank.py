@@ -32,8 +32,6 @@ from rotorfit.dynamics.disturbance import (
     discretize,
     fill_step_tables,
     predict_covariance,
-    propagate,
-    rotate,
     start_covariance,
     update_covariance,
     update_rate,
@@ -164,14 +162,24 @@ def bank_tables(steps: Array, levels: Array) -> Any:
 
 
 @inner()
-def _fade(z: Array, F: Array, k: int, c: float, s: float) -> None:
-    """Moves the disturbance z (6,) of one class F (2, U, 3, 3) by step k; c and s belong to half the turn."""
-    if s == 0.0:
-        propagate(z, F[0, k], F[1, k])
-    else:
-        rotate(z, c, s)
-        propagate(z, F[0, k], F[1, k])
-        rotate(z, c, s)
+def fade(z: Array, row: int, column: int, F: Array, g: int, k: int, c: float, s: float) -> None:
+    """Moves the disturbance z[row, column] (6,) of class g by step k of F; c and s belong to half the turn."""
+    n, v, w = z[row, column, 0], z[row, column, 1], z[row, column, 2]
+    N, V, W = z[row, column, 3], z[row, column, 4], z[row, column, 5]
+    if s != 0.0:
+        n, N = c * n + s * N, c * N - s * n
+        v, V = c * v + s * V, c * V - s * v
+        w, W = c * w + s * W, c * W - s * w
+    n += F[g, 0, k, 0, 1] * v + F[g, 0, k, 0, 2] * w
+    v, w = F[g, 0, k, 1, 1] * v + F[g, 0, k, 1, 2] * w, F[g, 0, k, 2, 1] * v + F[g, 0, k, 2, 2] * w
+    N += F[g, 1, k, 0, 1] * V + F[g, 1, k, 0, 2] * W
+    V, W = F[g, 1, k, 1, 1] * V + F[g, 1, k, 1, 2] * W, F[g, 1, k, 2, 1] * V + F[g, 1, k, 2, 2] * W
+    if s != 0.0:
+        n, N = c * n + s * N, c * N - s * n
+        v, V = c * v + s * V, c * V - s * v
+        w, W = c * w + s * W, c * W - s * w
+    z[row, column, 0], z[row, column, 1], z[row, column, 2] = n, v, w
+    z[row, column, 3], z[row, column, 4], z[row, column, 5] = N, V, W
 
 
 @inner(fastmath={"contract"})
@@ -179,21 +187,23 @@ def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: 
     """Moves a bank by one step, number k of the tables, of dt [s] while the heading turns by `turn` [rad]."""
     G = levels.shape[1]
     M = levels.shape[0] * G
+    covariance, state, waiting, judged = bank.covariance, bank.state, bank.waiting, bank.judged
+    squares, freedom, likelihood, error = bank.squares, bank.freedom, bank.likelihood, bank.error
     c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
     kept = np.exp(-dt / MEMORY)
     for m in range(M):
         g = m // G
-        predict_covariance(bank.covariance[m], F[g, 0, k], F[g, 1, k], Q[g, 0, k], Q[g, 1, k], levels[g, m % G], c, s)
+        predict_covariance(covariance, m, F, Q, g, k, levels[g, m % G, 0, 0], levels[g, m % G, 1, 0], c, s)
         for j in range(5):
-            _fade(bank.state[m, j], F[g], k, c, s)
+            fade(state, m, j, F, g, k, c, s)
         for i in range(PENDING):
-            if not (bank.judged[i, 0] and bank.judged[i, 1]):
-                _fade(bank.waiting[i, m], F[g], k, c, s)
+            if not (judged[i, 0] and judged[i, 1]):
+                fade(waiting, i, m, F, g, k, c, s)
         for a in range(2):
-            bank.squares[m, a] = SCALE_FREEDOM + kept * (bank.squares[m, a] - SCALE_FREEDOM)
-            bank.freedom[m, a] = SCALE_FREEDOM + kept * (bank.freedom[m, a] - SCALE_FREEDOM)
-            bank.likelihood[m, a] *= kept
-            bank.error[m, a] *= kept
+            squares[m, a] = SCALE_FREEDOM + kept * (squares[m, a] - SCALE_FREEDOM)
+            freedom[m, a] = SCALE_FREEDOM + kept * (freedom[m, a] - SCALE_FREEDOM)
+            likelihood[m, a] *= kept
+            error[m, a] *= kept
     for a in range(2):
         bank.errors[a] *= kept
 
@@ -202,16 +212,17 @@ def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: 
 def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
     """Compares what was predicted for now, t [s], with what `take` will take; see there."""
     at = 3 * axis + (1 if rate else 0)
+    judged, due, waiting, believed, error = bank.judged, bank.due, bank.waiting, bank.believed, bank.error
     for i in range(PENDING):
-        if bank.judged[i, axis] or t < bank.due[i]:
+        if judged[i, axis] or t < due[i]:
             continue
-        bank.judged[i, axis] = True
+        judged[i, axis] = True
         bank.errors[axis] += 1.0
-        for m in range(bank.known.shape[0]):
-            e = measured[0] - bank.waiting[i, m, at]
+        for m in range(error.shape[0]):
+            e = measured[0] - waiting[i, m, at]
             for j in range(4):
-                e -= bank.believed[i, m, j] * measured[1 + j]
-            bank.error[m, axis] += e * e
+                e -= believed[i, m, j] * measured[1 + j]
+            error[m, axis] += e * e
 
 
 @inner(fastmath={"contract"})
@@ -228,31 +239,39 @@ def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> Non
     """
     G = levels.shape[1]
     at = 3 * axis + (1 if rate else 0)
+    covariance, state, known, spread = bank.covariance, bank.state, bank.known, bank.spread
+    freedom, squares, likelihood = bank.freedom, bank.squares, bank.likelihood
     gain, e, along = np.empty(6), np.empty(5), np.empty(4)
-    for m in range(bank.known.shape[0]):
-        P, noise = bank.covariance[m], levels[m // G, m % G, axis, 1]
-        variance = update_rate(P, axis, noise, gain) if rate else update_covariance(P, axis, noise, gain)
+    for m in range(known.shape[0]):
+        noise = levels[m // G, m % G, axis, 1]
+        if rate:
+            variance = update_rate(covariance, m, axis, noise, gain)
+        else:
+            variance = update_covariance(covariance, m, axis, noise, gain)
         for j in range(5):
-            e[j] = measured[j] - bank.state[m, j, at]
-            for i in range(6):
-                bank.state[m, j, i] += gain[i] * e[j]
+            e[j] = measured[j] - state[m, j, at]
+            if e[j] != 0.0:  # a trim or start velocity of the other axis, where the two do not turn
+                for i in range(6):
+                    state[m, j, i] += gain[i] * e[j]
         innovation = e[0]
         for j in range(4):
-            innovation -= bank.known[m, j] * e[1 + j]
+            innovation -= known[m, j] * e[1 + j]
             along[j] = 0.0
             for i in range(4):
-                along[j] += bank.spread[m, j, i] * e[1 + i]
+                along[j] += spread[m, j, i] * e[1 + i]
             variance += along[j] * e[1 + j]
         for j in range(4):
-            bank.known[m, j] += along[j] * innovation / variance
-            for i in range(4):
-                bank.spread[m, j, i] -= along[j] * along[i] / variance
-        square, n = innovation * innovation / variance, bank.freedom[m, axis]
-        scale = bank.squares[m, axis] / n
+            share = along[j] / variance
+            if share != 0.0:
+                known[m, j] += share * innovation
+                for i in range(4):
+                    spread[m, j, i] -= share * along[i]
+        square, n = innovation * innovation / variance, freedom[m, axis]
+        scale = squares[m, axis] / n
         # Student's t with n degrees of freedom; what its normalisation lacks of a Gaussian's is the same for all.
-        bank.likelihood[m, axis] -= 0.5 * np.log(variance * scale) + 0.5 * (n + 1) * np.log1p(square / (n * scale))
-        bank.squares[m, axis] += square
-        bank.freedom[m, axis] += 1.0
+        likelihood[m, axis] -= 0.5 * np.log(variance * scale) + 0.5 * (n + 1) * np.log1p(square / (n * scale))
+        squares[m, axis] += square
+        freedom[m, axis] += 1.0
 
 
 @inner()
@@ -270,19 +289,20 @@ def probe(bank: Any, t: float) -> None:
     bank.probed[0] = t
     bank.due[oldest] = t + AHEAD
     bank.judged[oldest, 0] = bank.judged[oldest, 1] = False
-    for m in range(bank.known.shape[0]):
+    state, known, waiting, believed = bank.state, bank.known, bank.waiting, bank.believed
+    for m in range(known.shape[0]):
         for j in range(4):
-            bank.believed[oldest, m, j] = bank.known[m, j]
+            believed[oldest, m, j] = known[m, j]
         for i in range(6):
-            bank.waiting[oldest, m, i] = disturbance(bank, m, i)
+            waiting[oldest, m, i] = disturbance(state, known, m, i)
 
 
 @inner()
-def disturbance(bank: Any, m: int, i: int) -> float:
+def disturbance(state: Array, known: Array, m: int, i: int) -> float:
     """Number i of the disturbance of one member, less what it takes for trims and start velocities."""
-    z = bank.state[m, 0, i]
+    z = state[m, 0, i]
     for j in range(4):
-        z -= bank.known[m, j] * bank.state[m, 1 + j, i]
+        z -= known[m, j] * state[m, 1 + j, i]
     return z  # type: ignore[no-any-return]
 
 
@@ -404,12 +424,12 @@ def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, r
 
     Returns:
         Trims and start velocities as each axis has them (2, 4); what they add to the world position and velocity (4,);
-        and the disturbance, in shares of the classes that add up (A, 6).
+        and the disturbance, in shares of the classes that add up (A, 1, 6).
     """
     A, G = levels.shape[0], levels.shape[1]
     M = A * G
     weight = weights(bank)
-    known, add, z = np.zeros((2, 4)), np.zeros(4), np.zeros((A, 6))
+    known, add, z = np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6))
     effect, half, means, off = np.zeros((4, 6)), np.empty((4, 6)), np.zeros((M, 6)), np.empty(6)
     first = (0, 2 * A, 14 * A, 86 * A, 88 * A)  # of share, mean, covariance, power and noise in the row
     for i in range(row.size):
@@ -432,7 +452,7 @@ def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, r
                     for j in range(4):
                         means[m, i] += bank.known[m, j] * effect[j, i]
                 else:
-                    means[m, i] = disturbance(bank, m, 3 * a + i - 3)
+                    means[m, i] = disturbance(bank.state, bank.known, m, 3 * a + i - 3)
                 row[first[1] + 12 * g + 6 * a + i] += w * means[m, i]
         for i in range(2):
             along = 0.0
@@ -444,7 +464,7 @@ def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, r
             share = max(row[first[0] + 2 * g + a], 1e-300)
             for i in range(6):
                 if i >= 3:
-                    z[g, 3 * a + i - 3] = row[first[1] + 12 * g + 6 * a + i]
+                    z[g, 0, 3 * a + i - 3] = row[first[1] + 12 * g + 6 * a + i]
                 row[first[1] + 12 * g + 6 * a + i] /= share
         for m in range(M):
             w, g, scale = weight[m, a], m // G, bank.squares[m, a] / bank.freedom[m, a]

@@ -10,8 +10,17 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DAMPING, DELAY, ORDER, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
-from rotorfit.dynamics.disturbance import propagate, rotate
-from rotorfit.dynamics.filter_bank import bank_tables, judge, move, probe, row_size, start_bank, state_of_bank, take
+from rotorfit.dynamics.filter_bank import (
+    bank_tables,
+    fade,
+    judge,
+    move,
+    probe,
+    row_size,
+    start_bank,
+    state_of_bank,
+    take,
+)
 from rotorfit.dynamics.general_response import advance, demands, longest_step
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, W, lag_series
 
@@ -65,7 +74,7 @@ def _run_free(
 ) -> None:
     """Predicts the poses after `before` up to `last` from the driven state z and the disturbance.
 
-    Its parts (A, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
+    Its parts (A, 1, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
     """
     t, psi = pose_time[before], yaw
     what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
@@ -81,24 +90,22 @@ def _run_free(
         half = 0.5 * (psi_next - psi)
         c, s = np.cos(half), np.sin(half)
         for g in range(parts.shape[0]):
-            rotate(parts[g], c, s)
-            propagate(parts[g], F[g, 0, step[m]], F[g, 1, step[m]])
-            rotate(parts[g], c, s)
-        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out[m - before - 1])
+            fade(parts, g, 0, F, g, step[m], c, s)
+        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out, m - before - 1)
         t, psi = t_next, psi_next
 
 
 @inner()
-def _add(parts: Array, z: Array, c: float, s: float, out: Array) -> None:
-    """Fills world position and velocity (4,): of the driven state and the parts (A, 6) of the disturbance together."""
+def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int) -> None:
+    """Fills world position and velocity, out[row]: of the driven state and the parts of the disturbance together."""
     for j in range(2):
         forward = left = 0.0
         for g in range(parts.shape[0]):
-            forward += parts[g, j]
-            left += parts[g, 3 + j]
+            forward += parts[g, 0, j]
+            left += parts[g, 0, 3 + j]
         at = P if j == 0 else V
-        out[2 * j] = z[at] + c * forward - s * left
-        out[2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
+        out[row, 2 * j] = z[at] + c * forward - s * left
+        out[row, 2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
 
 
 @kernel(fastmath={"contract"})
@@ -201,7 +208,7 @@ def predict(
                 for j in range(4):
                     free[Q + own] += known[a, j] * z[Q + own + 1 + j]
                 known_law[a, TRIM] = known[a, a]
-            _add(parts, free, c, sn, begin[s])
+            _add(parts, free, c, sn, begin, s)
             for m in range(max(last[s] - first[s], 0), E):
                 for j in range(4):
                     out[s, m, j] = np.nan
