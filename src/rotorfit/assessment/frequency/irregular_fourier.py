@@ -42,9 +42,11 @@ class IrregularFourier:
         self._weight = _kernel(off)
         m = np.arange(count) - count // 2
         self._bin = np.mod(m, self._size)
-        node, weight = np.polynomial.legendre.leggauss(NODES)
-        turn = np.multiply.outer(m * (np.pi * WIDTH / self._size), node)
-        self._transform = WIDTH / 2 * np.cos(turn) @ (weight * _kernel(node))
+        nodes, weights = (part[NODES // 2 :] for part in np.polynomial.legendre.leggauss(NODES))  # both halves are alike
+        rate = m * (np.pi * WIDTH / self._size)
+        self._transform = np.zeros(count)
+        for node, weight in zip(nodes, WIDTH * weights * _kernel(nodes), strict=True):
+            self._transform += weight * np.cos(rate * node)
         self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is the grid's zeroth
 
     def over_points(self, coefficient: Array | Spectrum) -> Spectrum:
