@@ -42,7 +42,7 @@ class IrregularFourier:
         self._weight = _kernel(off)
         m = np.arange(count) - count // 2
         self._bin = np.mod(m, self._size)
-        nodes, weights = (part[NODES // 2 :] for part in np.polynomial.legendre.leggauss(NODES))  # both halves are alike
+        nodes, weights = (part[NODES // 2 :] for part in np.polynomial.legendre.leggauss(NODES))  # half: it is even
         rate = m * (np.pi * WIDTH / self._size)
         self._transform = np.zeros(count)
         for node, weight in zip(nodes, WIDTH * weights * _kernel(nodes), strict=True):
