@@ -237,13 +237,16 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
     """
     out = np.full_like(part.predicted, np.nan)
     law = np.array([law_of(FIRST_ORDER_DELAY, *pair, 0.0, {}) for pair in zip(input_, damping, strict=True)])
-    for s, (first, last) in enumerate(zip(part.first, part.last, strict=True)):
+    pairs = ([0, 1], [2, 3])
+    commands = [np.ascontiguousarray(flight.command[:, pair]) for pair in pairs]
+    in_force = np.maximum(np.searchsorted(flight.command_time, part.time[part.first - 1], side="right") - 1, 0)
+    for s, (first, last, k) in enumerate(zip(part.first, part.last, in_force, strict=True)):
         t = part.time[first - 1 : last]
         heading = np.concatenate([part.pose[first - 1 : first, 3], part.heading[s, : last - first]])
-        for pair, yaw in (([0, 1], heading), ([2, 3], np.zeros(t.size))):
+        for pair, command, yaw in zip(pairs, commands, (heading, np.zeros(t.size)), strict=True):
             motion = free_run(
-                flight.command_time,
-                np.ascontiguousarray(flight.command[:, pair]),
+                flight.command_time[k:],
+                command[k:],
                 law[pair],
                 part.begin[s, 0, pair],
                 part.begin[s, 1, pair],
