@@ -2,8 +2,8 @@
 
     python bench/bench_alarms.py [FLIGHTS] [--hours H] [--structure S] [--jobs N] [--causes a,b]
 
-Flights of the flight room (see `changing_flights.py`): 6 degrees of freedom, rotors, gusts, a radio; tilt- and velocity-
-commanded vehicles, open and closed loop, gusts of 0.3 and 1 m/s.
+Flights of the flight room (see `changing_flights.py`): 6 degrees of freedom, rotors, gusts, a radio; tilt- and
+velocity-commanded vehicles, open and closed loop, gusts of 0.3 and 1 m/s.
 
 - false alarms: H hours (default 1) in which nothing changes but the wind, in flights of 120 s.
 - found: of FLIGHTS (default 8) flights of each change, after 60 s of learning: how many within 60 s, median and 95 %
@@ -84,7 +84,10 @@ def main() -> None:
             )
             for each in told:
                 scenario = each.scenario
-                print(f"    {scenario.vehicle:8} {scenario.loop:7} {scenario.gusts:3} m/s  {each.found or '-'}", flush=True)
+                print(
+                    f"    {scenario.vehicle:8} {scenario.loop:7} {scenario.gusts:3} m/s  {each.found or '-'}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -88,10 +88,11 @@ def main() -> None:
         speed, turned = (np.abs([row[what] for row in rows if what in row]) for what in ("speed", "direction"))
         inside = np.mean([row["speed held"] for row in rows if "speed held" in row])
         rms = [float(np.sqrt(np.mean(each**2))) for each in (ours, known)]
+        off = f"{np.median(speed):.2f} ({np.quantile(speed, 0.9):.2f}) m/s"
+        turn = f"{np.median(turned):.0f} ({np.quantile(turned, 0.9):.0f}) deg"
         print(
             f"gusts {gusts:g} m/s: RMS {rms[0]:.3f} against {rms[1]:.3f} m/s^2, ratio {rms[0] / rms[1]:.2f}; "
-            f"held {100 * held:.0f} % of {2 * len(rows)}; mean wind off by {np.median(speed):.2f} ({np.quantile(speed, 0.9):.2f}) m/s, "
-            f"{np.median(turned):.0f} ({np.quantile(turned, 0.9):.0f}) deg, held {100 * inside:.0f} %",
+            f"held {100 * held:.0f} % of {2 * len(rows)}; mean wind off by {off}, {turn}, held {100 * inside:.0f} %",
             flush=True,
         )
 
