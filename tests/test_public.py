@@ -15,11 +15,13 @@ import matplotlib as mpl
 import numpy as np
 import polars as pl
 import pytest
+from click.testing import CliRunner
 from matplotlib import pyplot as plt
 
 import rotorfit as rf
 from flights import steps
 from logs import Csv, ran
+from rotorfit.app.cli import main
 from rotorfit.files.models import to_mapping
 from rotorfit.flying.links.sim import SimLink
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
@@ -28,7 +30,13 @@ pytestmark = pytest.mark.flights
 
 mpl.use("agg")
 
-NOUNS = ("Axis", "Card", "Finding", "Fit", "Flight", "Log", "Model", "Plan", "RotorfitError", "Validation")
+NOUNS = (
+    "Axis", "Card", "Finding", "Fit", "Flight", "Log", "Model", "Plan", "RotorfitError", "Sample", "Track",
+    "Validation",
+)  # fmt: skip
+
+CLASSES = ("Tracker",)
+"""What is made by a call and does something."""
 
 FUNCTIONS: dict[str, str] = {
     "compare": "(models, flights, horizons=None, *, card=None, progress=None)",
@@ -61,6 +69,7 @@ FUNCTIONS: dict[str, str] = {
     "simulate": "(model, command_time, command, time, pose=None, velocity=None)",
     "state_space": "(model)",
     "studio": "(folder=None, port=0, ready=None)",
+    "track": "(flight, card=None, *, structure='averaged', false_alarms_per_hour=0.1, progress=None)",
     "tune": (
         "(model, design='predictor', *, path=None, rate=50.0, latency=0.015, axes=('x', 'y', 'z', 'yaw'), "
         "peak=1.7, draws=200, seed=0)"
@@ -71,7 +80,7 @@ FUNCTIONS: dict[str, str] = {
 
 
 def test_the_public_names_are_these_and_each_is_there() -> None:
-    assert sorted(rf.__all__) == sorted((*NOUNS, "__version__", *FUNCTIONS))
+    assert sorted(rf.__all__) == sorted((*NOUNS, *CLASSES, "__version__", *FUNCTIONS))
     assert {name for name in rf.__all__ if getattr(rf, name, None) is None} == set()
     assert set(rf.__all__) <= set(dir(rf))
 
@@ -139,7 +148,7 @@ def test_every_public_function_says_what_it_takes_gives_and_raises(name: str) ->
 def test_the_page_on_the_library_has_every_public_name() -> None:
     page = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
 
-    assert {name for name in (*NOUNS, *FUNCTIONS) if f"`rf.{name}" not in page} == set()
+    assert {name for name in (*NOUNS, *CLASSES, *FUNCTIONS) if f"`rf.{name}" not in page} == set()
 
 
 @dataclass(frozen=True)
@@ -271,6 +280,7 @@ WRONG_TYPES: dict[str, dict[str, list[Any]]] = {
     "tune": {"design": [5, None], "rate": ["50"], "axes": [5], "draws": [1.5], "seed": [None]},
     "export": {"to": [5, None], "path": [5], "dt": ["0.02"], "name": [5]},
     "save": {"result": [5, None, "model.json"], "path": [5]},
+    "track": {"flight": [5, None, []], "card": [5], "structure": [5, None], "false_alarms_per_hour": ["0.1", None]},
 }
 
 
@@ -292,6 +302,7 @@ def test_an_argument_of_another_type_is_a_type_error_that_says_what_is_wanted(
         "tune": {"model": model},
         "export": {"model": model, "to": "ros-yaml"},
         "save": {"result": model, "path": tmp_path / "model.json"},
+        "track": {"flight": log, "card": room.card},
     }
     for argument, values in WRONG_TYPES[name].items():
         for value in values:
@@ -341,6 +352,11 @@ def test_other_wrong_words_are_errors_that_say_what_is_right(room: Room) -> None
         rf.save(3, "model.json")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="a sequence of models, fits or model files is wanted"):
         rf.compare(room.fit, room.proof)  # type: ignore[arg-type]
+    with pytest.raises(rf.RotorfitError, match="no such structure: 'best'; structures are "):
+        rf.track(room.train, room.card, structure="best")
+    for rate in (0.0, -1.0, 61.0, float("nan")):
+        with pytest.raises(rf.RotorfitError, match="false alarms an hour"):
+            rf.track(room.train, room.card, false_alarms_per_hour=rate)
 
 
 def test_texts_of_nouns_are_short_and_what_files_say_is_escaped(room: Room) -> None:
@@ -375,6 +391,42 @@ def test_frames_hold_what_the_nouns_hold(room: Room) -> None:
     assert flight.to_frame().height == flight.pose_time.size
     at = int(np.searchsorted(flight.command_time, flight.pose_time[100], side="right")) - 1
     assert flight.to_frame()["command_yaw"][100] == flight.command[at, 3]
+
+
+@pytest.fixture(scope="module")
+def track(room: Room) -> rf.Track:
+    return rf.track(rf.flight(room.proof, room.card), structure=LAW)
+
+
+def test_a_track_is_that_of_the_command_line_from_a_path_a_log_or_a_flight(room: Room, track: rf.Track) -> None:
+    out = CliRunner().invoke(main, ["track", room.proof, "--card", room.card, "--structure", LAW, "--jsonl"]).stdout
+    said, told = [json.loads(line) for line in out.splitlines()], []
+    again = rf.track(room.proof, room.card, structure=LAW, progress=lambda share, text: told.append((share, text)))
+
+    assert said[:-1] == [json.loads(json.dumps(state.to_mapping())) for state in track.states]
+    assert rf.track(rf.read(room.proof), room.card, structure=LAW).states == again.states == track.states
+    assert told[-1] == (1.0, "tracked to 12 s")
+    assert [share for share, _ in told] == sorted(share for share, _ in told)
+
+
+def test_a_track_shows_itself_as_table_figure_and_text(track: rf.Track) -> None:
+    frame, last = track.to_frame(), track.states[-1].axes["z"]
+    end = frame.filter(axis="z").tail(1)
+
+    assert frame.height == sum(len(state.axes) for state in track.states)
+    assert [end[name][0] for name in ("input", "input_low", "input_high")] == [
+        last.values["input"],
+        *last.ci95["input"],
+    ]
+    assert end["state"][0] == last.state
+    assert (end["wind_low"][0], end["wind_high"][0]) == last.wind_ci95
+    assert frame["lag"].null_count() == frame.height
+    assert repr(track) == "Track(12.0 s, 1 regime, 0 alarms)"
+    assert "<table>" in track._repr_html_()
+    panels = track.plot()
+    assert [axes.get_title(loc="left") for axes in panels[:2]] == ["x: input", "y: input"]
+    assert len(panels) == 3 * len(track.axes)
+    plt.close("all")
 
 
 def test_pandas_is_only_imported_if_asked_for_and_an_error_says_how_to_get_it(

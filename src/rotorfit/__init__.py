@@ -18,20 +18,33 @@ from rotorfit.version import __version__
 
 if TYPE_CHECKING:
     from rotorfit.app.applications import convert, export, fly, plan, simulate, state_space, tune
-    from rotorfit.app.library import compare, diagnose, fit, flight, flight_from_log, ladder, report, save, validate
+    from rotorfit.app.library import (
+        compare,
+        diagnose,
+        fit,
+        flight,
+        flight_from_log,
+        ladder,
+        report,
+        save,
+        track,
+        validate,
+    )
     from rotorfit.app.web import studio
     from rotorfit.core.card import Card
     from rotorfit.core.errors import RotorfitError
     from rotorfit.core.finding import Finding
     from rotorfit.core.flight_data import Flight
     from rotorfit.core.flight_plan import Plan
-    from rotorfit.core.log import Log
+    from rotorfit.core.log import Log, Sample
     from rotorfit.core.model import Axis, Model
     from rotorfit.core.results import Fit, Validation
+    from rotorfit.core.tracked import Track
     from rotorfit.files.cards import load_card
     from rotorfit.files.logs import read
     from rotorfit.files.models import load
     from rotorfit.files.plans import load_plan
+    from rotorfit.tracking.tracker import Tracker
 
 _compiled_code.keep_compiled_code()
 
@@ -45,6 +58,9 @@ __all__ = [
     "Model",
     "Plan",
     "RotorfitError",
+    "Sample",
+    "Track",
+    "Tracker",
     "Validation",
     "__version__",
     "compare",
@@ -66,6 +82,7 @@ __all__ = [
     "simulate",
     "state_space",
     "studio",
+    "track",
     "tune",
     "validate",
 ]
@@ -73,7 +90,7 @@ __all__ = [
 _HOMES = {
     "app.applications": ("convert", "export", "fly", "plan", "simulate", "state_space", "tune"),
     "app.library": (
-        "compare", "diagnose", "fit", "flight", "flight_from_log", "ladder", "report", "save", "validate",
+        "compare", "diagnose", "fit", "flight", "flight_from_log", "ladder", "report", "save", "track", "validate",
     ),
     "app.web": ("studio",),
     "core.card": ("Card",),
@@ -81,13 +98,15 @@ _HOMES = {
     "core.finding": ("Finding",),
     "core.flight_data": ("Flight",),
     "core.flight_plan": ("Plan",),
-    "core.log": ("Log",),
+    "core.log": ("Log", "Sample"),
     "core.model": ("Axis", "Model"),
     "core.results": ("Fit", "Validation"),
+    "core.tracked": ("Track",),
     "files.cards": ("load_card",),
     "files.logs": ("read",),
     "files.models": ("load",),
     "files.plans": ("load_plan",),
+    "tracking.tracker": ("Tracker",),
 }  # fmt: skip
 """Module to the public names that it defines; the imports above say the same to type checkers."""
 

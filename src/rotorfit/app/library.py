@@ -23,6 +23,7 @@ from rotorfit.app.inputs import (
     as_logs,
     as_model,
     as_models,
+    as_number,
     as_span,
     as_word,
     named,
@@ -41,6 +42,7 @@ from rotorfit.core.results import Fit, Validation
 if TYPE_CHECKING:
     from rotorfit.app.workflows import Comparison
     from rotorfit.assessment.method_comparison import Ladder
+    from rotorfit.core.tracked import Track, Tracked
     from rotorfit.diagnosis.survey import Survey
 
 
@@ -152,6 +154,55 @@ def fit(
     known: Any = method
     result = workflows.fit_logs(logs, chosen, known, wanted, progress, law, uncertainty, prior)
     return workflows.leave_one_out_logs(result, wanted, progress, law)[0] if leave_one_out else result
+
+
+def track(
+    flight: Flight | Log | FilePath,
+    card: CardLike | None = None,
+    *,
+    structure: str = AVERAGED,
+    false_alarms_per_hour: float = 0.1,
+    progress: Progress | None = None,
+) -> Track:
+    """Follows the model through a flight as if it were live, as `rotorfit track` does.
+
+    Args:
+        flight: A flight, a log, or the path of a log as of `flight`; at each second only what had come by then is
+            looked at.
+        card: For a log; None for its own, or the one built-in card that fits.
+        structure: As of `fit`.
+        false_alarms_per_hour: How many false alarms are to be expected at the most, above 0 and at most 60.
+        progress: Called with a fraction and a text; raising in it cancels.
+
+    Returns:
+        What was known at each second, the alarms, and the regimes of the vehicle with a model each.
+
+    Raises:
+        TypeError: Neither a path, nor a log, nor a flight.
+        LogError, CardError, FlightError: As of `flight`.
+        ModelError: No such structure.
+        RotorfitError: A number of false alarms that cannot be promised.
+    """
+    from rotorfit.core.laws import structure_named
+    from rotorfit.tracking.replayed import tracked
+
+    law = as_word(structure, "structure")
+    if law not in (AVERAGED, "auto"):
+        structure_named(law)
+    most = as_number(false_alarms_per_hour, "the number of false alarms an hour")
+    if not 0 < most <= 60:
+        raise RotorfitError(f"false alarms an hour are above 0 and at most 60, not {most:g}")
+    if not isinstance(flight, Flight | Log | str | PathLike):
+        raise TypeError(f"a flight, a log or the path of a log is wanted, not {named(flight)}")
+    chosen = as_card(card)
+    given = flight if isinstance(flight, Flight) else flight_from_log(flight, chosen)
+    end = given.segments[-1].end
+
+    def told(state: Tracked) -> None:
+        if progress:
+            progress(min(state.time / end, 1.0), f"tracked to {state.time:.0f} s")
+
+    return tracked(given, law, most, told)
 
 
 def ladder(

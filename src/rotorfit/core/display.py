@@ -155,8 +155,23 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Band:
+    """What lies between two lines: its name in the legend, x, low and high, shape (N,), and its colour."""
+
+    name: str
+    x: npt.NDArray[np.float64]
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+    colour: str
+
+
+@dataclass(frozen=True)
 class Panel:
-    """Lines over one x axis; `shaded` are the ranges of x where nothing is known."""
+    """Lines over one x axis.
+
+    `shaded` are ranges of x set apart, such as those where nothing is known; `bands` lie behind the lines; `moments`
+    are places of x to be marked, as alarms; `y_range` is what to show of y, None for all.
+    """
 
     title: str
     x_label: str
@@ -164,6 +179,9 @@ class Panel:
     lines: Sequence[Line]
     shaded: Sequence[tuple[float, float]] = ()
     y_log: bool = False
+    bands: Sequence[Band] = ()
+    moments: Sequence[float] = ()
+    y_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -193,14 +211,21 @@ def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]
         figure, grid = plt.subplots(
             rows, columns, figsize=(size[0] * columns, size[1] * rows + 0.3), layout="constrained", squeeze=False
         )
-        handles = {}
+        handles: dict[str, Any] = {}
         for axes, panel in zip(grid.flat, panels, strict=True):
             for low, high in panel.shaded:
                 axes.axvspan(low, high, color="#888888", alpha=0.15, linewidth=0)
+            for band in panel.bands:
+                look = {"color": band.colour, "alpha": 0.2, "linewidth": 0}
+                handles[band.name] = axes.fill_between(band.x, band.low, band.high, **look)
+            for moment in panel.moments:
+                handles["alarm"] = axes.axvline(moment, color="#c4232b", linewidth=1.2, linestyle=(0, (4, 2)))
             for line in panel.lines:
                 handles[line.name] = axes.plot(line.x, line.y, **line.look)[0]
             axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
             axes.margins(x=0.02)
+            if panel.y_range is not None:
+                axes.set_ylim(*panel.y_range)
             if panel.y_log:
                 axes.set_yscale("log")
         figure.legend(handles.values(), handles, loc="outside upper right", ncols=len(handles))

@@ -4,11 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
-from rotorfit.core.display import counted
+import numpy as np
+
+from rotorfit.core.display import (
+    AXIS_COLOURS,
+    Band,
+    FrameLibrary,
+    Line,
+    Panel,
+    columns_of,
+    counted,
+    frame,
+    html_table,
+    interval,
+    line_panels,
+    number,
+)
+from rotorfit.core.frames import Array
 
 if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.axes import Axes
+
     from rotorfit.core.model import Interval, Model
 
 Knowledge = Literal["learning", "known", "holding", "not_identifiable", "not_excited"]
@@ -185,7 +204,45 @@ class Tracked:
         }
 
 
+TIMELINE = ("input", "damping", "delay")
+"""The quantities that a figure of the whole flight shows."""
+
+WIDEST = 6.0
+"""A picture is not scaled to intervals so many times as wide as their median: the first seconds know little."""
+
+
 @dataclass(frozen=True)
+class Timeline:
+    """One quantity of one axis over the flight, at the time of each state; NaN where it was not told.
+
+    Attributes:
+        time: Shape (S,) [s].
+        value: Estimates, shape (S,).
+        low: Lower ends of the 95 % intervals, shape (S,); NaN where open.
+        high: Upper ends, shape (S,); NaN where open.
+    """
+
+    time: Array
+    value: Array
+    low: Array
+    high: Array
+
+    @property
+    def shown(self) -> tuple[float, float] | None:
+        """What a picture shows: all but the ends of intervals out of all proportion; None without values."""
+        told = np.isfinite(self.value)
+        if not told.any():
+            return None
+        width = self.high - self.low
+        usual = np.nanmedian(width) if np.isfinite(width).any() else np.inf
+        kept = told & (width <= WIDEST * usual)
+        ends = np.concatenate([self.value[kept] if kept.any() else self.value[told], self.low[kept], self.high[kept]])
+        low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
+        margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+        return low - margin, high + margin
+
+
+@dataclass(frozen=True, repr=False)
 class Track:
     """A whole flight as it was tracked.
 
@@ -202,7 +259,107 @@ class Track:
         """All that were raised, in order."""
         return tuple(alarm for state in self.states for alarm in state.alarms)
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that a command moved, in the order of the states."""
+        names = dict.fromkeys(name for state in self.states for name in state.axes)
+        return tuple(n for n in names if any(_at(state, n).knowledge != "not_excited" for state in self.states))
+
+    def timeline(self, axis: str, name: str) -> Timeline:
+        """One quantity of one axis over the flight.
+
+        Args:
+            axis: Its name.
+            name: One of `QUANTITIES`, or `wind`.
+        """
+        every = [_at(state, axis) for state in self.states]
+        if name == "wind":
+            rows = [(one.wind, *one.wind_ci95) for one in every]
+        else:
+            rows = [(one.values.get(name), *_ends(one, name)) for one in every]
+        time = np.array([state.time for state in self.states])
+        return Timeline(time, *np.array(rows, float).reshape(-1, 3).T)
+
     def __repr__(self) -> str:
         end = self.states[-1].time if self.states else 0.0
         said = f"{end:.1f} s", counted(len(self.regimes), "regime"), counted(len(self.alarms), "alarm")
         return f"Track({', '.join(said)})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (axis, one.state, name.replace("_", " "), number(one.values[name]), interval(*_ends(one, name)))
+            for axis, one in (self.states[-1].axes.items() if self.states else ())
+            for name in QUANTITIES
+            if one.values.get(name) is not None
+        ]
+        raised = [
+            (f"{a.time:.1f} s", ", ".join(a.axes), a.cause, f"{a.since[0]:.1f} to {a.since[1]:.1f} s")
+            for a in self.alarms
+        ]
+        alarms = html_table("Alarms", ("raised", "axes", "cause", "since"), raised) if raised else ""
+        return html_table(repr(self), ("axis", "state", "quantity", "value", "95 % interval"), rows) + alarms
+
+    @overload
+    def to_frame(self, library: Literal["polars"] = "polars") -> pl.DataFrame: ...
+    @overload
+    def to_frame(self, library: Literal["pandas"]) -> Any: ...
+    def to_frame(self, library: FrameLibrary = "polars") -> Any:
+        """What was known as a data frame, a row for each second and axis.
+
+        Args:
+            library: `polars`, or `pandas`, which must be installed.
+
+        Returns:
+            A `DataFrame` of the columns `time` [s], `regime`, `axis`, `knowledge`, `state` in words, `structure`; of
+            each quantity `NAME`, `NAME_low` and `NAME_high`, the ends of its 95 % interval; `wind`, `wind_low`,
+            `wind_high`, `gusts`, `velocity`, `ahead`, `ahead_low`, `ahead_high`; null where unknown, and for open ends.
+
+        Raises:
+            ModuleNotFoundError: pandas is asked for and not installed.
+        """
+        with_ends = [(name, f"{name}_low", f"{name}_high") for name in (*QUANTITIES, "wind", "ahead")]
+        heads = ("time", "regime", "axis", "knowledge", "state", "structure", "gusts", "velocity")
+        rows = [
+            (
+                state.time, state.regime, name, one.knowledge, one.state, one.structure, one.gusts, one.velocity,
+                *(part for what in QUANTITIES for part in (one.values.get(what), *_ends(one, what))),
+                one.wind, *one.wind_ci95, one.ahead, *one.ahead_ci95,
+            )
+            for state in self.states
+            for name, one in state.axes.items()
+        ]  # fmt: skip
+        return frame(columns_of([*heads, *(head for three in with_ends for head in three)], rows), library)
+
+    def plot(self) -> tuple[Axes, ...]:
+        """Draws input, damping and delay of each axis over the flight with their 95 % intervals.
+
+        Every second regime is grey; alarms are vertical lines.
+
+        Returns:
+            The matplotlib axes, row by row: a row for each quantity, a column for each axis that commands moved.
+        """
+        units = {"damping": "1/s", "delay": "s"}
+        grey = [(one.start, one.end) for one in self.regimes[1::2]]
+        alarms = [alarm.time for alarm in self.alarms]
+        panels = []
+        for name in TIMELINE:
+            for axis in self.axes:
+                one, colour = self.timeline(axis, name), AXIS_COLOURS[axis]
+                unit = units.get(name, "rad/s²" if axis == "yaw" else "m/s²")
+                line = Line("estimate", one.time, one.value, {"color": colour, "linewidth": 1.4})
+                band = Band("95 % interval", one.time, one.low, one.high, colour)
+                panels.append(
+                    Panel(
+                        f"{axis}: {name}", "time [s]", f"{name} [{unit}]", [line], grey, bands=[band], moments=alarms,
+                        y_range=one.shown,
+                    )
+                )  # fmt: skip
+        return line_panels(panels, max(len(self.axes), 1), (3.4, 2.0)) if panels else ()
+
+
+def _at(state: Tracked, axis: str) -> TrackedAxis:
+    return state.axes.get(axis, TrackedAxis())
+
+
+def _ends(axis: TrackedAxis, name: str) -> Interval:
+    return axis.ci95.get(name, (None, None))
