@@ -69,6 +69,9 @@ class Drawing:
         y_label: With unit.
         stops: In the order of their places.
         along: The axis of the stops.
+        areas: Filled paths, behind all others.
+        shaded: Left ends and widths of the ranges that are set apart.
+        moments: Upright lines.
     """
 
     width: int
@@ -88,6 +91,9 @@ class Drawing:
     y_label: str
     stops: tuple[Stop, ...] = ()
     along: str = "x"
+    areas: tuple[str, ...] = ()
+    shaded: tuple[tuple[float, float], ...] = ()
+    moments: tuple[float, ...] = ()
 
 
 def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) -> Drawing:
@@ -141,8 +147,14 @@ def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) ->
     if chart.span is not None:
         ends = np.clip(place_x(np.clip(np.array(chart.span), *x_range)), 0, inner_width)
         shade = (float(ends[0]), float(ends[1] - ends[0]))
+    shaded = [np.clip(place_x(np.clip(np.array(each), *x_range)), 0, inner_width) for each in chart.shaded]
     return Drawing(
         width, height, left, top, inner_width, inner_height, FINENESS, paths, tuple(dots),
+        areas=tuple(
+            _filled(place_x(chart.x), place_y(area.low), place_y(area.high), inner_height) for area in chart.areas
+        ),
+        shaded=tuple((float(low), float(high - low)) for low, high in shaded),
+        moments=tuple(float(place_x(moment)) for moment in chart.moments),
         levels=tuple(Tick(float(place_y(value)), text) for value, text in chart.levels),
         shade=shade,
         x_ticks=tuple(Tick(float(place_x(value)), text) for value, text in x_ticks),
@@ -205,6 +217,7 @@ def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop,
     name, _, unit = chart.x_label.partition(" [")
     unit = unit.rstrip("]")
     shown = [line for line in chart.lines if line.role != "band"]
+    areas = [(area.name, area.low, area.high) for area in chart.areas]
     band = next((line.y for line in chart.lines if line.role == "band"), None) if chart.kind == "correlation" else None
     stops = []
     for i, x in enumerate(chart.x):
@@ -212,10 +225,15 @@ def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop,
         if len(shown) == 1:
             parts = [part.removeprefix(f"{shown[0].name} ") for part in parts]
         limit = "" if band is None else f", 95 % band ±{band[i]:.2g}"
+        limit += "".join(f", {n} {_end(low[i])} to {_end(high[i])}" for n, low, high in areas)
         if parts:
             text = f"{name} {x:.3g} {unit}: {', '.join(parts)} {_unit(chart) if '[' in chart.y_label else ''}".rstrip()
             stops.append(Stop(float(place(x)), f"{text}{limit}".replace(" -", " −")))
     return tuple(stops)
+
+
+def _end(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "open"
 
 
 def _unit(chart: Chart) -> str:
@@ -274,6 +292,20 @@ def peaks(y: Array, stretches: int) -> Indices:
     ends = np.flatnonzero(np.diff(place[order], prepend=-1, append=-1))
     holes = np.flatnonzero(~known & np.concatenate([[True], known[:-1]]))
     return np.unique(np.concatenate([order[ends[:-1]], order[ends[1:] - 1], holes, [0, y.size - 1]]).astype(np.intp))
+
+
+def _filled(x: Array, low: Array, high: Array, height: float) -> str:
+    """Closed paths between two lines, one for each stretch in which both are known."""
+    known = np.isfinite(low) & np.isfinite(high)
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    out = []
+    for begin, end in zip(ends[::2], ends[1::2], strict=True):
+        there = np.stack([x[begin:end], np.clip(high[begin:end], -height, 2 * height)], axis=1)
+        back = np.stack([x[begin:end], np.clip(low[begin:end], -height, 2 * height)], axis=1)[::-1]
+        points = np.round(np.concatenate([there, back]) * FINENESS).astype(int)
+        steps = np.diff(points, axis=0)
+        out.append(f"M{points[0, 0]} {points[0, 1]}" + "".join(f"l{a} {b}" for a, b in steps) + "z")
+    return "".join(out).replace(" -", "-")
 
 
 def _bars(x: Array, y: Array, zero: float) -> str:

@@ -1,20 +1,16 @@
-"""Evidence -> one self-contained HTML page: nothing in it is fetched, and everything that is not ours is escaped."""
+"""Evidence -> the page about a model and its proof, or about several side by side."""
 
-import json
-from collections.abc import Iterable, Sequence
-from importlib import resources
-from typing import Any
+from collections.abc import Sequence
 
 from rotorfit.assessment.case import Case
 from rotorfit.assessment.evidence import Evidence
 from rotorfit.estimation.methods import label_of
+from rotorfit.reporting.document import Heading, document
 from rotorfit.reporting.panels import FlightPanels, flight_panels, series, speeds_of
 from rotorfit.reporting.sections import SECTIONS, Contents
 from rotorfit.reporting.side_by_side import names_of
 from rotorfit.reporting.verdict import Verdict, verdict_of
 from rotorfit.reporting.views import look_of
-from rotorfit.reporting.words import AXIS, TERMS, slug
-from rotorfit.version import __version__
 
 
 def page(evidences: Sequence[Evidence]) -> str:
@@ -23,15 +19,6 @@ def page(evidences: Sequence[Evidence]) -> str:
     Args:
         evidences: Of the models.
     """
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
-    )
     cases = [evidence.case for evidence in evidences]
     names = names_of(cases)
     tested, fitted = flight_panels(evidences, names)
@@ -42,26 +29,19 @@ def page(evidences: Sequence[Evidence]) -> str:
         "names": names,
         "several": contents.several,
         "roles": _roles(cases, names),
-        "terms": TERMS,
-        "slug": slug,
-        "axis_words": AXIS,
     }
-    # Our own files and JSON without "<" may stand in <style> and <script> as they are; everything else is escaped.
-    text = environment.get_template("page.html.j2").render(
-        **shared,
-        style=Markup(_file("uplot/uPlot.min.css") + _file("templates/page.css")),
-        plot_library=Markup(_plot_library()),
-        script=Markup(_file("templates/figures.js") + _file("templates/zoom.js")),
-        series=Markup(_json(series(flight) for flight in (*tested, *fitted))),
-        version=__version__,
-        origins=[_origin(case) for case in cases],
-        sections=SECTIONS,
-        parts=[
-            Markup(environment.get_template(f"sections/{anchor}.html.j2").render(**shared, **section.content(contents)))
-            for anchor, section in SECTIONS.items()
-        ],
+    heading = Heading(
+        title="Models compared" if contents.several else "Model report",
+        kind=f"comparison of {len(cases)} models" if contents.several else "model report",
+        name=cases[0].model.card.name,
+        origins=tuple(zip(names if contents.several else ("",), map(_origin, cases), strict=True)),
+        first="the verdict",
     )
-    return text.lstrip() + "\n"
+    sections = {
+        anchor: (section.title, f"sections/{anchor}.html.j2", section.content(contents))
+        for anchor, section in SECTIONS.items()
+    }
+    return document(heading, sections, [series(flight) for flight in (*tested, *fitted)], shared)
 
 
 def _roles(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
@@ -75,24 +55,6 @@ def _verdict(evidence: Evidence, tested: Sequence[FlightPanels]) -> Verdict:
     model, validation = evidence.case.model, evidence.case.validation
     fresh = [view for view in tested if not view.fitted]
     return verdict_of(model, evidence.scores, validation.paired, validation.residuals, speeds_of(fresh))
-
-
-def _file(name: str) -> str:
-    return resources.files(__name__.rpartition(".")[0]).joinpath(*name.split("/")).read_text(encoding="utf-8")
-
-
-def _plot_library() -> str:
-    """uPlot with its licence in front; its banner, an address, is left out."""
-    code = _file("uplot/uPlot.iife.min.js")
-    banner, _, rest = code.partition("\n")
-    version = banner[banner.find("(") : banner.find(")") + 1]
-    return f"/* uPlot {version}\n{_file('uplot/LICENSE')}*/\n{rest}"
-
-
-def _json(parts: Iterable[Any]) -> str:
-    """JSON that may stand inside a script element, whatever text it holds."""
-    text = json.dumps(list(parts), separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _origin(case: Case) -> str:

@@ -47,6 +47,15 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Area:
+    """What lies between two lines, as a 95 % interval over time: its name, and its ends, shape (N,); NaN breaks it."""
+
+    name: str
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
 class Mark:
     """One marked point: its place and what it says."""
 
@@ -61,7 +70,8 @@ class Chart:
     """Everything that a drawing needs.
 
     Attributes:
-        kind: `velocity`, `acceleration`, `profile`, `horizon_velocity`, `horizon_position` or `correlation`.
+        kind: `velocity`, `acceleration`, `profile`, `horizon_velocity`, `horizon_position`, `correlation`,
+            or `timeline`.
         axis: `x`, `y`, `z` or `yaw`.
         title: Short.
         x_label: With unit.
@@ -75,6 +85,9 @@ class Chart:
         span: A marked range of x, such as an interval; an open end is infinite.
         y_range: What to show of y; None for all.
         y_log: Whether y is drawn on a logarithmic scale; all its values are then positive or NaN.
+        areas: Behind the lines.
+        shaded: Ranges of x that are set apart.
+        moments: Places of x that are marked, such as alarms.
     """
 
     kind: str
@@ -91,6 +104,9 @@ class Chart:
     span: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     y_log: bool = False
+    areas: tuple[Area, ...] = ()
+    shaded: tuple[tuple[float, float], ...] = ()
+    moments: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

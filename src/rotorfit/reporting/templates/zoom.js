@@ -22,20 +22,42 @@
     spreading = false;
   };
 
+  const apart = (chart, data) => { // ranges of time that are set apart, behind everything
+    const {ctx, bbox} = chart, at = x => Math.max(bbox.left, Math.min(bbox.left + bbox.width, chart.valToPos(x, "x", true)));
+    ctx.fillStyle = colour("apart");
+    for (const [from, to] of data.apart || []) ctx.fillRect(at(from), bbox.top, at(to) - at(from), bbox.height);
+  };
+  const moments = (chart, data) => { // alarms
+    const {ctx, bbox} = chart, {min, max} = chart.scales.x;
+    ctx.save();
+    ctx.strokeStyle = colour("red");
+    ctx.lineWidth = 1.4 * devicePixelRatio;
+    ctx.setLineDash([4 * devicePixelRatio, 3 * devicePixelRatio]);
+    for (const x of data.moments || []) if (x >= min && x <= max) {
+      const at = chart.valToPos(x, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(at, bbox.top);
+      ctx.lineTo(at, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  };
+
   const options = (flight, data, width) => {
     const axis = {stroke: colour("muted"), grid: {stroke: colour("grid"), width: 1}, ticks: {stroke: colour("grid"), width: 1},
       font: "11px system-ui, sans-serif"};
     return {
       width, height: Math.max(150, Math.min(230, Math.round(width * 0.36))),
       padding: [8, 12, 0, 0],
-      scales: {x: {time: false}},
+      scales: {x: {time: false}, ...(data.range ? {y: {range: data.range}} : {})},
+      bands: (data.areas || []).map(pair => ({series: pair, fill: colour("shade")})),
       cursor: {y: false, drag: {x: true, y: false}, sync: {key: "flight" + flight.number}, points: {size: 5}},
       legend: {live: true},
       series: [{label: "t", value: (_, v) => v == null ? "–" : v.toFixed(2) + " s"},
-        ...data.lines.map(line => ({label: line.name, stroke: colour(line.role), width: line.role === "measured" ? 2.4 : 1.4,
+        ...data.lines.map(line => ({label: line.name, stroke: colour(line.role), width: {measured: 2.4, end: 0}[line.role] ?? 1.4,
           dash: DASH[line.role], points: {show: false}, value: (_, v) => v == null ? "–" : v.toFixed(3)}))],
       axes: [{...axis, size: 30}, {...axis, size: 46}],
-      hooks: {setScale: [(chart, key) => {
+      hooks: {drawClear: [chart => apart(chart, data)], draw: [chart => moments(chart, data)], setScale: [(chart, key) => {
         if (key === "x" && !spreading && chart.status) spread(flight, chart.scales.x.min, chart.scales.x.max);
       }]},
     };
