@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rotorfit.assessment.evidence import Evidence
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.tracked import Track
 from rotorfit.core.writing import write_whole
 
-__all__ = ["write_figures", "write_report"]
+__all__ = ["write_figures", "write_report", "write_timeline"]
 
 
 def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
@@ -29,6 +31,23 @@ def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
     from rotorfit.reporting.page import page
 
     return write_whole(path, page(evidences))
+
+
+def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Path | None] = ()) -> Path | None:
+    """Writes one self-contained HTML page about a tracked flight: what is known now, over time, alarms, regimes.
+
+    Args:
+        track: Of the flight.
+        flight: As it was recorded.
+        path: Of the page.
+        files: Of each regime its model's, where it was written.
+
+    Returns:
+        Where the page that it replaces is kept; None where there was none.
+    """
+    from rotorfit.reporting.timeline import timeline_page
+
+    return write_whole(path, timeline_page(track, flight, files))
 
 
 def write_figures(evidence: Evidence, directory: Path) -> list[Path]:

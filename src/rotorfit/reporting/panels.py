@@ -119,12 +119,16 @@ def series(flight: FlightPanels) -> dict[str, Any]:
     charts = []
     for panel in flight.panels:
         assert isinstance(panel.chart, Chart)
-        lines = [{"name": line.name, "role": line.role, "y": _packed(line.y)} for line in panel.chart.lines]
+        lines = [{"name": line.name, "role": line.role, "y": packed(line.y)} for line in panel.chart.lines]
         charts.append({"unit": panel.chart.y_label, "lines": lines})
     stamps = flight.panels[0].chart.x if flight.panels and isinstance(flight.panels[0].chart, Chart) else None
-    return {"t": "" if stamps is None else _packed(stamps), "charts": charts}
+    return {"t": "" if stamps is None else packed(stamps), "charts": charts}
 
 
-def _packed(values: Array) -> str:
-    """Numbers as base64 of little-endian float32."""
+def packed(values: Array) -> str:
+    """Numbers as base64 of little-endian float32.
+
+    Args:
+        values: Shape (N,).
+    """
     return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")

@@ -14,6 +14,8 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "steady gain": "g / b: speed that is reached in the end per unit of a command that lasts.",
         "offset plus delay": "From a command's stamp to its answer's, by two clocks: what is delay cannot be told.",
         "total lag": "delay + 1 / b: by how much the speed trails behind a command that changes slowly.",
+        "lag": "Time constant between a command and the acceleration that answers it: the attitude loop's.",
+        "wind": "Acceleration that the commands do not explain, the trim with it: heading frame, 95 % interval.",
         "standard error": "Standard deviation that the estimate would have over repetitions of the flights.",
         "estimate": "The most likely value, with as many digits as its uncertainty deserves.",
         "95 % interval": "Range that holds the true value in 95 of 100 repetitions, if the model is right.",

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     help="Seconds of flight a second: 1 is as it was flown. Default: as fast as it goes.",
 )
 @click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model; of several regimes each.")
+@click.option("--report", "page", type=file_at(), metavar="track.html", help="Write a page about the flight.")
 def track(
     log: str,
     card: str | None,
@@ -46,16 +48,19 @@ def track(
     structure: Any,
     pace: float | None,
     output: Path | None,
+    page: Path | None,
 ) -> None:
     """Follow the model while the vehicle flies, and tell when it changes."""
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import news, track_view
-    from rotorfit.app.workflows import MODEL_MARK, check_destination, load_flight
+    from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination, load_flight
     from rotorfit.files.log_span import parse_log
     from rotorfit.tracking.replayed import tracked
 
     if output:
         check_destination(output, MODEL_MARK)
+    if page:
+        check_destination(page, REPORT_MARK)
     flight = load_flight(parse_log(log), card)
     begun = time.monotonic()
     before: Tracked | None = None
@@ -72,32 +77,40 @@ def track(
         before = state
 
     result = tracked(flight, structure, false_alarms, told)
-    files = _written(result, output) if output else []
+    files = _written(result, output) if output else [None] * len(result.regimes)
+    if page:
+        from rotorfit.reporting import write_timeline
+
+        say_kept(write_timeline(result, flight, page, files))
     if jsonl:
-        click.echo(json.dumps(_end(result, files), allow_nan=False))
+        click.echo(json.dumps(_end(result, files, page), allow_nan=False))
     else:
         show(track_view(result))
+        if page:
+            click.echo(f"Report written to {page}.")
 
 
-def _end(result: "Track", files: list[Path]) -> dict[str, Any]:
+def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> dict[str, Any]:
     """The last line of JSON."""
     return {
         "type": "end",
         "time": result.states[-1].time,
         "alarms": len(result.alarms),
         "regimes": [{"start": one.start, "end": one.end} for one in result.regimes],
-        "models": [str(path) for path in files],
+        "models": [str(path) for path in files if path],
+        "report": str(page) if page else None,
     }
 
 
-def _written(result: "Track", output: Path) -> list[Path]:
-    """Writes the model of each regime that has one; with a number where there are several."""
+def _written(result: "Track", output: Path) -> list[Path | None]:
+    """Writes the model of each regime that has one, with a number where there are several; None where there is none."""
     from rotorfit.files.models import save
 
-    models = [(n, one.model) for n, one in enumerate(result.regimes, 1) if one.model]
-    several, files = len(result.regimes) > 1, []
-    for number, model in models:
+    several = len(result.regimes) > 1
+    files: list[Path | None] = []
+    for number, regime in enumerate(result.regimes, 1):
         path = output.with_stem(f"{output.stem}-{number}") if several else output
-        say_kept(save(model, path))
-        files.append(path)
+        if regime.model:
+            say_kept(save(regime.model, path))
+        files.append(path if regime.model else None)
     return files
