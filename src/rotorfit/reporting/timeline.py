@@ -141,9 +141,9 @@ def _now(name: str, axis: TrackedAxis) -> AxisNow:
 
 def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
     """Of each axis the rows of the table: quantity, its term, value, unit, and both intervals."""
-    out = []
+    out: list[list[tuple[str, ...]]] = []
     for name, axis in axes.items():
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (
                 name, what.replace("_", " "), term_of(what), _value(value, axis.ci95.get(what)), unit_of(what, name),
                 _interval(axis.ci95.get(what), value), _interval(axis.ci95_vehicle.get(what), value),

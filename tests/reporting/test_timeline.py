@@ -1,0 +1,94 @@
+"""The page about a tracked flight: what is known, what was raised, how to go on; whatever a log says is escaped."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flights import flown
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.tracked import QUANTITIES, Alarm, Regime, Track, Tracked, TrackedAxis
+from rotorfit.reporting import write_timeline
+from rotorfit.reporting.timeline import timeline_page
+
+ALARM = Alarm(
+    20.0, ("x", "y"), "limits", (17.5, 18.5),
+    {"x.input": (0.78, 0.86), "y.input": (0.78, 0.86), "z.delay": (-0.02, 0.05)}, 0.97, 1e-9, "because <b>it</b> did",
+)  # fmt: skip
+
+
+def known(gain: float, wide: float) -> TrackedAxis:
+    values = dict.fromkeys(QUANTITIES) | {"input": gain, "damping": 0.5, "delay": 0.15}
+    ends = {"input": (gain - wide, gain + wide), "damping": (0.4, 0.6), "delay": (0.14, None)}
+    return TrackedAxis("known", "known", values, ends, ends, "first_order_delay", 0.1, (0.0, 0.2))
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return replace(flown(duration=6.0), path="<script>.csv")
+
+
+@pytest.fixture(scope="module")
+def track() -> Track:
+    """Known from 8 s on; at 18 s the gain falls, which is told at 20 s; yaw is never moved."""
+    states = []
+    for second in range(5, 41):
+        axis = known(3.0 if second < 20 else 2.4, 400.0 if second < 10 else 2.0 / second)
+        unmoved = TrackedAxis("not_excited", "not excited: no command moves it")
+        axes = {"x": axis if second > 7 else TrackedAxis(), "y": axis if second > 7 else TrackedAxis(), "yaw": unmoved}
+        states.append(Tracked(float(second), axes, (ALARM,) if second == 20 else (), int(second >= 20)))
+    return Track(tuple(states), (Regime(0.0, 18.0, None), Regime(18.0, 40.0, None, ALARM)))
+
+
+def test_the_page_says_what_is_known_and_what_changed(track: Track, flight: Flight) -> None:
+    page = timeline_page(track, flight)
+
+    assert "x and y are known; one alarm, at 20 s: limit or mode." in page
+    assert "input gain of x and y 0.78 to 0.86 times what it was; delay of z by −20 to +50 ms" in page
+    assert "17.5 to 18.5 s" in page
+    assert "97 % of the evidence" in page
+    assert re.search(r'<td class="number strong">2\.400</td><td class="number">2\.350 to 2\.450</td>', page)
+    assert "Too short, or too little commanded" in page
+
+
+def test_nothing_of_a_log_or_an_alarm_is_html_and_nothing_is_fetched(track: Track, flight: Flight) -> None:
+    page = timeline_page(track, flight)
+
+    assert "<script>.csv" not in page
+    assert "Because &lt;b&gt;it&lt;/b&gt; did." in page
+    assert not re.findall(r'(?:src|href)="(?!#)', page)
+
+
+def test_charts_are_scaled_to_what_is_known_and_carry_alarms_and_regimes(track: Track, flight: Flight) -> None:
+    page = timeline_page(track, flight)
+    found = re.search(r'<script type="application/json" id="series">(.*?)</script>', page)
+    assert found
+    charts = json.loads(found[1])[0]["charts"]
+
+    assert len(charts) == 2 * 4  # input, damping, delay and wind of the axes that commands moved
+    low, high = charts[0]["range"]
+    assert 1.5 < low < 2.4
+    assert 3.0 < high < 4.0
+    assert charts[0]["moments"] == [20.0]
+    assert charts[0]["apart"] == [[18.0, 40.0]]
+    assert [line["role"] for line in charts[0]["lines"]] == ["model", "end", "end"]
+    assert page.count('class="moment"') == len(charts)
+
+
+def test_the_lines_to_type_name_the_last_model_that_there_is(track: Track, flight: Flight) -> None:
+    page = timeline_page(track, flight, [Path("a b-1.json"), None])
+
+    assert "rotorfit validate &#39;a b-1.json&#39; NEXT-FLIGHT.csv" in page
+    assert "There is no model to go on with" in timeline_page(track, flight)
+
+
+def test_a_flight_that_told_nothing_has_a_page_all_the_same(flight: Flight, tmp_path: Path) -> None:
+    nothing = Track((Tracked(3.0, {"x": TrackedAxis()}),), (Regime(0.0, 3.0, None),))
+
+    assert write_timeline(nothing, flight, tmp_path / "track.html") is None
+    page = (tmp_path / "track.html").read_text(encoding="utf-8")
+    assert "x is not known yet; no alarm." in page
+    assert "Nothing was told at any time." in page
+    assert write_timeline(nothing, flight, tmp_path / "track.html") is None  # the same page: nothing to keep
