@@ -364,7 +364,7 @@ def test_a_port_that_cannot_be_opened_is_one_line() -> None:
 
 
 def test_two_flights_do_not_share_a_port() -> None:
-    first = mavlink._connect("udpin:127.0.0.1:0")
+    first = mavlink.connect("udpin:127.0.0.1:0")
     port = first.port.getsockname()[1]
     try:
         with pytest.raises(LinkError, match=f"udpin:127.0.0.1:{port} is in use by another program"):
@@ -377,10 +377,10 @@ def test_two_flights_do_not_share_a_serial_line() -> None:
     pytest.importorskip("serial", reason="pip install pyserial")
     here, there = os.openpty()
     line = os.ttyname(there)
-    first = mavlink._connect(line)
+    first = mavlink.connect(line)
     try:
         with pytest.raises(LinkError, match=f"{line} is in use by another program"):
-            mavlink._connect(line)
+            mavlink.connect(line)
     finally:
         first.close()
         os.close(here)

@@ -53,6 +53,10 @@ class LinkError(RotorfitError):
     """The vehicle cannot be reached or must not be flown: no link, no pose, outside the box, an empty battery."""
 
 
+class LinkOverError(LinkError):
+    """What was played back is over: nothing more will come, and nothing is wrong."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """`; nearest: 'this'`, the end of an error's text; nothing where nothing is known."""
     by_lower = {option.lower(): option for option in known}

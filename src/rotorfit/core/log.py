@@ -95,15 +95,16 @@ class Sample:
     Attributes:
         stream: `pose`: x, y, z [m], then the quaternion w, x, y, z, world z up. `velocity`: x, y, z [m/s] and yaw rate
             [rad/s] by the vehicle's own sensors, heading frame. `command`: forward, left, up, counter-clockwise, as
-            they were sent. `battery`: what is left, 0 to 1. `said`: no numbers, but what the vehicle, or the link,
-            has to say.
+            they were sent. `battery`: what is left, 0 to 1. `obeys`: 1 while the vehicle obeys the commands, 0
+            while its autopilot takes off, lands or flies by itself. `said`: no numbers, but what the vehicle, or the
+            link, has to say.
         stamp: When it was measured, by the sender's clock [ns].
         received: When it arrived, by the link's clock [ns].
         values: The numbers.
         text: Of `said`.
     """
 
-    stream: Literal["pose", "velocity", "command", "battery", "said"]
+    stream: Literal["pose", "velocity", "command", "battery", "obeys", "said"]
     stamp: int
     received: int
     values: tuple[float, ...]

@@ -145,6 +145,10 @@ class Recorder:
             self._add(POSE, sample.received, data)
         elif sample.stream == "velocity":
             self._add(VELOCITY, sample.received, _twist(sample.stamp, sample.values))
+        elif sample.stream == "command":
+            self.command(sample.stamp, sample.values)
+        elif sample.stream == "obeys":
+            self.window(sample.received, bool(sample.values[0]))
         elif sample.stream == "said":
             self.event(sample.received, sample.text)
         else:

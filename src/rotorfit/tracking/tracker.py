@@ -84,7 +84,10 @@ class Tracker:
 
     def update(self, sample: Sample) -> None:
         """Takes a sample: a pose, or a command as it was sent."""
-        if not self._growing.add(sample):
+        took = self._growing.add(sample)
+        if alarms := self._growing.alarms():
+            self._state = replace(self._state, time=self._growing.now, alarms=alarms)
+        if not took:
             return
         now = self._growing.now
         if now >= self._following.next_look:

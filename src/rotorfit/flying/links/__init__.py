@@ -19,6 +19,9 @@ class LinkKind:
         install: How to get what it needs beyond rotorfit itself.
         poses: Whether it can give poses alone, by `open_poses(address)`.
         simulated: Whether its vehicle starts where the address says: see `simulated_at`.
+        listens: Module that follows a vehicle which somebody else flies, by `open_listener(address, card)`; empty where
+            that cannot be.
+        alone: Why it cannot.
     """
 
     usage: str
@@ -26,27 +29,44 @@ class LinkKind:
     install: str = ""
     poses: bool = False
     simulated: bool = False
+    listens: str = ""
+    alone: str = "it has no listener"
 
 
 _LINKS = "rotorfit.flying.links"
 
 LINKS: Mapping[str, LinkKind] = {
-    "sim": LinkKind("sim:VEHICLE,wind=1,gusts=0.3 [m/s]", f"{_LINKS}.sim", simulated=True),
-    "replay": LinkKind("replay:FILE", f"{_LINKS}.replay"),
+    "sim": LinkKind(
+        "sim:VEHICLE,wind=1,gusts=0.3 [m/s]", f"{_LINKS}.sim", simulated=True, listens=f"{_LINKS}.sim_pilot"
+    ),
+    "replay": LinkKind("replay:FILE", f"{_LINKS}.replay", listens=f"{_LINKS}.replay"),
     "ros1": LinkKind(
         "ros1",
         f"{_LINKS}.ros1",
         "run in a shell of a ROS 1 installation "
         "(Debian: apt install python3-rospy python3-geometry-msgs python3-nav-msgs python3-std-msgs)",
         poses=True,
+        listens=f"{_LINKS}.ros1",
     ),
     "ros2": LinkKind(
         "ros2",
         f"{_LINKS}.ros2",
         "run in a shell of a ROS 2 installation: source /opt/ros/DISTRO/setup.bash",
         poses=True,
+        listens=f"{_LINKS}.ros2",
     ),
-    "mavlink": LinkKind("mavlink:ADDRESS", f"{_LINKS}.mavlink", "pip install 'rotorfit[mavlink]'", poses=True),
-    "tello": LinkKind("tello:HOST", f"{_LINKS}.tello"),
+    "mavlink": LinkKind(
+        "mavlink:ADDRESS",
+        f"{_LINKS}.mavlink",
+        "pip install 'rotorfit[mavlink]'",
+        poses=True,
+        listens=f"{_LINKS}.mavlink_listener",
+    ),
+    "tello": LinkKind(
+        "tello:HOST",
+        f"{_LINKS}.tello",
+        alone="a Tello talks to one controller alone, and its sticks are heard by nobody else; "
+        "fly it with `rotorfit fly --track`",
+    ),
 }
 """Every link by its name."""

@@ -128,6 +128,19 @@ def _value(channel: Channel, read: Callable[[str], float]) -> float:
     return (raw * channel.scale + channel.offset) * unit
 
 
+def command_values(fields: CommandFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
+    """Forward, left, up, counter-clockwise of one message, after the card's scale; None where one is not finite.
+
+    Args:
+        fields: Where the commands are.
+        read: Field name to its raw value in the message.
+    """
+    values = {axis: _value(channel, read) for axis, channel in fields.channels.items()}
+    if not all(map(math.isfinite, values.values())):
+        return None
+    return tuple(values.get(axis, 0.0) for axis in AXES)
+
+
 def pose_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
     """x, y, z [m], then the quaternion w, x, y, z, world z up, of one message; None where a number is not finite.
 

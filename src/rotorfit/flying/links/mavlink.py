@@ -81,7 +81,7 @@ def open_link(address: str, card: Card) -> "MavlinkLink":
         LinkError: No such port, no heartbeat, an autopilot that is neither PX4 nor ArduPilot, another card.
         ModuleNotFoundError: No pymavlink.
     """
-    link = MavlinkLink(_connect(address), mavlink_commands(card))
+    link = MavlinkLink(connect(address), mavlink_commands(card))
     link.greet()
     return link
 
@@ -93,7 +93,7 @@ def open_poses(address: str) -> "MavlinkLink":
         LinkError: As `open_link`.
         ModuleNotFoundError: No pymavlink.
     """
-    link = MavlinkLink(_connect(address), None)
+    link = MavlinkLink(connect(address), None)
     link.greet()
     return link
 
@@ -152,6 +152,9 @@ class MavlinkLink:
         if self._autopilot is None:
             self._close()
             raise LinkError(self._trouble or "mavlink: no heartbeat; check address, baud rate and the port's mode")
+        self._request()
+
+    def _request(self) -> None:
         self._say("param_request_read", *self._target, self._known.parameter.encode(), -1)
         for message, rate in STREAMS.items():
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -378,7 +381,7 @@ def _refuse_if_taken(address: str) -> None:
             ) from error
 
 
-def _connect(address: str) -> Any:
+def connect(address: str) -> Any:
     """Opens a port.
 
     Raises:

@@ -39,6 +39,28 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
         raise
 
 
+def open_listener(text: str, card: Card) -> Link:
+    """Opens a link that only listens, to the vehicle and to whoever commands it: its `send` refuses.
+
+    Among its samples are commands of others: forward, left, up, counter-clockwise after the card's scale.
+
+    Args:
+        text: As for `open_link`.
+        card: Meaning of the commands and of the poses.
+
+    Raises:
+        LinkError: No such link, one that cannot be shared, something to install is missing, or nobody is heard.
+    """
+    name, address = _split(text)
+    if name not in LINKS:
+        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    if not LINKS[name].listens:
+        raise LinkError(f"--link {text}: nobody can listen to it: {LINKS[name].alone}")
+    with _told_to_install(name):
+        link: Link = import_module(LINKS[name].listens).open_listener(address, card)
+        return link
+
+
 def simulated_at(text: str, start: Four, seed: int = 0, flying: bool = True) -> str:
     """The link with the place, the seed and the state of its simulated vehicle; any other link as it is.
 

@@ -4,18 +4,23 @@ Time is that of the log and passes as fast as it is read. The end of the log is 
 """
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import CardError, LinkError
+from rotorfit.core.errors import CardError, LinkError, LinkOverError
 from rotorfit.core.frames import Array, Indices, yaw_from_quaternion
 from rotorfit.core.log import Log, Sample
 from rotorfit.diagnosis.card_choice import card_of
 from rotorfit.files.logs import read
+from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import card_for, column
 from rotorfit.flights.stamps import stamps_of
 from rotorfit.flying.links.link import Action, Silence
+
+BEGIN = 1_577_836_800 * 10**9
+"""Stamp of second 0 of a flight that is listened to: 2020-01-01 [ns]."""
 
 
 def open_link(address: str, card: Card) -> "ReplayLink":
@@ -44,6 +49,39 @@ def open_link(address: str, card: Card) -> "ReplayLink":
     return ReplayLink(samples, address)
 
 
+def open_listener(address: str, card: Card) -> "ReplayLink":
+    """Opens a log with the commands that were sent.
+
+    Args:
+        address: Path of the log.
+        card: Reads the log where it carries no card of its own and no built-in one fits.
+
+    Raises:
+        LinkError: No path.
+        LogError, CardError, FlightError: The log holds no flight.
+    """
+    if not address:
+        raise LinkError("--link replay needs a log: replay:FILE")
+    log = read(address)
+    try:
+        own = card_of(log)
+    except CardError:
+        own = card
+    flight = flight_from_log(log, own)
+    half = flight.yaw / 2
+    attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    parts: tuple[tuple[Literal["pose", "command"], Array, Array], ...] = (
+        ("pose", flight.pose_time, np.hstack([flight.position, attitude])),
+        ("command", flight.command_time, flight.command),
+    )
+    samples = [
+        Sample(stream, stamp := BEGIN + round(t * 1e9), stamp, tuple(row))
+        for stream, time, values in parts
+        for t, row in zip(time.tolist(), values.tolist(), strict=True)
+    ]
+    return ReplayLink(sorted(samples, key=lambda sample: sample.received), address)
+
+
 class ReplayLink:
     """A vehicle that does again what it did; implements `links.Link`."""
 
@@ -60,7 +98,7 @@ class ReplayLink:
     def receive(self, until: int) -> list[Sample]:
         """The poses up to an instant of the log; see `links.Link`."""
         if self._next == len(self._samples):
-            raise LinkError(f"replay: {self._name} is over")
+            raise LinkOverError(f"replay: {self._name} is over")
         first = self._next
         while self._next < len(self._samples) and self._samples[self._next].received <= until:
             self._next += 1

@@ -22,8 +22,10 @@ from rotorfit.flying.links.ros_messages import (
     ACTIONS,
     FAIL_SAFE,
     PATIENCE,
+    action_samples,
     action_topic,
     check_pose,
+    command_samples,
     fill,
     is_stamped,
     pose_samples,
@@ -67,22 +69,53 @@ def open_poses(address: str) -> "Ros1Link":
     return Ros1Link(rospy, None, poses_of_type(address, _topic_type(rospy, address)), "This link only listens.")
 
 
+def open_listener(address: str, card: Card) -> "Ros1Link":
+    """Hears poses, and the commands that somebody else sends.
+
+    Args:
+        address: Must be empty, as of `open_link`.
+        card: Names the topics and fields.
+
+    Raises:
+        LinkError: No master, no pose topic, a card that does not fit.
+        ModuleNotFoundError: No rospy.
+    """
+    if address:
+        raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
+    commands, poses = ros_commands(card), ros_poses(card)
+    return Ros1Link(_node(), None, poses, "This link only listens.", heard=commands)
+
+
 class Ros1Link:
     """A vehicle on a ROS 1 graph; implements `links.Link`."""
 
     def __init__(
-        self, rospy: Any, commands: CommandFields | None, poses: PoseFields, fail_safe: str, hold: float | None = None
+        self,
+        rospy: Any,
+        commands: CommandFields | None,
+        poses: PoseFields,
+        fail_safe: str,
+        hold: float | None = None,
+        heard: CommandFields | None = None,
     ) -> None:
         self.fail_safe, self.silence = fail_safe, Silence(hold)
         self.live = True
         self._rospy = rospy
-        self._commands = commands
+        self._commands, self._heard = commands, heard
         self._poses = poses
         self._inbox: deque[Sample] = deque()
         self._open = True
         self._subscribers = [self._subscriber(poses.table, self._on_pose)]
         if poses.velocity and poses.velocity_table != poses.table:
             self._subscribers.append(self._subscriber(poses.velocity_table, self._on_velocity))
+        if heard:
+            self._subscribers.append(
+                rospy.Subscriber(heard.table, _twist(heard), self._on_command, queue_size=100, tcp_nodelay=True)
+            )
+            empty = _message_class("std_msgs/Empty")
+            self._subscribers += [
+                rospy.Subscriber(action_topic(heard, action), empty, self._on_action, action) for action in ACTIONS
+            ]
         if commands:
             _check_alone(rospy, commands.table)
         self._publishers = self._advertise(commands) if commands else {}
@@ -140,8 +173,7 @@ class Ros1Link:
         return self._rospy.Subscriber(topic, message, callback, queue_size=100, tcp_nodelay=True)
 
     def _advertise(self, commands: CommandFields) -> dict[str, Any]:
-        twist = _message_class("geometry_msgs/TwistStamped" if is_stamped(commands) else "geometry_msgs/Twist")
-        kinds = {commands.table: ("command", twist)}
+        kinds = {commands.table: ("command", _twist(commands))}
         kinds |= {action_topic(commands, action): (action, _message_class("std_msgs/Empty")) for action in ACTIONS}
         return {
             name: self._rospy.Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
@@ -164,8 +196,20 @@ class Ros1Link:
     def _on_pose(self, message: Any) -> None:
         self._inbox.extend(pose_samples(message, self._poses, _stamp))
 
+    def _on_command(self, message: Any) -> None:
+        if self._heard:
+            self._inbox.extend(command_samples(message, self._heard, _stamp))
+
+    def _on_action(self, _message: Any, action: str) -> None:
+        self._inbox.extend(action_samples(action))
+
     def _on_velocity(self, message: Any) -> None:
         self._inbox.extend(velocity_samples(message, self._poses, _stamp))
+
+
+def _twist(commands: CommandFields) -> Any:
+    """The class of the messages that carry a card's commands."""
+    return _message_class("geometry_msgs/TwistStamped" if is_stamped(commands) else "geometry_msgs/Twist")
 
 
 def _stamp(message: Any) -> int:

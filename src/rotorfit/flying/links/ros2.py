@@ -6,6 +6,7 @@ Needs rclpy: a shell in which a ROS 2 installation is sourced.
 import importlib
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rotorfit.core.card import Card
@@ -17,8 +18,10 @@ from rotorfit.flying.links.ros_messages import (
     ACTIONS,
     FAIL_SAFE,
     PATIENCE,
+    action_samples,
     action_topic,
     check_pose,
+    command_samples,
     fill,
     is_stamped,
     pose_samples,
@@ -29,6 +32,9 @@ from rotorfit.flying.links.ros_messages import (
 )
 
 _SECOND = 1_000_000_000
+
+HEARD = 50
+"""Commands of others that wait while nobody looks: they come in bursts over a radio."""
 
 
 def open_link(address: str, card: Card) -> "Ros2Link":
@@ -57,11 +63,32 @@ def open_poses(address: str) -> "Ros2Link":
     return Ros2Link(None, address, "This link only listens.")
 
 
+def open_listener(address: str, card: Card) -> "Ros2Link":
+    """Hears poses, and the commands that somebody else sends.
+
+    Args:
+        address: Must be empty, as of `open_link`.
+        card: Names the topics and fields.
+
+    Raises:
+        LinkError: No pose topic, a card that does not fit.
+        ModuleNotFoundError: No rclpy.
+    """
+    if address:
+        raise LinkError(f"ros2 takes no address ({address!r}); set ROS_DOMAIN_ID, and name topics in the card")
+    return Ros2Link(None, ros_poses(card), "This link only listens.", heard=ros_commands(card))
+
+
 class Ros2Link:
     """A vehicle on a ROS 2 graph; implements `links.Link`. All of it runs in the caller's thread."""
 
     def __init__(
-        self, commands: CommandFields | None, poses: PoseFields | str, fail_safe: str, hold: float | None = None
+        self,
+        commands: CommandFields | None,
+        poses: PoseFields | str,
+        fail_safe: str,
+        hold: float | None = None,
+        heard: CommandFields | None = None,
     ) -> None:
         self.fail_safe, self.silence = fail_safe, Silence(hold)
         self.live = True
@@ -72,7 +99,7 @@ class Ros2Link:
         self._inbox: list[Sample] = []
         try:
             self._poses = poses_of_type(poses, self._topic_type(poses)) if isinstance(poses, str) else poses
-            self._commands = commands
+            self._commands, self._heard = commands, heard
             self._publishers = self._advertise(commands) if commands else {}
             self._subscribe()
         except LinkError:
@@ -131,8 +158,19 @@ class Ros2Link:
             kind = _message_class(self._topic_type(self._poses.velocity_table))
             self._node.create_subscription(kind, self._poses.velocity_table, self._on_velocity, quality)
 
+        if self._heard:
+            depth = importlib.import_module("rclpy.qos").QoSProfile(
+                depth=HEARD, reliability=quality.reliability, durability=quality.durability
+            )
+            self._node.create_subscription(_twist(self._heard), self._heard.table, self._on_command, depth)
+            empty = _message_class("std_msgs/msg/Empty")
+            for action in ACTIONS:
+                self._node.create_subscription(
+                    empty, action_topic(self._heard, action), partial(self._on_action, action), depth
+                )
+
     def _advertise(self, commands: CommandFields) -> dict[str, tuple[Any, Any]]:
-        twist = _message_class("geometry_msgs/msg/TwistStamped" if is_stamped(commands) else "geometry_msgs/msg/Twist")
+        twist = _twist(commands)
         empty = _message_class("std_msgs/msg/Empty")
         topics = {"command": (twist, commands.table)}
         topics |= {action: (empty, action_topic(commands, action)) for action in ACTIONS}
@@ -161,8 +199,20 @@ class Ros2Link:
     def _on_pose(self, message: Any) -> None:
         self._inbox.extend(pose_samples(message, self._poses, _stamp))
 
+    def _on_command(self, message: Any) -> None:
+        if self._heard:
+            self._inbox.extend(command_samples(message, self._heard, _stamp))
+
+    def _on_action(self, action: str, _message: Any) -> None:
+        self._inbox.extend(action_samples(action))
+
     def _on_velocity(self, message: Any) -> None:
         self._inbox.extend(velocity_samples(message, self._poses, _stamp))
+
+
+def _twist(commands: CommandFields) -> Any:
+    """The class of the messages that carry a card's commands."""
+    return _message_class("geometry_msgs/msg/TwistStamped" if is_stamped(commands) else "geometry_msgs/msg/Twist")
 
 
 def _stamp(message: Any) -> int:

@@ -12,6 +12,7 @@ from rotorfit.flying.links.card_fields import (
     CommandFields,
     PoseFields,
     command_fields,
+    command_values,
     pose_fields,
     pose_values,
     raw_values,
@@ -133,6 +134,20 @@ def velocity_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any],
     stamp = stamp_of(message) if hasattr(message, "header") else 0
     values = velocity_values(fields, lambda name: float(attrgetter(name)(message)))
     return [] if values is None else [Sample("velocity", stamp or received, received, values)]
+
+
+def command_samples(message: Any, fields: CommandFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
+    """The command in a message that somebody else sent; none that is not finite. Arguments as of `pose_samples`."""
+    received = wall_clock()
+    stamp = stamp_of(message) if is_stamped(fields) else 0
+    values = command_values(fields, lambda name: float(attrgetter(name)(message)))
+    return [] if values is None else [Sample("command", stamp or received, received, values)]
+
+
+def action_samples(action: str) -> list[Sample]:
+    """What somebody's order to take off or to land means: from a landing on, commands are not obeyed."""
+    received = wall_clock()
+    return [Sample("obeys", received, received, (float(action == "take_off"),))]
 
 
 def check_pose(message: Any, fields: PoseFields) -> None:

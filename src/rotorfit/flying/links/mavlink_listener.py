@@ -1,0 +1,152 @@
+"""MAVLink, listening: an autopilot's poses, and the velocities that somebody else asks of it. Nothing is commanded.
+
+What leaves, because without it nothing would come: a heartbeat once a second, TIMESYNC (the autopilot's clock), and
+MAV_CMD_SET_MESSAGE_INTERVAL for attitude, position, the target that the autopilot follows, and whether it flies.
+
+Commands are heard in two ways. SET_POSITION_TARGET_LOCAL_NED of another system, where a router forwards it to us, is
+what was sent. Until one has come, POSITION_TARGET_LOCAL_NED counts: the autopilot's own echo of what it follows, which
+PX4 has already smoothed and limited.
+
+Source: MAVLink common message set, mavlink.io/en/messages/common.html.
+"""
+
+import math
+import socket
+from typing import Any
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LinkError
+from rotorfit.core.log import Sample
+from rotorfit.flying.links.card_fields import CommandFields, command_values
+from rotorfit.flying.links.link import Action, wall_clock
+from rotorfit.flying.links.mavlink import SILENCE, MavlinkLink, connect
+from rotorfit.flying.links.mavlink_messages import FIELDS, IN_AIR, MESSAGE_INTERVAL, SETPOINT, mavlink_commands
+
+ECHO = "POSITION_TARGET_LOCAL_NED"
+
+STREAMS = {32: 50.0, 31: 50.0, 85: 50.0, 245: 2.0}
+"""Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, POSITION_TARGET_LOCAL_NED and
+EXTENDED_SYS_STATE [Hz]."""
+
+WORLD, TURNED = (1, 7), (8, 9, 12)
+"""MAV_FRAMEs whose velocities are along north, east, down (LOCAL_NED, LOCAL_OFFSET_NED), and along the heading
+(BODY_NED, BODY_OFFSET_NED, BODY_FRD)."""
+
+NO_VELOCITY, NO_YAW_RATE = 0b11_1000, 0b1000_0000_0000
+"""Bits of the type mask: velocities, yaw rate are to be ignored."""
+
+
+def open_listener(address: str, card: Card) -> "MavlinkListener":
+    """Waits for an autopilot that somebody else flies.
+
+    Args:
+        address: As of the link `mavlink`.
+        card: What the velocities mean; the built-in one is `mavlink`.
+
+    Raises:
+        LinkError: As of the link `mavlink`.
+        ModuleNotFoundError: No pymavlink.
+    """
+    stream = bool(address) and not address.startswith("udp")
+    link = MavlinkListener(connect(address), mavlink_commands(card), stream)
+    link.greet()
+    return link
+
+
+class MavlinkListener(MavlinkLink):
+    """A vehicle with an autopilot that somebody else flies; implements `links.Link`, and takes no commands."""
+
+    def __init__(self, connection: Any, heard: CommandFields, stream: bool = False) -> None:
+        super().__init__(connection, None)
+        self._fields, self._stream = heard, stream
+        self._heading: float | None = None
+        self._forwarded, self._obeys, self._landed = False, True, 0
+
+    def act(self, action: Action) -> None:
+        """Closes; anything else is refused."""
+        if action != "close":
+            raise LinkError(f"mavlink: a listener does not {action.replace('_', ' ')}")
+        super().act(action)
+
+    def receive(self, until: int) -> list[Sample]:
+        """What has come since the last call; see `links.Link`.
+
+        Raises:
+            LinkError: The connection broke. Over UDP none can: a vehicle that is silent may come back.
+        """
+        samples = super().receive(until)
+        if self._stream and self._known_since and wall_clock() - self._heard > SILENCE:
+            raise LinkError(f"mavlink: no heartbeat for {SILENCE / 1e9:g} s; the link is lost")
+        return samples
+
+    @property
+    def _known_since(self) -> int:
+        return self._heard if self._autopilot else 0
+
+    def _request(self) -> None:
+        for message, rate in STREAMS.items():
+            self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def _heard_all(self) -> bool:
+        if self._stream and isinstance(port := getattr(self._connection, "port", None), socket.socket):
+            try:
+                over = port.recv(1, socket.MSG_PEEK) == b""
+            except BlockingIOError:
+                over = False
+            except OSError as error:
+                raise LinkError(f"mavlink: cannot receive ({error}); the link is lost") from error
+            if over:
+                raise LinkError("mavlink: the other end closed the connection")
+        return super()._heard_all()
+
+    def _take(self, message: Any, received: int) -> None:
+        """One message of whoever talks: the autopilot, or who commands it."""
+        kind, silent_since = message.get_type(), self._known_since
+        super()._take(message, received)
+        if kind == "HEARTBEAT" and silent_since and self._heard == received and received - silent_since > SILENCE:
+            self._request()  # it may have been started anew
+        if kind in ("HEARTBEAT", "EXTENDED_SYS_STATE") and self._is_target(message):
+            self._landed = getattr(message, "landed_state", self._landed)
+            self._tell_obedience(received)
+        if kind in ("ATTITUDE_QUATERNION", "ATTITUDE") and self._is_target(message):
+            self._heading = _heading(message)
+        elif kind == SETPOINT and self._autopilot and message.target_system in (0, self._target[0]):
+            self._forwarded = True
+            self._inbox += self._command_heard(message, received, received)
+        elif kind == ECHO and not self._forwarded and self._is_target(message):
+            stamp = self._poses.clock.ours(message.time_boot_ms * 1_000_000, received)
+            self._inbox += self._command_heard(message, stamp, received)
+
+    def _tell_obedience(self, received: int) -> None:
+        """Whether the vehicle obeys what is heard: in the air, and in the mode for what others send."""
+        obeys = self._landed in (0, IN_AIR) and (self._in_our_mode or not self._forwarded)
+        if obeys != self._obeys:
+            self._obeys = obeys
+            self._inbox.append(Sample("obeys", received, received, (float(obeys),)))
+
+    def _is_target(self, message: Any) -> bool:
+        return self._autopilot is not None and (message.get_srcSystem(), message.get_srcComponent()) == self._target
+
+    def _command_heard(self, message: Any, stamp: int, received: int) -> list[Sample]:
+        """The command in a setpoint; none that asks for no velocity, or along the world before the heading is known."""
+        if message.type_mask & NO_VELOCITY == NO_VELOCITY:
+            return []
+        vx, vy, rate = message.vx, message.vy, 0.0 if message.type_mask & NO_YAW_RATE else message.yaw_rate
+        if message.coordinate_frame in WORLD:
+            if self._heading is None:
+                return []
+            c, s = math.cos(self._heading), math.sin(self._heading)
+            vx, vy = c * vx + s * vy, c * vy - s * vx
+        elif message.coordinate_frame not in TURNED:
+            return []
+        raw = dict(zip(FIELDS, (vx, vy, message.vz, 0.0 if math.isnan(rate) else rate), strict=True))
+        values = command_values(self._fields, raw.__getitem__)
+        return [] if values is None else [Sample("command", stamp, received, values)]
+
+
+def _heading(message: Any) -> float:
+    """From north, clockwise seen from above [rad]."""
+    if message.get_type() == "ATTITUDE":
+        return float(message.yaw)
+    w, x, y, z = message.q1, message.q2, message.q3, message.q4
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

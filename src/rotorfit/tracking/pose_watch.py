@@ -1,0 +1,180 @@
+"""A pose that cannot be the vehicle's: one that jumps as no vehicle can, or repeats itself to the last digit.
+
+A pose is expected on from the last few at their velocity, within what the noise and the fastest vehicle explain. One
+outside waits for the next: if that goes on from there, the pose has jumped (a reset, another origin); if it goes on
+from before, it was wild and is left out.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorfit.core.frames import Array
+from rotorfit.core.tracked import Alarm
+
+FASTEST = np.array([40.0, 40.0, 40.0, 20.0])
+"""Speed between two poses beyond which the pose jumped, and the vehicle did not [m/s, rad/s]."""
+
+REACH = np.array([0.3, 0.3, 0.3, 0.5])
+"""And so much beyond that, at the least [m, rad]: no sensor is that noisy."""
+
+SUDDEN = np.array([60.0, 60.0, 60.0, 200.0])
+"""Acceleration beyond which a vehicle does not leave its velocity [m/s^2, rad/s^2]."""
+
+NOISY = 12.0
+"""So many times the usual step between what was expected and seen is no noise."""
+
+PAST, LEAST = 0.1, 0.03
+"""The velocity is that over so much time, or not known over less [s]."""
+
+SHARE = 0.05
+"""Of the newest in what is usual."""
+
+FROZEN = 0.5
+"""Time of poses that repeat each other after which the pose is frozen [s]."""
+
+REPEATS, USUAL = 8, 3.0
+"""And so many periods of the poses, and so many times the longest such time before: a coarse sensor repeats itself."""
+
+SLOW = 0.05
+"""Speed of a vehicle that may stand the next moment [m/s]."""
+
+ENOUGH, REPEATED = 2.0, 0.25
+"""So many poses that go on from one that is off prove that the pose jumped, and so much counts one that repeats it."""
+
+ALL = ("x", "y", "z", "yaw")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is made of a pose.
+
+    Attributes:
+        believed: Poses that count, with their times: none, this one, or the one that waited with it.
+        left_out: Why it does not count; empty where it does.
+        alarm: That it raises.
+    """
+
+    believed: tuple[tuple[float, Array], ...] = ()
+    left_out: str = ""
+    alarm: Alarm | None = None
+
+
+class PoseWatch:
+    """Looks at poses in the order of their times.
+
+    Args:
+        jumps: When the pose jumped before [s].
+    """
+
+    def __init__(self, jumps: list[float] | None = None) -> None:
+        self.jumps, self.frozen = list(jumps or []), False
+        self._past: list[tuple[float, Array]] = []
+        self._waiting: list[tuple[float, Array]] = []
+        self._evidence = 0.0
+        self._usual, self._period = np.zeros(4), 0.0
+        self._since: float | None = None  # of the pose that repeats itself
+        self._repeats, self._longest = 0, 0.0
+
+    def take(self, time: float, pose: Array, stands: bool) -> Seen:
+        """Looks at a pose.
+
+        Args:
+            time: Later than the last [s].
+            pose: x, y, z and unwrapped yaw, shape (4,).
+            stands: Whether the vehicle may stand so still that its pose repeats itself.
+        """
+        if self._waiting and np.array_equal(pose, self._waiting[-1][1]):
+            return self._judged_again(time, pose)
+        if not self._past:  # of the first nobody knows whether it is wild
+            return replace(self._judged_again(time, pose), left_out="")
+        if np.array_equal(pose, self._past[-1][1]):
+            self._waiting = []
+            return self._repeated(time, stands)
+        self._moved(time)
+        if self._explained(time, pose, self._past):
+            self._waiting = []
+            self._learn(time, pose)
+            return Seen(((time, pose),))
+        return self._judged_again(time, pose)
+
+    @property
+    def slow(self) -> bool:
+        """Whether the pose hardly moved before what repeats itself."""
+        if not self._past:
+            return True
+        (first, before), (last, here) = self._past[0], self._past[-1]
+        return bool(np.linalg.norm(here[:3] - before[:3]) <= SLOW * max(last - first, 1e-3))
+
+    def forget(self, before: float) -> None:
+        """Drops jumps that are older."""
+        while self.jumps and self.jumps[0] < before:
+            self.jumps.pop(0)
+
+    def _judged_again(self, time: float, pose: Array) -> Seen:
+        """A pose beside those that wait, all off what was expected."""
+        if not self._waiting or not self._explained(time, pose, self._waiting[:1]):
+            self._waiting, self._evidence = [(time, pose)], 0.0
+            return Seen(left_out="wild_poses")
+        if np.array_equal(pose, self._waiting[-1][1]):
+            self._evidence += REPEATED
+        else:
+            self._evidence += 1.0
+            self._waiting.append((time, pose))
+        if self._evidence < ENOUGH:
+            return Seen(left_out="wild_poses")
+        past, self._past, self._waiting, self._since = self._past, self._waiting, [], None
+        if not past:
+            return Seen(tuple(self._past))
+        (at, there), (last, before) = self._past[0], past[-1]
+        self.jumps.append(at)
+        off = there - before
+        alarm = Alarm(
+            time, ALL, "pose_jumped", (last, at), {}, 1.0, 0.0,
+            f"the pose went {float(np.linalg.norm(off[:3])):.2f} m and {np.degrees(off[3]):+.0f} deg within "
+            f"{at - last:.3f} s and went on from there: no vehicle does, its frame or its track changed",
+        )  # fmt: skip
+        return Seen(tuple(self._past), alarm=alarm)
+
+    def _repeated(self, time: float, stands: bool) -> Seen:
+        """A pose that is that before, with a fresh stamp."""
+        self._since = self._past[-1][0] if self._since is None else self._since
+        self._repeats += 1
+        lasted, least = time - self._since, max(FROZEN, REPEATS * self._period, USUAL * self._longest)
+        if self.frozen or stands or lasted < least or self._repeats < REPEATS:
+            return Seen(left_out="stale_poses")
+        self.frozen = True
+        alarm = Alarm(
+            time, ALL, "pose_frozen", (self._since, min(self._since + self._period, time)), {}, 1.0, 0.0,
+            f"the pose has repeated itself to the last digit for {lasted:.1f} s: it is no longer measured",
+        )  # fmt: skip
+        return Seen(left_out="stale_poses", alarm=alarm)
+
+    def _moved(self, time: float) -> None:
+        """The pose is another one than before."""
+        if self._since is not None and not self.frozen:
+            self._longest = max(self._longest, time - self._since)
+        self._since, self._repeats, self.frozen = None, 0, False
+
+    def _explained(self, time: float, pose: Array, past: list[tuple[float, Array]]) -> bool:
+        """Whether a vehicle can be there, going on from the past."""
+        (first, before), (last, here) = past[0], past[-1]
+        since, known = time - last, last - first
+        if known < LEAST or since > PAST:  # no velocity that still holds
+            return bool(np.all(np.abs(pose - here) <= FASTEST * since + REACH))
+        off = np.abs(pose - here - (here - before) / known * since)
+        return bool(np.all(off <= REACH + SUDDEN * since * (since + known) + NOISY * self._usual))
+
+    def _learn(self, time: float, pose: Array) -> None:
+        """The usual step off what was expected, the usual period, and the past."""
+        (first, before), (last, here) = self._past[0], self._past[-1]
+        since, known = time - last, last - first
+        if known >= LEAST and since <= PAST:
+            off = np.abs(pose - here - (here - before) / known * since)
+            self._usual += SHARE * (np.minimum(off, 3 * self._usual + 0.01) - self._usual)
+        self._period += SHARE * (min(since, 2 * self._period + 0.02) - self._period)
+        self._past.append((time, pose))
+        while len(self._past) > 2 and self._past[1][0] < time - PAST:
+            self._past.pop(0)
+        if since > PAST:
+            self._past = self._past[-1:]

@@ -1,0 +1,168 @@
+"""A stream of samples as the flight so far: faults of radios, clocks and sensors neither end it nor raise an alarm."""
+
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from streams import CARD, SECOND, flown, frozen, jumped, mixed
+
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.log import Sample
+from rotorfit.core.tracked import Alarm
+from rotorfit.tracking import growing_flight
+from rotorfit.tracking.growing_flight import GrowingFlight
+
+TAKEN_OFF, SINKS, DURATION = 4.0, 51.0, 59.0
+"""Of the flight that is shared: the vehicle climbs, and sinks, by itself [s]."""
+
+
+def grown(samples: Sequence[Sample]) -> tuple[Flight, list[Alarm]]:
+    growing, alarms = GrowingFlight(CARD), []
+    for sample in samples:
+        growing.add(sample)
+        alarms += growing.alarms()
+    flight = growing.flight()
+    assert flight is not None
+    return flight, alarms
+
+
+def counts(flight: Flight) -> dict[str, int]:
+    return {note.code: note.count for note in flight.notes}
+
+
+def test_nothing_is_learnt_on_the_ground_nor_while_the_vehicle_takes_off_or_lands_by_itself() -> None:
+    flight, alarms = grown(flown())
+
+    assert not alarms
+    assert len(flight.segments) == 1
+    assert TAKEN_OFF + 1.5 < flight.segments[0].start < 9.0
+    assert 45.0 < flight.segments[0].end <= SINKS
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_faults_of_the_stream_are_no_alarm_and_leave_a_sound_flight(seed: int) -> None:
+    flight, alarms = grown(mixed(flown(), seed))
+
+    assert not alarms
+    assert (np.diff(flight.pose_time) > 0).all()
+    assert (np.diff(flight.command_time) > 0).all()
+    assert all(np.isfinite(part).all() for part in (flight.position, flight.yaw, flight.command))
+    assert all(a.end <= b.start for a, b in zip(flight.segments, flight.segments[1:], strict=False))
+    assert flight.duration > 15.0
+    # every pose that counts is one of the vehicle's
+    assert np.abs(flight.position).max() < 4.0
+
+
+def test_a_frozen_pose_is_one_alarm_at_once_however_long_it_lasts() -> None:
+    _, alarms = grown(frozen(flown(), 20.0, 6.0))
+
+    assert [alarm.cause for alarm in alarms] == ["pose_frozen"]
+    assert 20.4 < alarms[0].time < 20.8
+    assert alarms[0].since[0] == pytest.approx(20.0, abs=0.02)
+
+
+def test_a_pose_that_repeats_itself_on_the_ground_is_no_alarm() -> None:
+    """A sensor without noise says the same of a vehicle that stands, whatever is asked of it."""
+    still = tuple(
+        replace(one, values=(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)) if one.stream == "pose" else
+        replace(one, values=(0.3, 0.0, 0.0, 0.0))
+        for one in flown()[: len(flown()) // 30]
+    )  # fmt: skip
+    growing = GrowingFlight(CARD)
+    for one in still:
+        growing.add(one)
+
+    assert growing.alarms() == ()
+    assert growing.flight() is None
+
+
+def test_a_pose_that_jumps_is_an_alarm_at_once_and_cuts_the_flight() -> None:
+    flight, alarms = grown(jumped(flown(), 20.0, (1.0, 0.0, 0.0)))
+
+    assert [alarm.cause for alarm in alarms] == ["pose_jumped"]
+    assert 20.0 <= alarms[0].time < 20.1
+    assert "1.0" in alarms[0].why
+    assert any(abs(a.end - b.start) < 1e-6 and 19.99 < b.start < 20.1
+               for a, b in zip(flight.segments, flight.segments[1:], strict=False))  # fmt: skip
+
+
+def test_a_single_wild_pose_is_left_out() -> None:
+    samples = list(flown())
+    at = next(i for i, one in enumerate(samples) if one.stream == "pose" and i > 4000)
+    samples[at] = replace(samples[at], values=(9.0, 9.0, 9.0, *samples[at].values[3:]))
+    flight, alarms = grown(samples)
+
+    assert not alarms
+    assert counts(flight)["wild_poses"] == 1
+    assert len(flight.segments) == 1
+
+
+def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
+    there = [replace(one, stamp=one.stamp + 10**15) if one.stream == "command" else one for one in flown()]
+    flight, alarms = grown(there)
+    plain, _ = grown(flown())
+
+    assert not alarms
+    assert np.abs(flight.command_time - plain.command_time[-flight.command_time.size :]).max() < 1e-6
+
+
+def test_yaw_goes_on_over_the_turn() -> None:
+    growing = GrowingFlight(CARD)
+    for number in range(2000):
+        t, angle = number * SECOND // 100, 0.01 * number
+        growing.add(Sample("command", t, t, (0.0, 0.0, 0.0, 0.5)))
+        growing.add(Sample("pose", t, t, (0.0, 0.0, 1.0, np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2))))
+    flight = growing.flight()
+
+    assert flight is not None
+    assert not growing.alarms()
+    assert flight.yaw[-1] - flight.yaw[0] == pytest.approx(20.0, abs=0.05)
+
+
+def test_what_the_vehicle_says_of_itself_closes_the_flight() -> None:
+    samples = [*flown()[:6000], Sample("obeys", 0, 0, (0.0,)), *flown()[6000:]]
+    flight, _ = grown(samples)
+    end = (flown()[6000].stamp - flown()[0].stamp) / 1e9
+
+    assert flight.segments[-1].end == pytest.approx(end, abs=0.05)
+
+
+def test_it_goes_on_from_its_memory() -> None:
+    samples, at = flown(), len(flown()) // 2
+    first = GrowingFlight(CARD)
+    for one in samples[:at]:
+        first.add(one)
+    second = GrowingFlight(CARD)
+    second.recall(first.memory())
+    for one in samples[at:]:
+        first.add(one)
+        second.add(one)
+    a, b = first.flight(), second.flight()
+
+    assert a is not None
+    assert b is not None
+    assert np.array_equal(a.pose_time, b.pose_time)
+    assert a.notes == b.notes
+    assert a.segments[0].start == b.segments[0].start
+    assert a.segments[-1].end == pytest.approx(b.segments[-1].end, abs=1.5)
+
+
+def test_a_day_takes_no_more_memory_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """24 hours of 1 Hz, of which a hundredth is kept: as many samples as 15 minutes of 96 Hz, forgotten 96 times."""
+    monkeypatch.setattr(growing_flight, "KEPT", 900.0)
+    growing, sizes = GrowingFlight(CARD), []
+    tracemalloc.start()
+    for second in range(24 * 3600):
+        t = second * SECOND
+        growing.add(Sample("command", t, t, (0.1 * (second % 3), 0.0, 0.0, 0.0)))
+        growing.add(Sample("pose", t, t, (0.3 * (second % 7), 0.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
+        if second % 3600 == 3599:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+
+    assert max(sizes[1:]) < 1.1 * sizes[0]
+    flight = growing.flight()
+    assert flight is not None
+    assert flight.pose_time[0] >= 24 * 3600 - 902.0
