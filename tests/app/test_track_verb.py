@@ -1,0 +1,145 @@
+"""`rotorfit track LOG`: the lines that programs read, as they were promised, and one line for each mistake."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+import rotorfit.tracking.replayed as replayed
+from flights import steps
+from logs import Csv
+from rotorfit.app.cli import main
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.tracked import Alarm, Regime, Track, Tracked
+from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
+
+pytestmark = pytest.mark.flights
+
+LAW = "first_order_delay"
+QUANTITIES = ["input", "damping", "delay", "lag", "steady_gain", "total_lag"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    """12 s; yaw is not moved."""
+    flight = simulate_flight(Truth(), steps(("x", "y", "z")), 12.0, seed=6)
+    return Csv(flight).write(tmp_path_factory.mktemp("log"))
+
+
+def lines(*words: str) -> list[dict[str, Any]]:
+    """What `--jsonl` prints, line by line."""
+    result = CliRunner().invoke(main, ["track", *words, "--jsonl"])
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+@pytest.fixture(scope="module")
+def told(log: tuple[str, ...]) -> list[dict[str, Any]]:
+    return lines(*log, "--structure", LAW)
+
+
+def test_a_state_comes_once_a_second_and_the_end_is_last(told: list[dict[str, Any]]) -> None:
+    assert [line["type"] for line in told] == [*["state"] * (len(told) - 1), "end"]
+    assert [line["time"] for line in told[:-2]] == [float(second) for second in range(5, 12)]
+    assert told[-1]["time"] == told[-2]["time"] == pytest.approx(12.0, abs=0.2)
+    assert told[-1]["alarms"] == 0
+    assert told[-1]["regimes"] == [{"start": 0.0, "end": told[-1]["time"]}]
+    assert told[-1]["models"] == []
+    assert told[-1]["report"] is None
+
+
+def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: list[dict[str, Any]]) -> None:
+    for line in told[:-1]:
+        assert list(line)[:4] == ["type", "time", "regime", "axes"]
+        assert list(line["axes"]) == list(AXES)
+        for axis in line["axes"].values():
+            assert list(axis)[:8] == ["state", *QUANTITIES, "ci95"]
+            assert {"wind", "wind_ci95"} <= set(axis)
+            assert isinstance(axis["state"], str)
+            assert all(axis[name] is None or isinstance(axis[name], float) for name in [*QUANTITIES, "wind"])
+            assert set(axis["ci95"]) <= set(QUANTITIES)
+            for ends in (*axis["ci95"].values(), axis["wind_ci95"]):
+                assert len(ends) == 2
+                assert all(end is None or isinstance(end, float) for end in ends)
+            for name in QUANTITIES:
+                if axis[name] is not None and None not in axis["ci95"][name]:
+                    assert axis["ci95"][name][0] <= axis[name] <= axis["ci95"][name][1]
+    last = told[-2]["axes"]
+    assert last["x"]["state"] == "known"
+    assert last["x"]["lag"] is None  # this law has none
+    assert last["yaw"]["state"].startswith("not excited")
+    assert {last["yaw"][name] for name in QUANTITIES} == {None}
+
+
+def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> None:
+    """A tracker that raises one alarm, whatever flies."""
+
+    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any) -> Track:
+        states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, (), 1)
+        for state in states:
+            on_state(state)
+        return Track(states, (Regime(0.0, 5.5, None), Regime(5.5, flight.duration, None, alarm)))
+
+    monkeypatch.setattr(replayed, "tracked", tracked)
+
+
+def test_an_alarm_comes_before_the_state_that_knows_of_it(
+    log: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    alarm = Alarm(6.0, ("x", "y"), "limits", (5.2, 5.8), {"x.input": (0.78, 0.86)}, 0.9, 1e-8, "because")
+    faked(monkeypatch, alarm)
+    page = tmp_path / "track.html"
+    told = lines(*log, "-o", str(tmp_path / "model.json"), "--report", str(page))
+
+    assert [line["type"] for line in told] == ["state", "alarm", "state", "state", "end"]
+    assert list(told[1])[:7] == ["type", "time", "axes", "cause", "since", "change", "confidence"]
+    assert told[1]["axes"] == ["x", "y"]
+    assert told[1]["change"] == {"x.input": [0.78, 0.86]}
+    assert told[-1]["alarms"] == 1
+    assert len(told[-1]["regimes"]) == 2
+    assert told[-1]["models"] == []  # both were too short for one
+    assert told[-1]["report"] == str(page)
+    assert "6.0 s: limit or mode" in page.read_text(encoding="utf-8")
+
+
+def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Path) -> None:
+    model, page = tmp_path / "model.json", tmp_path / "track.html"
+    result = CliRunner().invoke(
+        main, ["track", *log, "--structure", LAW, "-o", str(model), "--report", str(page)]
+    )  # fmt: skip
+
+    assert result.exit_code == 0, result.output
+    assert "x    known: input" in result.stdout
+    assert f"Report written to {page}." in result.stdout
+    assert f"rotorfit validate {model} NEXT-FLIGHT.csv" in page.read_text(encoding="utf-8")
+    assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.csv"], "none.csv"),
+        (["LOG", "--card", "no-such-card"], "no-such-card"),
+        (["LOG", "--structure", "best"], "no such structure: 'best'; structures are "),
+        (["LOG", "--false-alarms-per-hour", "0"], "--false-alarms-per-hour"),
+        (["LOG", "--report", "LOG"], "is no earlier result of this kind: not overwritten"),
+        (["LOG", "-o", "nowhere/model.json"], "make it first"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_tracked(words: list[str], said: str, log: tuple[str, ...]) -> None:
+    before = Path(log[0]).read_bytes()
+    given = [log[0] if word == "LOG" else word for word in words]
+    if "--card" not in given:
+        given += log[1:]
+    result = CliRunner().invoke(main, ["track", *given])
+
+    assert result.exit_code in (1, 2)
+    assert said in result.output
+    assert "Traceback" not in result.output
+    error = [line for line in result.output.splitlines() if line and not line.startswith(("Usage:", "Try "))]
+    assert len(error) == 1
+    assert result.stdout == ""
+    assert Path(log[0]).read_bytes() == before

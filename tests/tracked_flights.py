@@ -1,0 +1,68 @@
+"""Tracked flights that several tests look at: each is flown and tracked once."""
+
+import functools
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flights import flown, steps
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import Array
+from rotorfit.core.tracked import Alarm, Track
+from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.tracking.replayed import growing, tracked
+from rotorfit.tracking.tracker import Following
+
+LAW = "first_order_delay"
+"""The law that the paper's vehicle obeys, and what short flights can tell."""
+
+TRUTH = Truth(trim=(0.06, -0.04, 0.03, 0.02))
+LENGTH = 30.0
+
+QUIET_FROM = 14.0
+"""From then on the commands of `rested` stay at zero [s]."""
+
+
+@functools.cache
+def known() -> tuple[Flight, Track]:
+    """A vehicle that stays as it is."""
+    flight = flown(TRUTH, steps(seed=5), LENGTH, seed=5)
+    return flight, tracked(flight, LAW)
+
+
+@functools.cache
+def rested() -> tuple[Flight, Track]:
+    """The same, but nothing is commanded from `QUIET_FROM` on."""
+    moving = steps(seed=5)
+
+    def command(t: Array) -> Array:
+        return np.where((t < QUIET_FROM)[:, None], moving(t), 0.0)
+
+    flight = flown(TRUTH, command, 32.0, seed=5)
+    return flight, tracked(flight, LAW)
+
+
+def changing() -> Any:
+    """The bench's module of flights in which something changes."""
+    bench = str(Path(__file__).resolve().parents[1] / "bench")
+    sys.path.insert(0, bench)
+    try:
+        return importlib.import_module("changing_flights")
+    finally:
+        sys.path.remove(bench)
+
+
+@functools.cache
+def alarms(cause: str, vehicle: str, seed: int = 1, at: float = 25.0, most: float = 10.0) -> Sequence[Alarm]:
+    """The alarms of a flight of the room, up to the first or `most` seconds after the change."""
+    room = changing()
+    flight = room.changing_flight(seed, room.Scenario(cause, vehicle, gusts=0.3, duration=at + most, time=at)).flight
+    following = Following(LAW)
+    for part, now in growing(flight, following.next_look):
+        if found := following.look(part, now).alarms:
+            return found
+    return ()

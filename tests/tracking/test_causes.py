@@ -1,0 +1,64 @@
+"""What a change is called: by which coefficients move together, and which stay."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from rotorfit.core.tracked import Alarm
+from rotorfit.tracking.causes import Diagnosis, diagnosis
+from rotorfit.tracking.changes import EXPECTED, Contrast, Scores
+
+KNOWN = ("x.input", "x.damping", "x.delay"), ("y.input", "y.damping", "y.delay"), (
+    "z.input", "z.damping", "z.delay", "z.trim",
+), ("yaw.input", "yaw.damping", "yaw.delay", "yaw.trim")  # fmt: skip
+
+
+def named(moved: Mapping[str, float], sharp: float = 400.0) -> Diagnosis:
+    """The diagnosis of shifts by logarithms, seconds or accelerations, each known to 1/20 of what is looked for."""
+    parts = []
+    for names in KNOWN:
+        scale = np.array([EXPECTED[name.split(".")[1]] for name in names])
+        shift = np.array([moved.get(name, 0.0) for name in names]) / scale
+        empty = {"time": np.empty(0), "innovation": np.empty(0), "free": np.empty((0, 0)), "names": names}
+        fields = {**empty, "tested": np.empty((0, len(names))), "scale": scale, "doubt": np.zeros(len(names))}
+        missing = {name: np.empty((0, 0)) for name in Scores.__dataclass_fields__ if name not in fields}
+        scores = Scores(**fields, **missing)  # type: ignore[arg-type]
+        precision = sharp * np.eye(len(names))
+        parts.append((scores, Contrast(10.0, shift, precision, float(shift @ precision @ shift), len(names), 1e-9)))
+    return diagnosis(parts)
+
+
+@pytest.mark.parametrize(
+    ("moved", "cause", "axes"),
+    [
+        ({"z.trim": -1.2}, "payload", ("z",)),
+        ({"z.trim": -0.6, "yaw.trim": 1.5}, "thrust", ("z", "yaw")),
+        ({f"{axis}.delay": 0.05 for axis in ("x", "y", "z", "yaw")}, "delay", ("x", "y", "z", "yaw")),
+        ({"x.input": 0.4, "y.input": 0.4}, "limits", ("x", "y")),
+        ({"x.damping": 0.9, "x.delay": -0.04, "x.input": 0.5}, "other", ("x",)),
+    ],
+)
+def test_a_cause_is_named_by_what_moves_together(moved: dict[str, float], cause: str, axes: tuple[str, ...]) -> None:
+    found = named(moved)
+
+    assert found.cause == cause
+    assert found.axes == axes
+    assert found.confidence > 0.8
+    for name, value in moved.items():
+        low, high = found.change[name]
+        expected = value if name.endswith((".delay", ".trim")) else np.exp(value)
+        assert low < expected < high
+
+
+def test_what_is_told_badly_is_named_with_little_confidence() -> None:
+    assert named({"z.trim": -0.3, "yaw.trim": 0.3}, sharp=4.0).confidence < 0.8
+
+
+def test_an_alarm_as_json_has_the_promised_keys() -> None:
+    alarm = Alarm(41.3, ("x", "y"), "limits", (38.9, 40.2), {"x.input": (0.78, 0.86)}, 0.9, 1e-8, "because")
+
+    told = alarm.to_mapping()
+    assert list(told)[:7] == ["type", "time", "axes", "cause", "since", "change", "confidence"]
+    assert told["type"] == "alarm"
+    assert told["change"] == {"x.input": [0.78, 0.86]}

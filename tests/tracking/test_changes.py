@@ -1,0 +1,83 @@
+"""The test for a change: silent in noise of any colour, and found where coefficients move; then the room's changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorfit.tracking.changes import Scores, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.following import refitted
+from tracked_flights import LAW, alarms, known
+
+pytestmark = pytest.mark.flights
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def scores() -> Scores:
+    """Those of z, 30 s."""
+    followed = refitted(known()[0], ("z",), LAW, 30.0)
+    return scores_of(list(followed.estimates.items()), {})
+
+
+def least(scores: Scores) -> float:
+    """The smallest p-value of a look, times how many were looked at."""
+    return min((one.p_value for one in looked_for(scores)), default=1.0) * looks(scores)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.5])
+def test_noise_alone_alarms_no_more_often_than_was_promised(scores: Scores, colour: float) -> None:
+    rng, found = np.random.default_rng(7), []
+    for _ in range(100):
+        noise = rng.standard_normal(scores.time.size)
+        for i in range(1, noise.size):
+            noise[i] += colour * noise[i - 1]
+        found.append(least(replace(scores, innovation=noise)))
+
+    assert sum(p < 0.05 for p in found) <= 12  # 5 are promised at the most
+    assert min(found) > 1e-4
+
+
+def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores: Scores) -> None:
+    begun = float(scores.time[-1]) - 6.0
+    moved = scores.names.index("z.input")
+    innovation = np.random.default_rng(3).standard_normal(scores.time.size)
+    innovation[scores.time >= begun] -= scores.tested[scores.time >= begun, moved]  # by 0.3 of the logarithm, downwards
+    changed = replace(scores, innovation=innovation)
+    first = min(looked_for(changed), key=lambda one: one.p_value)
+    best, (low, high) = since_when(changed, first)
+
+    assert first.p_value * looks(changed) < 1e-6
+    assert low - 0.5 <= begun <= high + 0.5
+    assert best.shift[moved] == pytest.approx(-1.0, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    ("cause", "vehicle", "named", "axes"),
+    [
+        ("limits", "bebop2", "limits", {"x", "y"}),
+        ("delay", "bebop2", "delay", {"x", "y", "z", "yaw"}),  # at least those that tell it by then
+        ("picked_up", "tello", "payload", {"z"}),
+    ],
+)
+def test_a_change_of_the_room_is_found_and_named(cause: str, vehicle: str, named: str, axes: set[str]) -> None:
+    found = alarms(cause, vehicle, at=30.0)
+
+    assert len(found) == 1
+    alarm = found[0]
+    assert alarm.cause == named
+    assert {"x", "y"} & axes <= set(alarm.axes) <= axes
+    assert 30.0 < alarm.time <= 40.0
+    assert alarm.since[0] - 1.5 <= 30.0 <= alarm.since[1] + 1.5
+    assert alarm.confidence > 0.5
+    assert {name.split(".")[0] for name in alarm.change} == set(alarm.axes)
+    if named == "delay":
+        assert all(low < 0.05 < high + 0.01 for low, high in alarm.change.values())
+    if named == "limits":
+        low, high = alarm.change["x.input"]
+        assert low < np.tan(np.radians(15)) / np.tan(np.radians(10)) < high
+
+
+def test_wind_that_rises_is_no_changed_vehicle() -> None:
+    assert alarms("wind", "bebop2", at=30.0) == ()

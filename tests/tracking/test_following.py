@@ -1,0 +1,50 @@
+"""Steps between refits lead to where the batch estimator stands, and never say more than it does."""
+
+import pytest
+
+from rotorfit.tracking.following import Followed, refitted, said, stepped
+from rotorfit.tracking.replayed import until
+from tracked_flights import LAW, known
+
+pytestmark = pytest.mark.flights
+
+
+@pytest.fixture(scope="module")
+def early() -> Followed:
+    return refitted(until(known()[0], 18.0), ("z",), LAW, 18.0)
+
+
+def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> None:
+    flight = known()[0]
+    whole = said(refitted(flight, ("z",), LAW, 30.0), "z")
+    moved = early
+    for now in (21.0, 24.0, 27.0, 30.5, 30.5):
+        moved = stepped(moved, until(flight, now), now)
+    told = said(moved, "z")
+
+    for name, value in whole.values.items():
+        if value is not None:
+            low, high = whole.ci95[name]
+            assert low is not None
+            assert high is not None
+            assert told.values[name] == pytest.approx(value, abs=0.05 * (high - low))
+            near, far = told.ci95[name]
+            assert near is not None
+            assert far is not None
+            assert far - near == pytest.approx(high - low, rel=0.25)
+
+
+def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: Followed) -> None:
+    told = said(early, "z")
+
+    for name, (low, high) in told.ci95.items():
+        least, most = told.ci95_vehicle[name]
+        assert low is None or least is None or least <= low + 1e-12
+        assert high is None or most is None or most >= high - 1e-12
+
+
+def test_of_an_axis_that_is_not_followed_nothing_is_said(early: Followed) -> None:
+    told = said(early, "x")
+
+    assert set(told.values.values()) == {None}
+    assert told.ci95 == told.ci95_vehicle == {}

@@ -1,0 +1,80 @@
+"""A recorded flight as if live: what is told when, that it holds, and that the end is what the whole flight tells."""
+
+import numpy as np
+import pytest
+
+from flights import truth_of
+from rotorfit.core.model import COEFFICIENTS
+from rotorfit.estimation.fitting import fit
+from rotorfit.tracking.replayed import growing, until
+from tracked_flights import LAW, LENGTH, QUIET_FROM, TRUTH, known, rested
+
+pytestmark = pytest.mark.flights
+
+
+def test_at_each_second_only_what_had_come_is_looked_at() -> None:
+    flight, track = known()
+    times = [state.time for state in track.states]
+
+    assert times == [*np.arange(5.0, LENGTH), pytest.approx(LENGTH, abs=0.1)]
+    for part, now in growing(flight, 5.0):
+        assert max(part.pose_time[-1], part.command_time[-1], part.segments[-1].end, part.span[1]) <= now
+    assert until(flight, 12.5).pose_time.size == np.searchsorted(flight.pose_time, 12.5, side="right")
+
+
+def test_landing_is_the_fit_of_the_whole_flight_and_the_second_before_is_near() -> None:
+    flight, track = known()
+    batch = fit([flight], structure=LAW).model.axes
+    before, landed = track.states[-2].axes, track.states[-1].axes
+
+    for axis in flight.axes:
+        for name in COEFFICIENTS:
+            error = batch[axis].stderr[name]
+            assert error is not None
+            assert landed[axis].values[name] == pytest.approx(getattr(batch[axis], name), abs=1e-3 * error)
+            assert before[axis].values[name] == pytest.approx(getattr(batch[axis], name), abs=0.5 * error)
+    assert len(track.regimes) == 1
+    assert track.regimes[0].model is not None
+    assert track.regimes[0].model.axes["x"].input == pytest.approx(batch["x"].input)
+
+
+@pytest.mark.parametrize("moment", [10.0, 20.0, LENGTH])
+def test_intervals_hold_the_truth_at_any_moment_and_are_worth_having(moment: float) -> None:
+    _, track = known()
+    state = min(track.states, key=lambda one: abs(one.time - moment))
+    held, shares = [], []
+    for axis, one in state.axes.items():
+        for name, true in truth_of(TRUTH, axis).items():
+            low, high = one.ci95[name]
+            held.append((low is None or low <= true) and (high is None or true <= high))
+        value, (low, high) = one.values["input"], one.ci95["input"]
+        assert value is not None
+        assert low is not None
+        assert high is not None
+        shares.append((high - low) / value)
+
+    assert len(held) == 12
+    assert sum(held) >= 10  # of 95 % intervals; fewer in one of fifty such flights
+    assert np.median(shares) < 0.4
+
+
+def test_nothing_changed_and_nothing_is_raised() -> None:
+    assert known()[1].alarms == ()
+    assert rested()[1].alarms == ()
+
+
+def test_without_commands_the_last_values_hold_and_no_interval_narrows() -> None:
+    _, track = rested()
+    holding = [state for state in track.states[:-1] if state.time > QUIET_FROM + 6.0]
+    first = holding[0].axes
+
+    assert len(holding) > 10
+    for axis in first:
+        for state in holding:
+            one = state.axes[axis]
+            assert one.knowledge == "holding"
+            assert one.state.startswith("holding (no excitation for ")
+            assert one.values == first[axis].values
+            assert one.ci95 == first[axis].ci95
+    words = [state.axes["x"].state for state in holding]
+    assert len(set(words)) == len(words)  # they count the seconds

@@ -1,0 +1,86 @@
+"""Samples in, states out: the same as from the recorded flight, whatever the order they come in."""
+
+import numpy as np
+import pytest
+
+from flights import CARD
+from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import AXES
+from rotorfit.core.log import Sample
+from rotorfit.core.tracked import Tracked
+from rotorfit.tracking.tracker import Tracker
+from tracked_flights import LAW, known
+
+pytestmark = pytest.mark.flights
+
+LAST = 13.5
+"""So much of the flight is given to trackers here [s]."""
+
+
+def samples_of(flight: Flight) -> list[Sample]:
+    """Poses and commands in the order of their stamps."""
+    out = []
+    for t, position, yaw in zip(flight.pose_time, flight.position, flight.yaw, strict=True):
+        quaternion = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
+        out.append(Sample("pose", round(1e9 * t), round(1e9 * t), (*position.tolist(), *quaternion)))
+    for t, command in zip(flight.command_time, flight.command, strict=True):
+        out.append(Sample("command", round(1e9 * t), round(1e9 * t), tuple(command.tolist())))
+    return sorted((one for one in out if one.stamp < LAST * 1e9), key=lambda one: one.stamp)
+
+
+def state_of(samples: list[Sample]) -> Tracked:
+    tracker = Tracker(CARD, LAW, origin=0)
+    for sample in samples:
+        tracker.update(sample)
+    return tracker.state()
+
+
+@pytest.fixture(scope="module")
+def live() -> Tracked:
+    return state_of(samples_of(known()[0]))
+
+
+def test_a_live_stream_tells_what_the_log_tells(live: Tracked) -> None:
+    recorded = next(state for state in known()[1].states if state.time == 13.0)
+
+    assert live.time == pytest.approx(13.0, abs=0.05)
+    for axis in AXES:
+        assert live.axes[axis].knowledge == recorded.axes[axis].knowledge
+        for name, value in recorded.axes[axis].values.items():
+            if value is not None:
+                low, high = recorded.axes[axis].ci95[name]
+                assert low is not None
+                assert high is not None
+                assert live.axes[axis].values[name] == pytest.approx(value, abs=0.25 * (high - low))
+
+
+def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
+    samples, out = samples_of(known()[0]), []
+    for k, sample in enumerate(samples):
+        out.append(sample)
+        if k % 7 == 0:
+            out.append(sample)
+        if k % 50 == 49:
+            out.append(samples[k - 20])
+        if k % 100 == 0:
+            out.append(Sample(sample.stream, sample.stamp + 1, sample.stamp, (float("nan"),) * len(sample.values)))
+        if k % 100 == 50:
+            out.append(Sample("said", sample.stamp, sample.stamp, (), "battery is low"))
+
+    assert state_of(out).axes == live.axes
+
+
+def test_nothing_is_told_before_5_s() -> None:
+    few = state_of([one for one in samples_of(known()[0]) if one.stamp < 4.9e9])
+
+    assert {axis.knowledge for axis in few.axes.values()} == {"learning"}
+    assert {value for axis in few.axes.values() for value in axis.values.values()} == {None}
+    assert all(not axis.ci95 for axis in few.axes.values())
+
+
+def test_a_tracker_that_saw_nothing_ends_without_regimes() -> None:
+    state, regimes = Tracker(CARD).finish()
+
+    assert state.time == 0.0
+    assert regimes == ()
+    assert state.alarms == ()
