@@ -156,6 +156,13 @@ class Alarm:
         }
 
 
+def alarm_from_mapping(mapping: Mapping[str, Any]) -> Alarm:
+    """The alarm whose attributes a file holds."""
+    pairs = {name: tuple(mapping[name]) for name in ("axes", "since")}
+    change = {name: tuple(ends) for name, ends in mapping["change"].items()}
+    return Alarm(**{**mapping, **pairs, "change": change})
+
+
 @dataclass(frozen=True)
 class Regime:
     """A stretch of flight in which the vehicle was one and the same.

@@ -7,6 +7,7 @@ whatever is on the disk can be read from front to back.
 Source: https://mcap.dev/spec for the file, OMG DDSI-RTPS 2.3, 10 (plain CDR, little endian) for the messages.
 """
 
+import json
 import struct
 import threading
 import time
@@ -162,6 +163,16 @@ class Recorder:
         """Something that happened [ns]."""
         data = text.encode() + b"\0"
         self._add(EVENTS, stamp, _LENGTH.pack(_CDR, len(data)) + data)
+
+    def told(self, topic: str, stamp: int, mapping: Mapping[str, Any]) -> None:
+        """Plain types as a message of JSON [ns]."""
+        if topic not in self._channel:
+            schema = self._writer.register_schema(
+                topic.strip("/").replace("/", "."), "jsonschema", b'{"type": "object"}'
+            )
+            self._channel[topic] = self._writer.register_channel(topic, "json", schema)
+        data = json.dumps(mapping, allow_nan=False).encode()
+        self._writer.add_message(self._channel[topic], stamp, data, stamp)
 
     def stalled(self) -> bool:
         """Whether the disk has taken nothing for `STALLED` seconds."""

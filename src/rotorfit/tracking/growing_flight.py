@@ -25,6 +25,9 @@ from rotorfit.tracking.pose_watch import FROZEN, PoseWatch
 KEPT = 900.0
 """Time that is remembered [s]."""
 
+REMEMBERED = 300.0
+"""Time of it that `memory` gives [s]: what an estimate looks back over."""
+
 HOLD = 1.0
 """Time that a command acts if no other follows, where the card does not say [s]."""
 
@@ -114,7 +117,7 @@ class GrowingFlight:
         self._counts: Counter[str] = Counter()
         self._watch, self._ground = PoseWatch(), Ground()
         self._alarms: list[Alarm] = []
-        self._obeys, self._newest = True, -np.inf
+        self._obeys, self._newest, self._resumed = True, -np.inf, False
         self.now = 0.0
 
     def add(self, sample: Sample) -> bool:
@@ -126,6 +129,10 @@ class GrowingFlight:
         stamp = self._clocks[sample.stream].stamp(sample)
         if stamp is None:
             return self._left_out("strange_stamps")
+        if self._resumed and self._origin is not None:
+            self._resumed = False
+            if (stamp - self._origin) / 1e9 < self.now - HOLD:  # the clock is another one than before the restart
+                self._origin = stamp - round((self.now + HOLD) * 1e9)
         time = 0.0 if self._origin is None else (stamp - self._origin) / 1e9
         if sample.stream == "command" and not _is_sound(sample):
             return self._without_command(time)
@@ -244,8 +251,8 @@ class GrowingFlight:
         return {
             "origin": np.array(self._origin),
             "now": np.array(self.now),
-            "commands": self._commands.all.copy(),
-            "poses": self._poses.all.copy(),
+            **_packed("commands", self._commands.all, self.now - REMEMBERED),
+            **_packed("poses", self._poses.all, self.now - REMEMBERED),
             "by_arrival": np.array(clocks),
             "obeys": np.array(self._obeys),
             "jumps": np.array(self._watch.jumps),
@@ -260,10 +267,11 @@ class GrowingFlight:
         if not memory:
             return
         self._origin, self.now = int(memory["origin"]), float(memory["now"])
-        self._newest = float(memory["poses"][-1, 0]) if len(memory["poses"]) else -np.inf
+        self._newest = float(np.max(memory["poses_time"], initial=-np.inf))
+        self._resumed = True
         for rows, name in ((self._commands, "commands"), (self._poses, "poses")):
-            for row in memory[name].tolist():
-                rows.append(row[0], row[1:])
+            for t, row in zip(memory[f"{name}_time"].tolist(), memory[name].tolist(), strict=True):
+                rows.append(t, row)
         for name, by_arrival in zip(_LENGTH, memory["by_arrival"].tolist(), strict=True):
             self._clocks[name].by_arrival = by_arrival
         self._obeys = bool(memory["obeys"])
@@ -281,6 +289,12 @@ LEFT_OUT = {
     "not_numbers": "samples are no numbers: left out",
 }
 """What is said of samples that do not count."""
+
+
+def _packed(name: str, rows: Array, begin: float) -> dict[str, Array]:
+    """The newest rows, values in single precision: a micrometre at ten metres."""
+    new = rows[np.searchsorted(rows[:, 0], begin) :]
+    return {f"{name}_time": new[:, 0].copy(), name: new[:, 1:].astype(np.float32)}
 
 
 def _is_sound(sample: Sample) -> bool:

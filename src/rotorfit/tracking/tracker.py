@@ -4,8 +4,10 @@ Every sample goes into the growing flight and costs no more than that. Once a se
 take a step, the last seconds are compared with the rest, and the state is put together. It never commands a vehicle.
 """
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
 from rotorfit.core.model import Interval
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis
+from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -96,10 +98,25 @@ class Tracker:
     def _look(self, now: float) -> None:
         if flight := self._growing.flight():
             self._state = self._following.look(flight, now)
+        else:
+            self._following.next_look = now + EVERY
 
     def state(self) -> Tracked:
         """What was known at the last look, at most a second of flight ago."""
         return self._state
+
+    def flight(self) -> Flight | None:
+        """The flight so far, as far as it is remembered; None before the first command and pose."""
+        return self._growing.flight()
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` of another tracker goes on from, as arrays: the flight so far, and its regimes."""
+        return {**self._growing.memory(), "following": np.array(json.dumps(self._following.memory()))}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Goes on from what `memory` gave; before the first sample."""
+        self._growing.recall(memory)
+        self._following.recall(json.loads(str(memory["following"])))
 
     def finish(self) -> tuple[Tracked, tuple[Regime, ...]]:
         """What is known at the end, by a last fit, and every regime with its model."""
@@ -138,6 +155,16 @@ class Following:
         self._groups = {axes: group for axes, group in self._groups.items() if axes in groups_of([flight], flight.axes)}
         alarm = self._change(now)
         return self._tracked(flight, now, (alarm,) if alarm else ())
+
+    def memory(self) -> dict[str, Any]:
+        """Regimes and the next look, as plain types; estimates are found anew."""
+        bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
+        return {"since": self._since, "changed": self._changed, "bounds": bounds, "next_look": float(self.next_look)}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Goes on from what `memory` gave."""
+        self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
+        self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The last look, each group fitted once more, and the regimes with their models.

@@ -11,12 +11,41 @@ import click
 from rotorfit.app.cli.options import card_option, file_at, say_kept, structure_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rotorfit.app.live.serving import Views
+    from rotorfit.core.flight_data import Flight
     from rotorfit.core.tracked import Track, Tracked
+
+PORT = click.IntRange(0, 65535)
 
 
 @click.command()
-@click.argument("log", metavar="LOG")
+@click.argument("log", metavar="[LOG]", required=False)
+@click.option(
+    "--link", metavar="NAME[:ADDRESS]", help="Listen to a vehicle that somebody else flies: sim, ros2, mavlink."
+)
 @card_option("the one that fits")
+@click.option("--for", "seconds", type=click.FloatRange(min=0.1), metavar="S", help="Listen for so many seconds.")
+@click.option(
+    "--patience",
+    type=click.FloatRange(min=0.0),
+    default=60.0,
+    show_default=True,
+    metavar="S",
+    help="How long a vehicle that is silent is waited for.",
+)
+@click.option("--record", type=file_at(), metavar="F.mcap", help="Record what is heard, states and alarms beside it.")
+@click.option("--state", "memory", type=file_at(), metavar="FILE", help="Remember in a file, and go on from it.")
+@click.option("--page", type=PORT, is_flag=False, flag_value=0, metavar="[PORT]", help="A live page on 127.0.0.1.")
+@click.option(
+    "--foxglove",
+    type=PORT,
+    is_flag=False,
+    flag_value=8765,
+    metavar="[PORT]",
+    help="A Foxglove WebSocket on 127.0.0.1, which PlotJuggler reads, too; default: 8765.",
+)
 @click.option("--jsonl", is_flag=True, help="Print one JSON object a line: states, alarms, and the end.")
 @click.option(
     "--false-alarms-per-hour",
@@ -36,58 +65,146 @@ if TYPE_CHECKING:
     "--pace",
     type=click.FloatRange(min=0.01),
     metavar="P",
-    help="Seconds of flight a second: 1 is as it was flown. Default: as fast as it goes.",
+    help="Seconds of flight a second: 1 is as it was flown, and the default of a link; of a log, as fast as it goes.",
 )
 @click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model; of several regimes each.")
-@click.option("--report", "page", type=file_at(), metavar="track.html", help="Write a page about the flight.")
+@click.option("--report", type=file_at(), metavar="track.html", help="Write a page about the flight.")
 def track(
-    log: str,
+    log: str | None,
+    link: str | None,
     card: str | None,
+    seconds: float | None,
+    patience: float,
+    record: Path | None,
+    memory: Path | None,
+    page: int | None,
+    foxglove: int | None,
     jsonl: bool,
     false_alarms: float,
     structure: Any,
     pace: float | None,
     output: Path | None,
-    page: Path | None,
+    report: Path | None,
 ) -> None:
-    """Follow the model while the vehicle flies, and tell when it changes."""
+    """Follow the model while the vehicle flies, and tell when it changes. Nothing is commanded."""
+    from rotorfit.app.live.serving import Views
     from rotorfit.app.terminal import show
-    from rotorfit.app.terminal.tracking import news, track_view
-    from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination, load_flight
+    from rotorfit.app.terminal.tracking import track_view
+    from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination
+
+    if (log is None) == (link is None):
+        raise click.UsageError("name a LOG, or a --link to listen to: one of the two")
+    if link is None and (record or memory or seconds):
+        raise click.UsageError("--record, --state and --for are for a --link; a LOG is a recording, whole")
+    if output:
+        check_destination(output, MODEL_MARK)
+    if report:
+        check_destination(report, REPORT_MARK)
+    lost = ""
+    with Views(page, foxglove, lambda text: click.echo(text, err=True)) as views:
+        if link is not None:
+            result, flight, lost = _listened(
+                link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views
+            )
+        else:
+            result, flight = _replayed(str(log), card, pace, structure, false_alarms, jsonl, views)
+        files = _written(result, output) if output else [None] * len(result.regimes)
+        if report and flight:
+            from rotorfit.reporting import write_timeline
+
+            say_kept(write_timeline(result, flight, report, files))
+        if jsonl:
+            click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
+        else:
+            show(track_view(result))
+            if report and flight:
+                click.echo(f"Report written to {report}.")
+    if lost:
+        from rotorfit.core.errors import LinkError
+
+        raise LinkError(f"{link}: {lost}")
+
+
+def _replayed(
+    log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views"
+) -> tuple["Track", "Flight"]:
+    """A log, as if live, and its flight."""
+    from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
     from rotorfit.tracking.replayed import tracked
 
-    if output:
-        check_destination(output, MODEL_MARK)
-    if page:
-        check_destination(page, REPORT_MARK)
     flight = load_flight(parse_log(log), card)
-    begun = time.monotonic()
+    begun, show_state = time.monotonic(), _shown(jsonl)
+
+    def told(state: "Tracked") -> None:
+        if pace:
+            time.sleep(max(state.time / pace - (time.monotonic() - begun), 0.0))
+        views.state(state, round(state.time * 1e9))
+        show_state(state)
+
+    return tracked(flight, structure, false_alarms, told), flight
+
+
+def _listened(
+    link: str, card: str | None, seconds: float | None, patience: float, record: Path | None, memory: Path | None,
+    pace: float, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
+) -> tuple["Track", "Flight | None", str]:  # fmt: skip
+    """A link, what of its flight is remembered, and why it was lost; empty where it was not."""
+    from rotorfit.app.live.outlets import Outlet, Recording, Remembering, recalled
+    from rotorfit.app.live.session import card_for_link, followed
+    from rotorfit.app.terminal.cockpit import shown_line
+    from rotorfit.app.terminal.tracking import line_of
+    from rotorfit.flying.links.opening import open_listener
+    from rotorfit.flying.listening import Listening
+    from rotorfit.flying.mission import check_new
+    from rotorfit.flying.operator import operator_abort
+    from rotorfit.tracking.tracker import Tracker
+
+    if record:
+        check_new(record)
+    chosen = card_for_link(link, card)
+    tracker = Tracker(chosen, structure, false_alarms)
+
+    def say(text: str) -> None:
+        click.echo(f"{link}: {text}", err=True)
+
+    if memory and recalled(memory, tracker):
+        say(f"goes on from {memory}")
+    show_state = _shown(jsonl)
+    with operator_abort() as abort:
+        listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
+        if link.startswith("sim"):
+            from rotorfit.flying.links.sim_pilot import NAME
+
+            say(NAME)
+        outlets: list[Outlet] = [views]
+        outlets += [Recording(record, chosen, link)] if record else []
+        outlets += [Remembering(memory, tracker)] if memory else []
+        with shown_line(lambda: line_of(tracker.state())):
+            result = followed(tracker, listening, outlets, show_state, say)
+    if not listening.lost:
+        say(f"ended: {listening.ended}")
+    return result, tracker.flight(), listening.ended if listening.lost else ""
+
+
+def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
+    """Prints each state, at once: as JSON, or what is new in it."""
+    from rotorfit.app.live.outlets import lines_of
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.tracking import news
+
     before: Tracked | None = None
 
     def told(state: "Tracked") -> None:
         nonlocal before
-        if pace:
-            time.sleep(max(state.time / pace - (time.monotonic() - begun), 0.0))
         if jsonl:
-            for line in (*(alarm.to_mapping() for alarm in state.alarms), state.to_mapping()):
-                click.echo(json.dumps(line, allow_nan=False))
+            for line in lines_of(state):
+                click.echo(line)  # which flushes
         else:
             show(news(before, state))
         before = state
 
-    result = tracked(flight, structure, false_alarms, told)
-    files = _written(result, output) if output else [None] * len(result.regimes)
-    if page:
-        from rotorfit.reporting import write_timeline
-
-        say_kept(write_timeline(result, flight, page, files))
-    if jsonl:
-        click.echo(json.dumps(_end(result, files, page), allow_nan=False))
-    else:
-        show(track_view(result))
-        if page:
-            click.echo(f"Report written to {page}.")
+    return told
 
 
 def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> dict[str, Any]:

@@ -61,33 +61,51 @@ def next_command(paths: Sequence[str]) -> str:
 
 
 @contextmanager
-def status_line() -> Iterator[Callable[["Status"], None] | None]:
-    """Shows the last status in one line on stderr, where that is a terminal, from a thread of its own.
+def status_line(said: Callable[[], str] = lambda: "") -> Iterator[Callable[["Status"], None] | None]:
+    """Shows the last status of a flight in one line.
 
-    A terminal that does not keep up must not hold up the flight.
+    Args:
+        said: What else there is to say, before it.
+    """
+    last: list[Any] = [None]
+
+    def told(status: "Status") -> None:
+        last[0] = status
+
+    with shown_line(lambda: f"{said()}{status_text(last[0])}" if last[0] else "") as shows:
+        yield told if shows else None
+
+
+@contextmanager
+def shown_line(text: Callable[[], str]) -> Iterator[bool]:
+    """Shows a line on stderr, where that is a terminal, again and again, from a thread of its own.
+
+    A terminal that does not keep up must not hold up what is shown.
+
+    Args:
+        text: The line now; empty while there is none.
+
+    Yields:
+        Whether there is a terminal.
     """
     if not sys.stderr.isatty():
-        yield None
+        yield False
         return
-    last: list[Any] = [None]
     over = threading.Event()
 
     def run() -> None:
         with suppress(OSError):  # a terminal that was closed
             while not over.wait(PERIOD):
-                if last[0] is not None:
-                    sys.stderr.write(f"\r\033[K{status_text(last[0])}")
+                if line := text():
+                    sys.stderr.write(f"\r\033[K{line}")
                     sys.stderr.flush()
             sys.stderr.write("\r\033[K")
             sys.stderr.flush()
 
-    def told(status: "Status") -> None:
-        last[0] = status
-
     thread = threading.Thread(target=run, name="rotorfit-status", daemon=True)
     thread.start()
     try:
-        yield told
+        yield True
     finally:
         over.set()
         thread.join(1.0)

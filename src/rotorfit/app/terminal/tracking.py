@@ -34,6 +34,12 @@ def _numbers(axis: TrackedAxis) -> str:
     return f": {', '.join(known)}" if known and axis.knowledge in ("known", "not_identifiable") else ""
 
 
+def line_of(state: Tracked) -> str:
+    """The state in one line, while it is followed."""
+    axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
+    return f"{state.time:.0f} s: {axes or 'listening'}  (Ctrl-C ends)"
+
+
 def alarm_view(alarm: Alarm) -> View:
     """What changed, since when, by how much, and why it is probably that."""
     low, high = alarm.since

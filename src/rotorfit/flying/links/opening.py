@@ -24,7 +24,7 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
     Raises:
         LinkError: No such link, something to install is missing, or nobody answers.
     """
-    name, address = _split(text)
+    name, address = split(text)
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
     with _told_to_install(name):
@@ -51,14 +51,24 @@ def open_listener(text: str, card: Card) -> Link:
     Raises:
         LinkError: No such link, one that cannot be shared, something to install is missing, or nobody is heard.
     """
-    name, address = _split(text)
+    check_listens(text)
+    name, address = split(text)
+    with _told_to_install(name):
+        link: Link = import_module(LINKS[name].listens).open_listener(address, card)
+        return link
+
+
+def check_listens(text: str) -> None:
+    """Refuses a link that is none, or that cannot be shared with who commands it.
+
+    Raises:
+        LinkError: It is one of them.
+    """
+    name, _ = split(text)
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
     if not LINKS[name].listens:
         raise LinkError(f"--link {text}: nobody can listen to it: {LINKS[name].alone}")
-    with _told_to_install(name):
-        link: Link = import_module(LINKS[name].listens).open_listener(address, card)
-        return link
 
 
 def simulated_at(text: str, start: Four, seed: int = 0, flying: bool = True) -> str:
@@ -70,14 +80,14 @@ def simulated_at(text: str, start: Four, seed: int = 0, flying: bool = True) -> 
         seed: Of wind, noise and radio.
         flying: Whether the vehicle is in the air already.
     """
-    name, _ = _split(text)
+    name, _ = split(text)
     if name not in LINKS or not LINKS[name].simulated:
         return text
     place = "/".join(repr(float(value)) for value in start)
     return f"{text},start={place},seed={seed},flying={'yes' if flying else 'no'}"
 
 
-def _split(text: str) -> tuple[str, str]:
+def split(text: str) -> tuple[str, str]:
     """Name and address; options may follow the name itself, as in `sim,wind=2`."""
     name = re.split("[:,]", text, maxsplit=1)[0]
     return name, text[len(name) :].removeprefix(":")

@@ -54,7 +54,7 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
 
     Args:
         address: Path of the log.
-        card: Reads the log where it carries no card of its own and no built-in one fits.
+        card: Reads the log.
 
     Raises:
         LinkError: No path.
@@ -62,12 +62,7 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
     """
     if not address:
         raise LinkError("--link replay needs a log: replay:FILE")
-    log = read(address)
-    try:
-        own = card_of(log)
-    except CardError:
-        own = card
-    flight = flight_from_log(log, own)
+    flight = flight_from_log(read(address), card)
     half = flight.yaw / 2
     attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     parts: tuple[tuple[Literal["pose", "command"], Array, Array], ...] = (

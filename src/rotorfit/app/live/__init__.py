@@ -1,0 +1,1 @@
+"""A vehicle that is followed while it flies: where its states and alarms go, besides the terminal."""

@@ -1,0 +1,176 @@
+"""Where samples and states go while a vehicle is followed: a recording, a file to go on from, a page, Foxglove."""
+
+import io
+import json
+import threading
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import LogError
+from rotorfit.core.log import Sample
+from rotorfit.core.tracked import Tracked
+from rotorfit.core.writing import write_whole
+from rotorfit.flying.recorder import Recorder, card_as_recorded, record
+from rotorfit.tracking.growing_flight import ONE_CLOCK
+from rotorfit.tracking.tracker import Tracker
+
+TRACKED, ALARM = "/rotorfit/tracked", "/rotorfit/alarm"
+"""Topics of states and alarms, JSON as the lines of `rotorfit track --jsonl`."""
+
+REMEMBER_EVERY = 1.0
+"""Time between two writings of what is remembered [s]."""
+
+
+class Outlet(Protocol):
+    """Where something goes."""
+
+    def heard(self, samples: Sequence[Sample], now: int) -> None:
+        """Samples as they came, and the link's clock [ns]."""
+
+    def state(self, state: Tracked, now: int) -> None:
+        """A new state, with its alarms, and the link's clock [ns]."""
+
+    def close(self) -> None:
+        """The end."""
+
+
+class Recording:
+    """An MCAP file that `fit` reads, with states and alarms beside the samples.
+
+    Args:
+        path: Of a file that does not exist yet.
+        card: What the samples mean.
+        link: Name, for the file.
+    """
+
+    def __init__(self, path: Path, card: Card, link: str) -> None:
+        self._path, self._card, self._link = path, card, link
+        self._recorder: Recorder | None = None
+        self._waiting: list[Sample] = []
+
+    def heard(self, samples: Sequence[Sample], now: int) -> None:
+        """Writes; the file begins with the first pose, which tells by which clock poses are to be timed."""
+        self._waiting += samples
+        pose = next((one for one in self._waiting if one.stream == "pose"), None)
+        if self._recorder is None:
+            if pose is None:
+                del self._waiting[:-1000]
+                return
+            import tomli_w
+
+            one_clock = ONE_CLOCK[0] <= (pose.received - pose.stamp) / 1e9 <= ONE_CLOCK[1]
+            card = card_as_recorded(self._card.raw, "header.stamp" if one_clock else "log_time")
+            self._recorder = record(self._path, {"card": tomli_w.dumps(card), "link": self._link})
+            self._recorder.window(min(now, self._waiting[0].received), True)
+        for sample in self._waiting:
+            self._recorder.sample(sample)
+        self._waiting.clear()
+
+    def state(self, state: Tracked, now: int) -> None:
+        """Writes a state and its alarms, these as events, too."""
+        if self._recorder is None:
+            return
+        for alarm in state.alarms:
+            self._recorder.told(ALARM, now, alarm.to_mapping())
+            self._recorder.event(now, f"ALARM {', '.join(alarm.axes)}: {alarm.cause}: {alarm.why}")
+        self._recorder.told(TRACKED, now, state.to_mapping())
+
+    def close(self) -> None:
+        """Ends the file.
+
+        Raises:
+            LogError: The disk did not take all of it.
+        """
+        if self._recorder is not None:
+            self._recorder.close()
+            if self._recorder.fault:
+                raise LogError(self._recorder.fault)
+
+
+class Remembering:
+    """A file from which a tracker goes on after whatever ended it, written whole once a second by a thread of its own.
+
+    Args:
+        path: Of the file.
+        tracker: What is remembered.
+    """
+
+    def __init__(self, path: Path, tracker: Tracker) -> None:
+        self._path, self._tracker, self._next = path, tracker, 0
+        self._memory: Mapping[str, Any] | None = None
+        self._over, self._due = threading.Event(), threading.Event()
+        self.fault = ""
+        self._thread = threading.Thread(target=self._run, name="rotorfit-remembering", daemon=True)
+        self._thread.start()
+
+    def heard(self, _samples: Sequence[Sample], now: int) -> None:
+        """Hands over what is remembered, when it is time."""
+        if now >= self._next:
+            self._next = now + round(REMEMBER_EVERY * 1e9)
+            self._memory = self._tracker.memory()
+            self._due.set()
+
+    def state(self, _state: Tracked, _now: int) -> None:
+        """Nothing: the samples say it all."""
+
+    def close(self) -> None:
+        """Writes the last.
+
+        Raises:
+            LogError: The disk did not take it.
+        """
+        self._memory = self._tracker.memory()
+        self._over.set()
+        self._due.set()
+        self._thread.join()
+        if self.fault:
+            raise LogError(self.fault)
+
+    def _run(self) -> None:
+        """The thread; its only way to fail is told in `fault`."""
+        last = False
+        while not last:
+            self._due.wait()
+            self._due.clear()
+            last = self._over.is_set()
+            memory = self._memory
+            if not memory or "origin" not in memory:
+                continue
+            packed = io.BytesIO()
+            np.savez(packed, **memory)
+            try:
+                write_whole(self._path, packed.getvalue(), keep=False)
+                self.fault = ""
+            except OSError as error:
+                self.fault = f"{self._path}: {error.strerror}; what is remembered was not written"
+
+
+def recalled(path: Path, tracker: Tracker) -> bool:
+    """Lets a tracker go on from a file of `Remembering`; whether there was one.
+
+    Raises:
+        LogError: It is another file.
+    """
+    if not path.exists():
+        return False
+    try:
+        with np.load(path, allow_pickle=False) as memory:
+            tracker.recall({name: memory[name] for name in memory.files})
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise LogError(
+            f"{path}: is not what `rotorfit track --state` wrote ({type(error).__name__}); name another file"
+        ) from None
+    return True
+
+
+def lines_of(state: Tracked) -> list[str]:
+    """A state and its alarms as lines of JSON."""
+    return [
+        json.dumps(line, allow_nan=False)
+        for line in (*(alarm.to_mapping() for alarm in state.alarms), state.to_mapping())
+    ]

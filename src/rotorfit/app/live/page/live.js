@@ -1,0 +1,147 @@
+// The live page: states come as server-sent events, and are drawn as they come. Nothing is asked and nothing is sent.
+"use strict";
+
+const KEPT = 3600;
+const AXES = ["x", "y", "z", "yaw"];
+const QUANTITIES = [["input", ""], ["damping", "1/s"], ["delay", "s"], ["wind", "m/s²"]];
+const place = id => document.getElementById(id);
+const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+const figure = value => value === null || value === undefined ? "–" : Number(value).toPrecision(3);
+const time = [], alarms = [], panels = new Map();
+
+function made(tag, kind, text) {
+  const node = document.createElement(tag);
+  if (kind) node.className = kind;
+  if (text !== undefined) node.textContent = text;
+  return node;
+}
+
+function faded(text, share) { // #rrggbb with an opacity
+  return `${text}${Math.round(255 * share).toString(16).padStart(2, "0")}`;
+}
+
+function reach(series) { // what has been said, and the interval now: early intervals are wide and would flatten the rest
+  const [value, low, high] = series, said = value.filter(one => one !== null);
+  const last = [low.at(-1), high.at(-1)].filter(one => one !== null && one !== undefined);
+  const all = [...said.slice(-600), ...last];
+  if (!all.length) return [0, 1];
+  const least = Math.min(...all), most = Math.max(...all), room = 0.15 * (most - least) || 0.1 * Math.abs(most) || 0.1;
+  return [least - room, most + room];
+}
+
+function chart(holder, series, role) {
+  const line = colour(role), muted = colour("muted"), grid = {stroke: colour("line"), width: 1};
+  const axis = {stroke: muted, grid, ticks: grid, font: "10px system-ui, sans-serif"};
+  const marks = u => {
+    const {ctx, bbox} = u;
+    ctx.save();
+    ctx.strokeStyle = colour("alarm"); ctx.lineWidth = 1.5; ctx.setLineDash([4, 3]);
+    for (const at of alarms) {
+      const x = u.valToPos(at, "x", true);
+      if (x < bbox.left || x > bbox.left + bbox.width) continue;
+      ctx.beginPath(); ctx.moveTo(x, bbox.top); ctx.lineTo(x, bbox.top + bbox.height); ctx.stroke();
+    }
+    ctx.restore();
+  };
+  const edge = {stroke: faded(line, 0.35), width: 1, points: {show: false}};
+  return new uPlot({
+    width: holder.clientWidth || 300, height: 120, legend: {show: false}, cursor: {show: false},
+    scales: {x: {time: false}, y: {range: () => reach(series)}},
+    axes: [{...axis, size: 24, space: 60}, {...axis, size: 46, space: 24}],
+    series: [{}, {stroke: line, width: 1.8, points: {show: false}}, edge, edge],
+    bands: [{series: [3, 2], fill: faded(line, 0.15)}],
+    hooks: {draw: [marks]},
+  }, [time, ...series], holder);
+}
+
+function panel(name) {
+  const box = made("section", "axis"), head = made("h2"), charts = made("div", "charts");
+  const state = made("span", "state"), now = made("span", "now"), parts = {};
+  head.append(made("span", "", name), state, now);
+  box.append(head, charts);
+  place("axes").append(box);
+  for (const [quantity, unit] of QUANTITIES) {
+    const frame = made("figure"), caption = made("figcaption"), said = made("span"), holder = made("div");
+    const shown = quantity === "wind" && name === "yaw" ? "rad/s²" : unit;
+    caption.append(made("b", "", shown ? `${quantity} [${shown}]` : quantity), said);
+    frame.append(caption, holder);
+    charts.append(frame);
+    const series = [[], [], []];
+    for (const one of series) while (one.length < time.length) one.push(null);
+    parts[quantity] = {series, said, holder, chart: null};
+  }
+  panels.set(name, {state, now, parts});
+  return panels.get(name);
+}
+
+function worded(text) {
+  if (text.startsWith("known")) return "known";
+  if (text.startsWith("changed")) return text.endsWith("known") ? "known" : "changed";
+  return text.startsWith("learning") ? "learning" : text.startsWith("holding") ? "holding" : "unknown";
+}
+
+function taken(state) {
+  time.push(state.time);
+  const names = AXES.filter(name => state.axes[name] || panels.has(name));
+  for (const name of names) {
+    const axis = state.axes[name] || {state: "–", ci95: {}}, one = panels.get(name) || panel(name);
+    one.state.textContent = axis.state;
+    one.state.className = `state ${worded(axis.state)}`;
+    one.now.textContent = [axis.velocity === null || axis.velocity === undefined ? "" : `velocity ${figure(axis.velocity)}`,
+      axis.gusts ? `gusts ${figure(axis.gusts)}` : "", axis.structure ? axis.structure.replaceAll("_", " ") : ""].filter(Boolean).join(" · ");
+    for (const [quantity] of QUANTITIES) {
+      const {series, said} = one.parts[quantity];
+      const ends = (quantity === "wind" ? axis.wind_ci95 : axis.ci95[quantity]) || [null, null], value = axis[quantity] ?? null;
+      if (series[0].length < time.length) { series[0].push(value); series[1].push(ends[0]); series[2].push(ends[1]); }
+      said.textContent = value === null && ends[0] === null && ends[1] === null ? "–" : `${figure(value)}  (${figure(ends[0])} to ${figure(ends[1])})`;
+    }
+  }
+  while (time.length > KEPT) {
+    time.shift();
+    for (const one of panels.values()) for (const part of Object.values(one.parts)) for (const values of part.series) values.shift();
+  }
+  place("time").textContent = `${state.time.toFixed(0)} s`;
+  place("regime").textContent = state.regime ? `vehicle ${state.regime + 1} of this flight` : "";
+}
+
+function alarmed(alarm) {
+  alarms.push(alarm.since[0]);
+  const box = made("div", "alarm"), head = made("div");
+  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, told at ${alarm.time.toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
+  const changes = Object.entries(alarm.change).map(([name, [low, high]]) => `${name.replace(".", " ")} ${/delay|trim/.test(name) ? "by" : "times"} ${figure(low)} to ${figure(high)}`);
+  box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
+  place("alarms").prepend(box);
+  while (place("alarms").children.length > 20) place("alarms").lastChild.remove();
+}
+
+let due = false;
+function drawn() { // once a frame at the most, however many states come at once
+  due = false;
+  for (const one of panels.values()) {
+    for (const [quantity, part] of Object.entries(one.parts)) {
+      if (!part.chart) part.chart = chart(part.holder, part.series, quantity === "wind" ? "wind" : "value");
+      else if (part.chart.width !== part.holder.clientWidth && part.holder.clientWidth) part.chart.setSize({width: part.holder.clientWidth, height: 120});
+      part.chart.setData([time, ...part.series]);
+    }
+  }
+}
+function draw() { if (!due) { due = true; requestAnimationFrame(drawn); } }
+
+let last = 0;
+function linked(text, gone) { place("link").textContent = text; place("link").className = gone ? "gone" : ""; }
+const source = new EventSource("/events");
+source.onmessage = event => {
+  const line = JSON.parse(event.data);
+  last = Date.now();
+  linked("", false);
+  if (line.type === "alarm") alarmed(line); else if (line.type === "state") taken(line);
+  draw();
+};
+source.addEventListener("over", () => { linked("ended", true); source.close(); });
+source.onerror = () => { if (source.readyState !== EventSource.CLOSED) linked("not connected: trying again", true); };
+setInterval(() => { if (last && source.readyState === EventSource.OPEN && Date.now() - last > 4000) linked(`nothing new for ${Math.round((Date.now() - last) / 1000)} s`, true); }, 1000);
+addEventListener("resize", draw);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const one of panels.values()) for (const part of Object.values(one.parts)) if (part.chart) { part.chart.destroy(); part.chart = null; }
+  draw();
+});

@@ -1,0 +1,60 @@
+"""Views: the live page and the Foxglove server, for as long as a vehicle is followed."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+
+from rotorfit.app.live.outlets import Outlet
+from rotorfit.core.log import Sample
+from rotorfit.core.tracked import Tracked
+
+
+class Views:
+    """What was asked for of the two; an outlet itself.
+
+    Args:
+        page: Port of the live page, 0 for any that is free; None for no page.
+        foxglove: The same of the Foxglove server.
+        say: Told where they are.
+    """
+
+    def __init__(self, page: int | None, foxglove: int | None, say: Callable[[str], None]) -> None:
+        self._asked, self._say = (page, foxglove), say
+        self._outlets: list[Outlet] = []
+        self._stack = ExitStack()
+
+    def __enter__(self) -> "Views":
+        page, foxglove = self._asked
+        with ExitStack() as stack:
+            if page is not None:
+                from rotorfit.app.live.page_server import LivePage
+
+                self._add(stack, LivePage(page, self._say))
+            if foxglove is not None:
+                from rotorfit.app.live.foxglove import FoxgloveOutlet
+
+                self._add(stack, FoxgloveOutlet(foxglove, self._say))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _add(self, stack: ExitStack, outlet: Outlet) -> None:
+        self._outlets.append(outlet)
+        stack.callback(outlet.close)
+
+    def heard(self, samples: Sequence[Sample], now: int) -> None:
+        """Hands samples on."""
+        for outlet in self._outlets:
+            outlet.heard(samples, now)
+
+    def state(self, state: Tracked, now: int) -> None:
+        """Hands a state on."""
+        for outlet in self._outlets:
+            outlet.state(state, now)
+
+    def close(self) -> None:
+        """Nothing: they last until the result has been shown."""

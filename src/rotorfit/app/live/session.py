@@ -1,0 +1,95 @@
+"""A session: a link is heard, a tracker follows, and everything goes where it was asked to go."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError
+from rotorfit.core.tracked import Track, Tracked
+from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
+from rotorfit.flying.links.opening import check_listens, split
+from rotorfit.flying.listening import Listening
+from rotorfit.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from rotorfit.app.live.outlets import Outlet
+
+
+def card_for_link(text: str, card: str | None) -> Card:
+    """The card that tells what a link's commands and poses are.
+
+    Args:
+        text: `NAME:ADDRESS` of the link.
+        card: Name or file; None for what the link itself says.
+
+    Raises:
+        LinkError: No such link, or one whose topics only a card can name.
+    """
+    name, address = split(text)
+    check_listens(text)
+    if card is not None:
+        return load_card(card)
+    if name == "sim":
+        from rotorfit.flying.links.sim import VEHICLE
+        from rotorfit.simulation.vehicle import load_vehicle
+
+        vehicle = load_vehicle(address.partition(",")[0] or VEHICLE)
+        return card_from_mapping(vehicle.card(), vehicle.name)
+    if name == "replay":
+        from rotorfit.diagnosis.card_choice import card_of
+        from rotorfit.files.logs import read
+
+        return card_of(read(address))
+    if name == "mavlink":
+        return builtin_cards()["mavlink"]
+    raise CardError(f"--link {text}: name the card of the vehicle with --card; it says on which topics to listen")
+
+
+def followed(
+    tracker: Tracker,
+    listening: Listening,
+    outlets: Sequence["Outlet"],
+    told: Callable[[Tracked], None],
+    news: Callable[[str], None],
+) -> Track:
+    """Follows a vehicle until the link ends.
+
+    Args:
+        tracker: New, or one that goes on.
+        listening: The link.
+        outlets: Where all of it goes; they are closed at the end, whatever ends it.
+        told: Called with each new state.
+        news: Called with what happens to the link.
+
+    Returns:
+        The states that hold alarms, the last one, and the regimes.
+    """
+    last, now = tracker.state(), 0
+    notable: list[Tracked] = []
+
+    def tell(state: Tracked) -> None:
+        for outlet in outlets:
+            outlet.state(state, now)
+        told(state)
+
+    try:
+        for heard in listening:
+            now = heard.now
+            if heard.news:
+                news(heard.news)
+            for sample in heard.samples:
+                tracker.update(sample)
+                if tracker.state() is not last:
+                    last = tracker.state()
+                    notable += [last] if last.alarms else []
+                    tell(last)
+            for outlet in outlets:
+                outlet.heard(heard.samples, now)
+        state, regimes = tracker.finish()
+        last = replace(state, alarms=())
+        tell(last)
+    finally:
+        for outlet in outlets:
+            outlet.close()
+    return Track((*notable, last), regimes)
