@@ -15,7 +15,8 @@ from rotorfit.core.frames import yaw_from_quaternion
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.flying.links import link as wall_clock
-from rotorfit.flying.links import mavlink
+from rotorfit.flying.links import mavlink, mavlink_listener
+from rotorfit.flying.links.mavlink_listener import MavlinkListener
 from rotorfit.flying.links.mavlink_messages import AUTOPILOTS, Poses, SenderClock, between, mavlink_commands, setpoint
 
 pymavlink = pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
@@ -57,7 +58,8 @@ class Bench:
         self.wire = ours
         self.room = StubRoom(mode)
         self.autopilot = Autopilot(theirs, self.room, ardupilot)
-        monkeypatch.setattr(mavlink, "wall_clock", lambda: self.instant)
+        for module in (mavlink, mavlink_listener):
+            monkeypatch.setattr(module, "wall_clock", lambda: self.instant)
         monkeypatch.setattr(mavlink, "seconds_until", lambda until: max(0.0, (until - self.instant) / 1e9))
         monkeypatch.setattr("select.select", self.wait)
         ours.fd, theirs.fd = 0, 1  # type: ignore[attr-defined]
@@ -397,3 +399,92 @@ def test_the_wall_clock_runs_with_time_and_shows_the_time_of_day() -> None:
     assert abs(first - time.time_ns()) < SECOND
     assert wall_clock.wall_clock() >= first
     assert wall_clock.seconds_until(first) == 0.0
+
+
+class Overheard(Bench):
+    """The same vehicle, flown by another companion computer, and a listener beside."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, mode: str = "flying") -> None:
+        super().__init__(monkeypatch, mode=mode)
+        self.sent: list[str] = []
+        write = self.wire.write
+
+        def remembered(data: bytes) -> None:
+            parser = common.MAVLink(None)
+            self.sent += [one.get_type() for one in parser.parse_buffer(bytes(data)) or []]
+            write(data)
+
+        monkeypatch.setattr(self.wire, "write", remembered)
+        self.link = MavlinkListener(self.wire, mavlink_commands(CARD))
+        self.pilot = common.MAVLink(SimpleNamespace(write=self.forwarded), 255, 190)
+
+    def forwarded(self, data: bytes) -> None:
+        self.wire.incoming += self.wire.mav.parse_buffer(bytes(data)) or []
+
+    def hear(self, seconds: float) -> list[Sample]:
+        return self.link.receive(self.instant + round(seconds * SECOND))
+
+
+def pose_at(heading: float) -> Sample:
+    """A pose whose heading is that from north, clockwise."""
+    half = (np.pi / 2 - heading) / 2
+    return Sample("pose", 0, 0, (1.0, 2.0, 3.0, math.cos(half), 0.0, 0.0, math.sin(half)))
+
+
+def test_a_listener_sends_nothing_but_what_it_needs_to_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Overheard(monkeypatch)
+    bench.link.greet()
+    bench.hear(3.0)
+
+    assert set(bench.sent) == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}
+    assert set(bench.autopilot.requests) == {511}  # MAV_CMD_SET_MESSAGE_INTERVAL
+    assert not bench.room.commands
+    for action in ("take_off", "land"):
+        with pytest.raises(LinkError):
+            bench.link.act(action)  # type: ignore[arg-type]
+    with pytest.raises(LinkError):
+        bench.link.send((0.0, 0.0, 0.0, 0.0))
+
+
+def test_a_listener_hears_what_another_system_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Overheard(monkeypatch)
+    bench.link.greet()
+    fields = mavlink_commands(CARD)
+    bench.pilot.set_position_target_local_ned_send(*setpoint(fields, (0.5, -0.25, 1.0, 0.1), 1000, (1, 1)))
+    (command,) = [one for one in bench.hear(0.1) if one.stream == "command"]
+
+    assert command.values == pytest.approx((0.5, -0.25, 1.0, 0.1))
+
+
+def test_a_listener_turns_velocities_along_the_world_to_the_heading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The autopilot's echo of what it follows is along north and east; the vehicle looks east."""
+    bench = Overheard(monkeypatch)
+    bench.link.greet()
+    bench.room.waiting.append(pose_at(np.pi / 2))
+    bench.hear(0.1)
+    bench.autopilot.connection.mav.position_target_local_ned_send(5, 1, 1479, 0, 0, 0, 0.5, 2.0, -1.0, 0, 0, 0, 0, -0.3)
+    (command,) = [one for one in bench.hear(0.1) if one.stream == "command"]
+
+    assert command.values == pytest.approx((2.0, 0.5, 1.0, 0.3), abs=1e-6)
+
+
+def test_a_listener_says_when_the_vehicle_does_not_obey(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Overheard(monkeypatch)
+    bench.link.greet()
+    bench.hear(1.0)
+    bench.room.flight_mode = "landing"
+    told = [one.values for one in bench.hear(1.0) if one.stream == "obeys"]
+
+    assert told == [(0.0,)]
+
+
+def test_a_vehicle_that_was_started_anew_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Overheard(monkeypatch)
+    bench.link.greet()
+    bench.hear(1.0)
+    bench.autopilot.deaf = True
+    bench.hear(5.0)
+    bench.autopilot.deaf, bench.autopilot.requests = False, []
+    bench.hear(2.0)
+
+    assert set(bench.autopilot.requests) == {511}

@@ -11,6 +11,7 @@ from rotorfit.core.errors import LinkError, LogError
 from rotorfit.core.flight_plan import Flown, Plan
 from rotorfit.files.cards import card_from_mapping, load_card
 from rotorfit.files.plans import load_plan, plan_text
+from rotorfit.flying.beside import Beside
 from rotorfit.flying.flight_loop import OnStatus, fly
 from rotorfit.flying.links.link import Link
 from rotorfit.flying.links.opening import open_link, simulated_at
@@ -74,13 +75,19 @@ def mission(
             opened.act("close")
 
 
-def flown_mission(wanted: Mission, land: bool, status: Callable[[], AbstractContextManager[OnStatus | None]]) -> Flown:
+def flown_mission(
+    wanted: Mission,
+    land: bool,
+    status: Callable[[], AbstractContextManager[OnStatus | None]],
+    beside: Beside | None = None,
+) -> Flown:
     """Flies it.
 
     Args:
         wanted: Not refused by its preflight.
         land: Whether the vehicle lands at the end.
         status: Gives, for as long as the flight lasts, who is told how it goes.
+        beside: A tracker that is told what is sent and received.
 
     Raises:
         LogError: The recording cannot be written.
@@ -88,7 +95,7 @@ def flown_mission(wanted: Mission, land: bool, status: Callable[[], AbstractCont
     plan = wanted.plan
     attached = attached_to(plan, wanted.ready, wanted.name)
     with operator_abort() as abort, status() as progress:
-        recorder = record(wanted.output, attached)
+        recorder = record(wanted.output, attached, beside)
         return fly(plan, wanted.link, recorder, land, wanted.take_off, abort, progress)
 
 

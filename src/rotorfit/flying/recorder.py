@@ -20,6 +20,7 @@ from rotorfit.core.errors import LogError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.files.logs.mcap import ATTACHED, EVENTS
+from rotorfit.flying.beside import Beside
 from rotorfit.version import __version__
 
 COMMAND, POSE, VELOCITY, BATTERY, WINDOW = (
@@ -116,9 +117,10 @@ class Recorder:
         poses: How many were taken.
     """
 
-    def __init__(self, file: BinaryIO, path: Path, attached: Mapping[str, str]) -> None:
+    def __init__(self, file: BinaryIO, path: Path, attached: Mapping[str, str], beside: Beside | None = None) -> None:
         from mcap.writer import Writer
 
+        self._beside = beside
         self.path, self.fault = path, ""
         self.commands = self.poses = 0
         self._file, self._queue = file, _Queue()
@@ -135,6 +137,10 @@ class Recorder:
         """A command as it was sent at `stamp` by the link's clock [ns]."""
         self.commands += 1
         self._add(COMMAND, stamp, _twist(stamp, command))
+        if self._beside:
+            self._beside.take("command", stamp, stamp, command)
+            for text in self._beside.news():
+                self.event(stamp, text)
 
     def sample(self, sample: Sample) -> None:
         """A sample as it was received."""
@@ -144,6 +150,8 @@ class Recorder:
             seconds, rest = divmod(sample.stamp, 1_000_000_000)
             data = _POSE_LAYOUT.pack(_CDR, seconds, rest, 6, b"world", x, y, z, qx, qy, qz, qw)
             self._add(POSE, sample.received, data)
+            if self._beside:
+                self._beside.take("pose", sample.stamp, sample.received, sample.values)
         elif sample.stream == "velocity":
             self._add(VELOCITY, sample.received, _twist(sample.stamp, sample.values))
         elif sample.stream == "command":
@@ -212,12 +220,13 @@ class Recorder:
             )
 
 
-def record(path: str | Path, attached: Mapping[str, str]) -> Recorder:
+def record(path: str | Path, attached: Mapping[str, str], beside: Beside | None = None) -> Recorder:
     """Begins a recording.
 
     Args:
         path: Of a file that does not exist yet.
         attached: Texts that are written first: `plan` and `card` (TOML), `link`.
+        beside: A tracker that is told what is recorded; its alarms become events.
 
     Raises:
         LogError: The file exists, or cannot be made.
@@ -229,7 +238,7 @@ def record(path: str | Path, attached: Mapping[str, str]) -> Recorder:
         raise LogError(f"{path}: exists, and a recording is never overwritten; choose another name") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror}); check the folder and its permissions") from error
-    return Recorder(cast("BinaryIO", file), path, attached)  # unbuffered: each write reaches the system at once
+    return Recorder(cast("BinaryIO", file), path, attached, beside)  # unbuffered: each write reaches the system at once
 
 
 def card_as_recorded(raw: Mapping[str, Any], pose_clock: str = "header.stamp") -> dict[str, Any]:

@@ -19,6 +19,7 @@ from rotorfit.flying.links import LINKS
 
 if TYPE_CHECKING:
     from rotorfit.app.terminal.tables import View
+    from rotorfit.flying.beside import Beside
 
 
 @click.command()
@@ -95,16 +96,18 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
 @click.option("--seed", type=int, default=0, help="Of a simulated vehicle.")
+@click.option("--track", is_flag=True, help="Follow the model meanwhile, in a process of its own; alarms are recorded.")
 @click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
 @JSON
 def fly(
     plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
-    yes: bool, as_json: bool,
+    track: bool, yes: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
     from rotorfit.core.errors import LinkError
+    from rotorfit.flying.beside import tracked_beside
     from rotorfit.flying.mission import flown_mapping, flown_mission, mission
     from rotorfit.flying.preflight import refuse
 
@@ -114,7 +117,10 @@ def fly(
         refuse(wanted.ready)
         if wanted.link.live and not yes:
             click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
-        result = flown_mission(wanted, land, status_line)
+        with tracked_beside(wanted.plan.card, track) as beside:
+            result = flown_mission(wanted, land, lambda: status_line(lambda: _tracked(beside)), beside)
+        if beside:
+            _told_late(beside)
     if result.reason != "completed":
         raise LinkError(ended_early(result))
     try:
@@ -125,6 +131,22 @@ def fly(
     except BrokenPipeError:
         silence()
         return click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
+
+
+def _tracked(beside: "Beside | None") -> str:
+    """What the tracker beside a flight says, before the status."""
+    if beside is None:
+        return ""
+    alarm = f"{beside.alarm} | " if beside.alarm else ""
+    return f"{alarm}{beside.words or 'tracker begins'} | "
+
+
+def _told_late(beside: "Beside") -> None:
+    """What the tracker beside a flight has said at its end, and after it."""
+    for text in beside.news():
+        click.echo(text, err=True)
+    left = f"; {beside.lost} samples came too fast for it" if beside.lost else ""
+    click.echo(f"tracked: {beside.words or 'nothing yet'}{left}", err=True)
 
 
 def _shown_first(view: "View") -> None:
