@@ -13,7 +13,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rotorfit.core.log import Sample
@@ -52,14 +52,13 @@ class Beside:
     def __init__(self, card: Mapping[str, Any]) -> None:
         self.words, self.alarm, self.lost = "", "", 0
         near, far = socket.socketpair()
-        near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
         words = [sys.executable, "-m", "rotorfit.flying.beside"]
         quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             words, stdin=far.fileno(), stdout=subprocess.PIPE, env={**os.environ, **quiet}, start_new_session=True
         )
         far.close()
-        self._near, self._rest = near, b""
+        self._near, self._rest = near, bytearray()
         near.sendall(json.dumps(card).encode() + b"\n")
         near.setblocking(False)
         self._news: deque[str] = deque()
@@ -69,17 +68,14 @@ class Beside:
     def take(self, stream: str, stamp: int, received: int, values: Sequence[float]) -> None:
         """Hands over a pose or a command [ns]."""
         padded = (*values, 0.0, 0.0, 0.0) if stream == "command" else values
-        data = self._rest + RECORD.pack(STREAMS.index(stream), stamp, received, *padded)
-        try:
-            sent = self._near.send(data)
-        except OSError:  # full, or the other process is gone
-            sent = 0
-        if sent == 0 and self._rest:
+        if len(self._rest) > ROOM:
             self.lost += 1
-        elif sent == 0:
-            self._rest, self.lost = b"", self.lost + 1
         else:
-            self._rest = data[sent:]
+            self._rest += RECORD.pack(STREAMS.index(stream), stamp, received, *padded)
+        try:
+            del self._rest[: self._near.send(self._rest)]
+        except OSError:  # the socket is full, or the other process is gone
+            return
 
     def news(self) -> Iterator[str]:
         """The alarms since the last call."""
@@ -88,6 +84,9 @@ class Beside:
 
     def close(self) -> None:
         """Ends the other process after its last look; its last alarms are among the news."""
+        self._near.settimeout(PATIENCE)
+        with suppress(OSError):
+            self._near.sendall(self._rest)
         self._near.close()
         try:
             self._process.wait(PATIENCE)

@@ -1,0 +1,151 @@
+"""`rotorfit track --link`: what is said, written and served; that it ends well, and goes on after it was killed."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from click.testing import CliRunner, Result
+
+from rotorfit.app.cli import main
+from rotorfit.app.live.page_server import LivePage
+from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
+from rotorfit.files.logs import read
+
+QUICK = ("--pace", "1000", "--structure", "first_order_delay")
+ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(main, ["track", *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "one of the two"),
+        (("log.mcap", "--link", "sim"), "one of the two"),
+        (("log.mcap", "--for", "3"), "for a --link"),
+        (("--link", "tello"), "one controller alone"),
+        (("--link", "ros2"), "--card"),
+        (("--link", "pigeon"), "no link 'pigeon'"),
+    ],
+)
+def test_what_cannot_be_is_one_line(words: tuple[str, ...], said: str) -> None:
+    result = run(*words)
+
+    assert result.exit_code in (1, 2)
+    assert said in result.output.strip().splitlines()[-1]
+
+
+def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
+    record, memory, model = (tmp_path / name for name in ("flight.mcap", "memory", "model.json"))
+    words = ("--link", "sim", "--for", "12", "--jsonl", "--record", str(record), "--state", str(memory), *QUICK)
+    result = run(*words, "-o", str(model))
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+
+    assert result.exit_code == 0, result.output
+    assert {line["type"] for line in lines} == {"state", "end"}
+    assert [round(line["time"]) for line in lines[:3]] == [round(lines[0]["time"]) + n for n in range(3)]
+    assert lines[-1]["models"] == [str(model)]
+    assert "simulated pilot" in result.stderr
+    log = read(record)
+    assert {"/rotorfit/command", "/rotorfit/pose"} <= log.tables.keys()
+    assert "card" in log.attached
+    assert CliRunner().invoke(main, ["fit", str(record)]).exit_code == 0
+
+    again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
+    first = json.loads(again.stdout.splitlines()[0])
+    assert "goes on from" in again.stderr
+    assert first["time"] > 12.0
+    assert first["axes"]["yaw"]["input"] is not None
+
+
+def test_a_file_that_is_no_memory_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "memory"
+    path.write_text("hello")
+    result = run("--link", "sim", "--for", "3", "--state", str(path), *QUICK)
+
+    assert result.exit_code == 1
+    assert "is not what `rotorfit track --state` wrote" in result.stderr
+
+
+def test_ctrl_c_ends_it_with_everything_written(tmp_path: Path) -> None:
+    record = tmp_path / "flight.mcap"
+    words = [sys.executable, "-m", "rotorfit", "track", "--link", "sim", "--jsonl", "--record", str(record)]
+    with subprocess.Popen([*words, *QUICK[2:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+
+    assert process.returncode == 0, err
+    assert json.loads(out.splitlines()[-1])["type"] == "end"
+    assert "Ctrl-C" in err
+    assert not read(record).damage
+
+
+def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    words = [sys.executable, "-m", "rotorfit", "track", "--link", "sim", "--jsonl", "--state", str(memory)]
+    last = 0.0
+    with subprocess.Popen([*words, *QUICK[2:], "--pace", "4"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        while last < 8.0:
+            last = json.loads(process.stdout.readline())["time"]
+        time.sleep(0.3)
+        os.kill(process.pid, signal.SIGKILL)
+    again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
+    first = json.loads(again.stdout.splitlines()[0])["time"]
+
+    assert last - 1.0 <= first <= last + 6.0
+
+
+def test_the_page_shows_states_and_alarms_to_who_has_the_key_alone() -> None:
+    said: list[str] = []
+    page = LivePage(0, said.append)
+    try:
+        page.state(Tracked(2.0, {"x": TrackedAxis()}, (ALARM,)), 0)
+        address = urlsplit(said[0].split()[-1])
+        port = address.port or 0
+
+        def asked(path: str, **headers: str) -> tuple[int, str, str]:
+            connection = HTTPConnection("127.0.0.1", port, timeout=10)
+            connection.request("GET", path, headers={"Host": f"127.0.0.1:{port}", **headers})
+            answer = connection.getresponse()
+            body = answer.read1(4000) if path == "/events" else answer.read()
+            cookie = (answer.getheader("set-cookie") or "").partition(";")[0]
+            if path == "/events" and answer.status == 200:
+                while b'"state"' not in body:
+                    body += answer.read1(4000)
+            connection.close()
+            return answer.status, body.decode(), cookie
+
+        assert asked("/")[0] == 401
+        assert asked("/events")[0] == 401
+        status, _, cookie = asked(f"/?{address.query}")
+        assert status == 200
+        assert asked("/page/uPlot.iife.min.js", Cookie=cookie)[0] == 200
+        assert asked("/page/other.py", Cookie=cookie)[0] == 404
+        assert asked("/events", Cookie=cookie, **{"Sec-Fetch-Site": "cross-site"})[0] == 403
+        status, body, _ = asked("/events", Cookie=cookie)
+        assert status == 200
+        assert '"cause": "payload"' in body
+        assert '"type": "state"' in body
+    finally:
+        page.close()
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        result = run("--link", "sim", f"--page={other.getsockname()[1]}", "--for", "1")
+
+    assert result.exit_code == 1
+    assert "choose another port" in result.stderr
