@@ -8,8 +8,10 @@ import numpy as np
 
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.flying.links.sim import open_link
+from rotorfit.flying.links.sim import SimLink
 from rotorfit.flying.links.sim_pilot import PilotedRoom
+from rotorfit.simulation.air import wind_of
+from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.vehicle import load_vehicle
 
 BEBOP = load_vehicle("bebop2")
@@ -22,8 +24,10 @@ Fault = Callable[[list[Sample], np.random.Generator], list[Sample]]
 @cache
 def flown(seconds: float = 40.0, seed: int = 1, ground: bool = True) -> tuple[Sample, ...]:
     """On the ground, take-off under commands of zero, the pilot's flight, a landing under commands of zero."""
-    start = "0/0/0/0" if ground else "0/0/1.5/0"
-    room = open_link(f",gusts=0.2,start={start},seed={seed},flying={'no' if ground else 'yes'}", CARD)
+    pilot = replace(BEBOP.autopilot, brakes_on_zero=False)  # which is another vehicle wherever nothing is asked
+    start = (0.0, 0.0, 0.0 if ground else 1.5, 0.0)
+    vehicle, air = replace(BEBOP, autopilot=pilot), Conditions(wind_of(["gusts=0.2"], "gusts=0.2"))
+    room = SimLink(FlightRoom(vehicle, air, seed, start, not ground))
     out: list[Sample] = []
 
     def idle(until: int) -> None:
@@ -35,8 +39,7 @@ def flown(seconds: float = 40.0, seed: int = 1, ground: bool = True) -> tuple[Sa
         idle(room.now + 3 * SECOND)
         room.act("take_off")
         idle(room.now + 6 * SECOND)
-    pilot = PilotedRoom(room, CARD)
-    out += pilot.receive(room.now + round(seconds * SECOND))
+    out += PilotedRoom(room, CARD).receive(room.now + round(seconds * SECOND))
     if ground:
         idle(room.now + 2 * SECOND)
         room.act("land")
