@@ -39,7 +39,7 @@ def flown(seconds: float = 40.0, seed: int = 1, ground: bool = True) -> tuple[Sa
         idle(room.now + 3 * SECOND)
         room.act("take_off")
         idle(room.now + 6 * SECOND)
-    out += PilotedRoom(room, CARD).receive(room.now + round(seconds * SECOND))
+    out += PilotedRoom(room, CARD, seconds).receive(room.now + round(seconds * SECOND))
     if ground:
         idle(room.now + 2 * SECOND)
         room.act("land")

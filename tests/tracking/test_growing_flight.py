@@ -108,6 +108,17 @@ def test_commands_of_another_clock_are_timed_by_their_arrival() -> None:
     assert np.abs(flight.command_time - plain.command_time[-flight.command_time.size :]).max() < 1e-6
 
 
+def test_commands_that_were_not_heard_are_not_guessed() -> None:
+    """The card says that a command holds for half a second; who sends 50 a second has not held one for 0.3 s."""
+    begin = flown()[0].received
+    heard = [one for one in flown() if one.stream != "command" or not 20.0 < (one.received - begin) / SECOND < 20.3]
+    flight, alarms = grown(heard)
+
+    assert not alarms
+    assert len(flight.segments) == 2
+    assert flight.segments[1].start - flight.segments[0].end == pytest.approx(0.22, abs=0.05)
+
+
 def test_yaw_goes_on_over_the_turn() -> None:
     growing = GrowingFlight(CARD)
     for number in range(2000):

@@ -28,6 +28,10 @@ KEPT = 900.0
 REMEMBERED = 300.0
 """Time of it that `memory` gives [s]: what an estimate looks back over."""
 
+MISSED, REGULAR, NEWEST = 5.0, 2.5, 500
+"""A sender nine tenths of whose newest commands come within so many usual periods is regular; where so many periods go
+without one, others were sent that nobody heard, and what the vehicle was told is not known."""
+
 HOLD = 1.0
 """Time that a command acts if no other follows, where the card does not say [s]."""
 
@@ -218,7 +222,7 @@ class GrowingFlight:
         if not time.size or self._poses.time.size < 2:
             return None
         rows = self._commands.values
-        until = np.minimum(np.minimum(np.append(time[1:], end), time + self._hold), rows[:, 4])
+        until = np.minimum(np.minimum(np.append(time[1:], end), time + _believed(time, self._hold)), rows[:, 4])
         poses = self._poses.time
         segments = tuple(
             part
@@ -289,6 +293,15 @@ LEFT_OUT = {
     "not_numbers": "samples are no numbers: left out",
 }
 """What is said of samples that do not count."""
+
+
+def _believed(time: Array, hold: float) -> float:
+    """How long a command acts if no other is heard [s]: of a sender that is regular, `MISSED` of its periods."""
+    steps = np.diff(time[-NEWEST:])
+    if steps.size < NEWEST // 10:
+        return hold
+    usual, often = np.quantile(steps, [0.5, 0.9])
+    return float(min(hold, MISSED * usual)) if often <= REGULAR * usual else hold
 
 
 def _packed(name: str, rows: Array, begin: float) -> dict[str, Array]:

@@ -46,15 +46,21 @@ def open_listener(address: str, card: Card) -> "PilotedRoom":
 
 
 class PilotedRoom:
-    """A simulated vehicle that a simulated pilot flies; implements `links.Link`, and takes no commands."""
+    """A simulated vehicle that a simulated pilot flies; implements `links.Link`, and takes no commands.
+
+    Args:
+        room: Where it flies.
+        card: What its commands mean.
+        seconds: Length of a round [s].
+    """
 
     live = False
     fail_safe, silence = "Simulated: no vehicle moves.", Silence(0.0)
 
-    def __init__(self, room: sim.SimLink, card: Card) -> None:
+    def __init__(self, room: sim.SimLink, card: Card, seconds: float = ROUND) -> None:
         self._room = room
-        self._plan = tracker_of(_plan(card))
-        self._wanted = instants(self._plan.plan, np.arange(0.0, ROUND, 1 / RATE))
+        self._plan = tracker_of(_plan(card, seconds))
+        self._wanted = instants(self._plan.plan, np.arange(0.0, seconds, 1 / RATE))
         self._pose: tuple[float, ...] | None = None
         self._begun = self._due = room.now
         self._number, self._state = 0, begin(np.zeros(4))
@@ -101,13 +107,13 @@ class PilotedRoom:
         return Sample("command", self.now, self.now, values)
 
 
-def _plan(card: Card) -> Plan:
-    """What the simulated pilot flies."""
+def _plan(card: Card, seconds: float) -> Plan:
+    """What the simulated pilot flies, a round [s]."""
     belief = {key: value for key, value in belief_mapping(belief_from_card(card)).items() if key != "covariance"}
     space = Space((-BOX, -BOX, 0.0), (BOX, BOX, BOX), (0.0, 0.0, BOX / 2, 0.0), BOX, BOX)
     axes = tuple(axis for axis in AXES if axis in card.command)
-    signals = tuple(AxisExcitation(axis, "command", 0.0, ROUND, _signal(card, axis)) for axis in axes)
-    return Plan("pilot", "multisine", card.raw, RATE, ROUND, RAMP, signals, Feedback(axes), space, belief)
+    signals = tuple(AxisExcitation(axis, "command", 0.0, seconds, _signal(card, axis)) for axis in axes)
+    return Plan("pilot", "multisine", card.raw, RATE, seconds, RAMP, signals, Feedback(axes), space, belief)
 
 
 def _signal(card: Card, axis: str) -> Sines:
