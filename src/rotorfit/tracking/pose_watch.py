@@ -131,7 +131,7 @@ class PoseWatch:
         off = there - before
         alarm = Alarm(
             time, ALL, "pose_jumped", (last, at), {}, 1.0, 0.0,
-            f"the pose went {float(np.linalg.norm(off[:3])):.2f} m and {np.degrees(off[3]):+.0f} deg within "
+            f"the pose went {float(np.linalg.norm(off[:3])):.2f} m and {abs(np.degrees(off[3])):.0f} deg within "
             f"{at - last:.3f} s and went on from there: no vehicle does, its frame or its track changed",
         )  # fmt: skip
         return Seen(tuple(self._past), alarm=alarm)

@@ -152,7 +152,7 @@ def _listened(
     """A link, what of its flight is remembered, and why it was lost; empty where it was not."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering, recalled
     from rotorfit.app.live.session import card_for_link, followed
-    from rotorfit.app.terminal.cockpit import shown_line
+    from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
     from rotorfit.flying.links.opening import open_listener
     from rotorfit.flying.listening import Listening
@@ -166,6 +166,7 @@ def _listened(
     tracker = Tracker(chosen, structure, false_alarms)
 
     def say(text: str) -> None:
+        line_cleared()
         click.echo(f"{link}: {text}", err=True)
 
     if memory and recalled(memory, tracker):
@@ -191,6 +192,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
     """Prints each state, at once: as JSON, or what is new in it."""
     from rotorfit.app.live.outlets import lines_of
     from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.terminal.tracking import news
 
     before: Tracked | None = None
@@ -201,6 +203,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
             for line in lines_of(state):
                 click.echo(line)  # which flushes
         else:
+            line_cleared()
             show(news(before, state))
         before = state
 

@@ -111,6 +111,14 @@ def shown_line(text: Callable[[], str]) -> Iterator[bool]:
         thread.join(1.0)
 
 
+def line_cleared() -> None:
+    """Makes room for a line of text where a line is shown again and again."""
+    if sys.stderr.isatty():
+        with suppress(OSError):
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
+
+
 def status_text(status: "Status") -> str:
     """The line while a flight lasts."""
     of = f" of {status.duration:g}" if status.phase == "plan" else ""
