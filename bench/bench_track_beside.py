@@ -13,11 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from flying import SECOND, WallPaced, plan_of, room_link  # noqa: E402
-
-from rotorfit.flying.beside import tracked_beside  # noqa: E402
-from rotorfit.flying.flight_loop import fly  # noqa: E402
-from rotorfit.flying.recorder import record  # noqa: E402
+from flying import SECOND, WallPaced, plan_of, room_link
+from rotorfit.flying.beside import tracked_beside
+from rotorfit.flying.flight_loop import fly
+from rotorfit.flying.recorder import record
 
 
 def flight(path: Path, seconds: float, wanted: bool) -> str:
@@ -36,7 +35,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for number in range(2 * rounds):
             wanted = bool(number % 2)
-            print("with   " if wanted else "without", flight(Path(folder, f"{number}.mcap"), seconds, wanted), flush=True)
+            told = flight(Path(folder, f"{number}.mcap"), seconds, wanted)
+            print("with   " if wanted else "without", told, flush=True)
 
 
 if __name__ == "__main__":
