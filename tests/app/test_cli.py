@@ -37,6 +37,7 @@ VERBS = [
     "export",
     "plan",
     "fly",
+    "track",
     "cards",
     "formats",
     "studio",

@@ -207,6 +207,11 @@ class GrowingFlight:
         return False
 
     @property
+    def standing(self) -> bool:
+        """Whether the vehicle stands, or takes off or lands by itself."""
+        return self._ground.stands
+
+    @property
     def frozen(self) -> bool:
         """Whether the pose repeats itself while commands go on."""
         return self._watch.frozen

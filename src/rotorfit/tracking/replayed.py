@@ -8,6 +8,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Track, Tracked
+from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
 
 OnState = Callable[[Tracked], None]
@@ -27,13 +28,27 @@ def tracked(
         false_alarms_per_hour: The expected number that is promised not to be passed.
         on_state: Called with each state as it comes.
     """
-    following, states = Following(structure, false_alarms_per_hour), []
+    following, ground, states = Following(structure, false_alarms_per_hour), Ground(), []
+    seen = 0.0
     for part, now in growing(flight, following.next_look):
-        states.append(following.look(part, now))
+        _stand_on(ground, part, seen)
+        seen = now
+        states.append(following.look(part, now, ground.stands))
         on_state(states[-1])
     last, regimes = following.finish(flight, flight.segments[-1].end)
     on_state(last)
     return Track((*states, last), regimes)
+
+
+def _stand_on(ground: Ground, part: Flight, since: float) -> None:
+    """Shows commands and poses that have come since an instant [s], in the order of their times."""
+    commands, poses = (int(np.searchsorted(t, since, side="right")) for t in (part.command_time, part.pose_time))
+    sent = list(zip(part.command_time[commands:], part.command[commands:].tolist(), strict=True))
+    pose = np.column_stack([part.position, part.yaw])
+    for time, one in zip(part.pose_time[poses:], pose[poses:], strict=True):
+        while sent and sent[0][0] <= time:
+            ground.command(*sent.pop(0))
+        ground.pose(float(time), one)
 
 
 def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:

@@ -97,7 +97,7 @@ class Tracker:
 
     def _look(self, now: float) -> None:
         if flight := self._growing.flight():
-            self._state = self._following.look(flight, now)
+            self._state = self._following.look(flight, now, self._growing.standing)
         else:
             self._following.next_look = now + EVERY
 
@@ -142,18 +142,21 @@ class Following:
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self.next_look = LEAST_TIME
 
-    def look(self, flight: Flight, now: float) -> Tracked:
+    def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
         """A look at the flight so far.
 
         Args:
             flight: Its samples up to now.
             now: [s].
+            standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
         """
         self.next_look += EVERY * max(np.ceil((now - self.next_look) / EVERY + 1e-9), 1.0)
         for axes in groups_of([flight], flight.axes):
             self._groups[axes] = self._followed(axes, flight, now)
         self._groups = {axes: group for axes, group in self._groups.items() if axes in groups_of([flight], flight.axes)}
-        alarm = self._change(now)
+        if standing:
+            self._seen = None
+        alarm = None if standing else self._change(now)
         return self._tracked(flight, now, (alarm,) if alarm else ())
 
     def memory(self) -> dict[str, Any]:
