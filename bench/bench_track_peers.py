@@ -3,9 +3,9 @@
     python bench/bench_track_peers.py [FLIGHTS] [--jobs N] [--recorded]
 
 FLIGHTS (default 10) of 60 s in open loop and as many in closed loop (see `designs.py`). Scored are z and yaw, for x and
-y would ask every peer for a model of the heading, at 10, 20, 40 and 60 s: the median error in Cramer-Rao bounds of the flight so
-far, and the share of 95 % intervals that hold the truth, where there are any. `--recorded`: two recorded flights,
-where the batch fit of the whole flight stands for the truth and its standard error for the bound.
+y would ask every peer for a model of the heading, at 10, 20, 40 and 60 s: the median error in Cramer-Rao bounds of the
+flight so far, and the share of 95 % intervals that hold the truth, where there are any. `--recorded`: two recorded
+flights, where the batch fit of the whole flight stands for the truth and its standard error for the bound.
 
 Peers, each in its plain published form and with help that rotorfit does not get:
 

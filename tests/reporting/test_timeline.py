@@ -9,7 +9,7 @@ import pytest
 
 from flights import flown
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.tracked import QUANTITIES, Alarm, Regime, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Regime, Track, Tracked, TrackedAxis
 from rotorfit.reporting import write_timeline
 from rotorfit.reporting.timeline import timeline_page
 
@@ -51,6 +51,15 @@ def test_the_page_says_what_is_known_and_what_changed(track: Track, flight: Flig
     assert "97 % of the evidence" in page
     assert re.search(r'<td class="number strong">2\.400</td><td class="number">2\.350 to 2\.450</td>', page)
     assert "Too short, or too little commanded" in page
+
+
+def test_the_mean_wind_is_told_where_it_is_known(track: Track, flight: Flight) -> None:
+    air = Air(3.0, (2.8, 3.2), -0.5, (-0.6, -0.4))
+    windy = replace(track, states=(*track.states[:-1], replace(track.states[-1], air=air)))
+
+    said = "3.00 m/s (2.80 to 3.20) towards −29° (−34 to −23°) from the world&#39;s x, counter-clockwise."
+    assert said in timeline_page(windy, flight)
+    assert "Mean wind" not in timeline_page(track, flight)
 
 
 def test_nothing_of_a_log_or_an_alarm_is_html_and_nothing_is_fetched(track: Track, flight: Flight) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Interval, Model
-from rotorfit.core.tracked import QUANTITIES, Alarm, Knowledge, Regime, Track, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Knowledge, Regime, Track, TrackedAxis
 from rotorfit.reporting.document import Heading, document
 from rotorfit.reporting.drawing import draw_chart
 from rotorfit.reporting.panels import FlightPanels, Panel, packed, series
@@ -91,7 +91,10 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
     }
     known = [_now(name, last.axes[name]) for name in track.axes if name in last.axes]
     sections: dict[str, tuple[str, Mapping[str, Any]]] = {
-        "now": ("Now", {"headline": _headline(track), "states": known, "rows": _rows(last.axes)}),
+        "now": (
+            "Now",
+            {"headline": _headline(track), "states": known, "rows": _rows(last.axes), "air": _air(last.air)},
+        ),
         "time": ("Over time", {"number": panels.number, "axes": _by_axis(panels)}),
         "alarms": ("Alarms", {"alarms": [raised(alarm) for alarm in track.alarms]}),
         "regimes": ("Regimes", {"regimes": _regimes(track.regimes, files), "several_regimes": len(track.regimes) > 1}),
@@ -137,6 +140,22 @@ def _now(name: str, axis: TrackedAxis) -> AxisNow:
         unit = "rad/s²" if name == "yaw" else "m/s²"
         wind = f"{_value(axis.wind, axis.wind_ci95)} {unit} ({_interval(axis.wind_ci95, axis.wind)})"
     return AxisNow(name, COLOURS[axis.knowledge], axis.state, wind)
+
+
+def _air(air: Air | None) -> str:
+    """The mean wind in words; empty where it is not known."""
+    if air is None:
+        return ""
+    speed = f"{_value(air.speed, air.speed_ci95)} m/s ({_interval(air.speed_ci95, air.speed)})"
+    ends = tuple(math.degrees(end) for end in air.direction_ci95)
+    return (
+        (
+            f"Mean wind of the last 40 s: {speed} towards {math.degrees(air.direction):.0f}° "
+            f"({ends[0]:.0f} to {ends[1]:.0f}°) from the world's x, counter-clockwise."
+        )
+        .replace("-", "−")
+        .replace("counter−", "counter-")
+    )
 
 
 def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
