@@ -217,7 +217,7 @@ def scored(method: str, told: Told, now: float, truth: Array, bound: Array, want
     """The errors of what one method told of one axis; of what it did not tell there is none."""
     out = []
     for name, true, error in zip(COEFFICIENTS, truth, bound, strict=True):
-        if name in told and name in wanted:
+        if name in told and name in wanted and np.isfinite(true):
             value, low, high = told[name]
             held = (
                 None
@@ -241,9 +241,11 @@ def looked_at(
         help_of: Axis to delay, wind (sigma, time) and noise that peers are told.
         moments: [s].
     """
-    following, out = Following(LAW), []
-    at = [min(moment, flight.segments[-1].end) for moment in moments]
-    for part, now in [*growing(flight, following.next_look), (flight, at[-1])]:
+    following, out, end = Following(LAW), [], flight.segments[-1].end
+    at = [min(moment, end) for moment in moments]
+    for part, now in [*growing(flight, following.next_look), (flight, end)]:
+        if now > at[-1]:
+            break
         state = following.look(part, now)
         if not any(abs(now - moment) < 1e-6 for moment in at):
             continue
@@ -318,7 +320,7 @@ def main() -> None:
     parser.add_argument("--recorded", action="store_true", help="two recorded flights, too")
     given = parser.parse_args()
     with ProcessPoolExecutor(given.jobs) as pool:
-        for closed in (False, True):
+        for closed in (False, True) if given.flights else ():
             every = pool.map(simulated, designs(given.flights, closed))
             printed("closed loop" if closed else "open loop", [score for scores in every for score in scores])
         if given.recorded and REAL_FLIGHTS.is_dir():
