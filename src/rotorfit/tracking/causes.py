@@ -134,4 +134,5 @@ def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:
     if second is None:
         return WORDS[cause]
     share, other = second
-    return f"{WORDS[cause]}; next is {other!r} with {100 * share:.2g} % of the evidence"
+    much = f"{100 * share:.0f} %" if share >= 0.01 else "less than 1 %"
+    return f"{WORDS[cause]}; the next likely cause, {other!r}, has {much} of the evidence"

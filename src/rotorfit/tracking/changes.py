@@ -70,9 +70,15 @@ TRIMMED = ("z", "yaw")
 LATEST = 3.84
 """Fall of T from its largest to the ends of the 95 % interval of the time of a change."""
 
+MARGIN = 2.0
+"""Factor on the variance of jolts: a gust that is four tenths larger than any before is still a gust."""
+
 RARE, RARE_OF_NORMAL = 0.99, 6.63
 """Jolts are measured by the largest hundredth of what came before, too: air and poses have more outliers than a normal
 distribution, whose squared 99 % quantile is the second."""
+
+BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 1.25, 2.0
+"""Over so long before a change [s], and after it, squared innovations may be so many times those of the regime."""
 
 TOGETHER = 0.5
 """Changes of several axes so near to each other are one [s]."""
@@ -333,7 +339,7 @@ def _jolted(scores: Scores) -> list[Contrast]:
     late = usual[-int(LATELY / (now - begin) * scores.time.size) :]
     found, freedom = _usual(usual.mean()[None], late.mean()[None], chunks, int(LATELY / CHUNK))
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
-    variance = max(float(found[0]), largest, 1.0)
+    variance = MARGIN * max(float(found[0]), largest, 1.0)
     size, power = float(matched[0, 0, best] / matched[0, 1, best]), float(matched[0, 1, best])
     trim = np.array([name.endswith(".trim") for name in scores.names])
     statistic = float(gain[0, best]) / variance
@@ -357,6 +363,23 @@ def _bases(scores: Scores) -> list[Array]:
     alone = [np.eye(kind.size)[:, [i]] for i in np.flatnonzero(kind == "trim")]
     alike = [(kind == name)[:, None].astype(float) for name in ("input", "delay")]
     return [np.eye(kind.size), *alone, *alike]
+
+
+def calm(scores: Scores, since: float) -> bool:
+    """Whether the air around a change is that of the regime: before it, and after it but for the change itself.
+
+    Gusts that rise fill seconds with innovations that are too large. A vehicle that changes leaves those before it as
+    they were; those after it are again as they were once the shifts of its coefficients, or its jolt, are taken off.
+    """
+    time, e = scores.time, scores.innovation
+    usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
+    before = e[(time >= since - BEFORE) & (time < since)]
+    after, compared = e[time > since + FADES], _compared(scores, since)
+    left = min(
+        float(np.mean(after**2)) if after.size else np.inf,
+        compared.noise if compared else np.inf,
+    )
+    return before.size > 0 and float(np.mean(before**2)) < CALM_BEFORE * usual and left < CALM_AFTER * usual
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:

@@ -26,7 +26,7 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import Contrast, Scores, at_once, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
 from rotorfit.tracking.following import REFIT, SILENT, Followed, doubt_of, followed_of, refitted, renewed, said, stepped
 from rotorfit.tracking.growing_flight import GrowingFlight
 
@@ -225,6 +225,8 @@ class Following:
         if seen.names not in scored:
             return None
         best, since = since_when(scored[seen.names], seen.contrast)
+        if not calm(scored[seen.names], best.since):
+            return None  # the air, not the vehicle
         others = [
             (scores, there)
             for names, scores in scored.items()
@@ -233,7 +235,8 @@ class Following:
         ]
         named = diagnosis([(scored[seen.names], best), *others])
         p_value = seen.contrast.p_value
-        alarm = Alarm(now, named.axes, named.cause, since, named.change, named.confidence, p_value, named.why)
+        axes = tuple(axis for axis in AXES if axis in named.axes)
+        alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
         for axis in named.axes:
             self._since[axis] = self._changed[axis] = best.since
         self._bounds.append((best.since, alarm))
