@@ -80,6 +80,9 @@ distribution, whose squared 99 % quantile is the second."""
 BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 1.25, 2.0
 """Over so long before a change [s], and after it, squared innovations may be so many times those of the regime."""
 
+SURE = 1e-12
+"""p-value below which the calm after a change is not asked for."""
+
 TOGETHER = 0.5
 """Changes of several axes so near to each other are one [s]."""
 
@@ -365,11 +368,12 @@ def _bases(scores: Scores) -> list[Array]:
     return [np.eye(kind.size), *alone, *alike]
 
 
-def calm(scores: Scores, since: float) -> bool:
+def calm(scores: Scores, since: float, p_value: float) -> bool:
     """Whether the air around a change is that of the regime: before it, and after it but for the change itself.
 
     Gusts that rise fill seconds with innovations that are too large. A vehicle that changes leaves those before it as
     they were; those after it are again as they were once the shifts of its coefficients, or its jolt, are taken off.
+    What is beyond all doubt need not leave such calm behind it.
     """
     time, e = scores.time, scores.innovation
     usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
@@ -379,7 +383,11 @@ def calm(scores: Scores, since: float) -> bool:
         float(np.mean(after**2)) if after.size else np.inf,
         compared.noise if compared else np.inf,
     )
-    return before.size > 0 and float(np.mean(before**2)) < CALM_BEFORE * usual and left < CALM_AFTER * usual
+    return (
+        before.size > 0
+        and float(np.mean(before**2)) < CALM_BEFORE * usual
+        and (left < CALM_AFTER * usual or p_value < SURE)
+    )
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:

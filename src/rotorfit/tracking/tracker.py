@@ -225,7 +225,7 @@ class Following:
         if seen.names not in scored:
             return None
         best, since = since_when(scored[seen.names], seen.contrast)
-        if not calm(scored[seen.names], best.since):
+        if not calm(scored[seen.names], best.since, seen.contrast.p_value):
             return None  # the air, not the vehicle
         others = [
             (scores, there)
