@@ -47,7 +47,8 @@ def test_a_cause_is_named_by_what_moves_together(moved: dict[str, float], cause:
     assert found.confidence > 0.8
     for name, value in moved.items():
         low, high = found.change[name]
-        expected = value if name.endswith((".delay", ".trim")) else np.exp(value)
+        added = name.endswith((".delay", ".trim"))
+        expected = value if added else 1 + value if name.endswith(".input") else np.exp(value)
         assert low < expected < high
 
 

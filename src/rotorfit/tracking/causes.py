@@ -123,7 +123,10 @@ def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -
         if wide == 0.0:
             continue
         low, high = (value - NORMAL * wide) * size, (value + NORMAL * wide) * size
-        if name.split(".")[1] not in ("delay", "trim"):
+        kind = name.split(".")[1]
+        if kind == "input":  # the motion is linear in the gain, not in its logarithm
+            low, high = 1 + low, 1 + high
+        elif kind not in ("delay", "trim"):
             low, high = float(np.exp(low)), float(np.exp(high))
         out[name] = (float(low), float(high))
     return out

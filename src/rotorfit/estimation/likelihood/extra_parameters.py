@@ -194,6 +194,6 @@ def _combination(optimum: Optimum, k: int, value: float, logarithmic: bool, slop
         return Combination(value, (value, value))
     half = quantile(optimum, direction) * float(np.sqrt(variance))
     if logarithmic:
-        ends = (value * float(np.exp(-half)), value * float(np.exp(half)))
-        return Combination(value, ends if half < 2 else (None, None))
+        ends = (value * float(np.exp(-half)), value * float(np.exp(half))) if half < 2 else (None, None)
+        return Combination(value, ends)
     return Combination(value, (value - half, value + half) if half < 2 * abs(value) else (None, None))
