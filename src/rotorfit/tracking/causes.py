@@ -21,6 +21,9 @@ NORMAL = 1.96
 PRICE = float(np.log(60.0))
 """What each number of a cause costs: the logarithm of about as many independent samples as two seconds hold."""
 
+CURVED = 0.1
+"""Error of first order, in the units of `EXPECTED`, over the square of a shift in them."""
+
 WORDS: Mapping[Cause, str] = {
     "payload": "weight against thrust changed: a payload taken up or dropped, or thrust lost evenly",
     "thrust": "weight against thrust and the torque about the vertical changed together: thrust lost on one side",
@@ -53,18 +56,21 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     """Names the cause of a change.
 
     Args:
-        parts: Scores and contrast of each likelihood, from one instant.
+        parts: Scores and contrast of each likelihood, from one instant. The cause concerns the one that shows it most.
     """
     names = [name for scores, _ in parts for name in scores.names]
     shift = np.concatenate([found.shift for _, found in parts])
     scale = np.concatenate([scores.scale for scores, _ in parts])
     precision = np.zeros((shift.size, shift.size))
     at = 0
-    for _, found in parts:
+    for scores, found in parts:
         size = found.shift.size
-        precision[at : at + size, at : at + size] = found.precision
+        precision[at : at + size, at : at + size] = _bent(scores, found)
         at += size
-    fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in _causes(names)]
+    shown = set(max(parts, key=lambda part: part[1].statistic)[0].names)
+    concerned = [name in shown for name in names]
+    causes = [(cause, basis) for cause, basis in _causes(names) if basis[concerned].any()]
+    fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in causes]
     costs = np.array([left + PRICE * np.linalg.matrix_rank(basis) for _, (left, _, _, basis) in fitted])
     share = np.exp(-0.5 * (costs - costs.min()))
     share /= share.sum()
@@ -75,6 +81,20 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     others = sorted(zip(share, fitted, strict=True), key=lambda pair: -pair[0])
     second = next(((s, c) for s, (c, _) in others if c != cause), None)
     return Diagnosis(cause, axes, change, float(share[[c == cause for c, _ in fitted]].sum()), _why(cause, second))
+
+
+def _bent(scores: Scores, found: Contrast) -> Array:
+    """Precision of a shift that was found to first order: of a large one the second order is a part.
+
+    Trims are additive and have none.
+    """
+    additive = np.array([name.endswith(".trim") for name in scores.names])
+    size = float(np.sum(np.where(additive, 0.0, found.shift) ** 2))
+    bend = np.where(additive, 0.0, (CURVED * size) ** 2)
+    if not bend.any():
+        return found.precision
+    weight = 1 / np.maximum(bend, 1e-9)  # (P^-1 + W)^-1 = P - P (P + W^-1)^-1 P
+    return found.precision - found.precision @ np.linalg.solve(found.precision + np.diag(weight), found.precision)
 
 
 def _causes(names: Sequence[str]) -> list[tuple[Cause, Array]]:

@@ -39,8 +39,8 @@ LONGEST = 300.0
 QUIET = 5.0
 """Time without a new command after which an axis holds [s]: by then it has answered the last."""
 
-FALSE_ALARMS_PER_HOUR = 0.1
-"""Promised by default."""
+FALSE_ALARMS_PER_HOUR, MOST_FALSE_ALARMS = 0.1, 60.0
+"""Promised by default, and the most that can be asked for: one a minute."""
 
 NORMAL = 1.96
 
@@ -71,6 +71,10 @@ class Tracker:
         structure: As `fit` takes it.
         false_alarms_per_hour: The expected number that is promised not to be passed.
         origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
+
+    Raises:
+        TypeError: The card is none.
+        ValueError: A number of false alarms that cannot be promised.
     """
 
     def __init__(
@@ -80,6 +84,10 @@ class Tracker:
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         origin: int | None = None,
     ) -> None:
+        if not isinstance(card, Card):
+            raise TypeError(f"a Card is wanted, not {type(card).__name__}: rotorfit.load_card loads one")
+        if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
+            raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
         self._growing = GrowingFlight(card, origin)
         self._following = Following(structure, false_alarms_per_hour)
         self._state = Tracked(0.0, dict.fromkeys(AXES, TrackedAxis()))
@@ -268,7 +276,7 @@ class Following:
             out = replace(
                 out, values=words.values, ci95=words.ci95, ci95_vehicle=words.ci95_vehicle, structure=structure
             )
-        if motion is None:
+        if motion is None or out.values["damping"] is None:  # wind is told through the damping
             return out
         return replace(
             out,

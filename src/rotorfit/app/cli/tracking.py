@@ -1,6 +1,7 @@
 """The verb that follows a vehicle while it flies, or a log as if it did."""
 
 import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -96,6 +97,8 @@ def track(
         raise click.UsageError("name a LOG, or a --link to listen to: one of the two")
     if link is None and (record or memory or seconds):
         raise click.UsageError("--record, --state and --for are for a --link; a LOG is a recording, whole")
+    if not all(math.isfinite(each) for each in (seconds or 0.0, patience, pace or 1.0)):
+        raise click.UsageError("--for, --patience and --pace are numbers of seconds, or of seconds a second")
     if output:
         check_destination(output, MODEL_MARK)
     if report:
@@ -117,6 +120,11 @@ def track(
             click.echo(json.dumps(_end(result, files, report if flight else None), allow_nan=False))
         else:
             show(track_view(result))
+            for file in files:
+                if file:
+                    click.echo(f"Model written to {file}.")
+            if output and not any(files):
+                click.echo("No model written: nothing was told.")
             if report and flight:
                 click.echo(f"Report written to {report}.")
     if lost:

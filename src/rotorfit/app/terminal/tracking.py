@@ -1,5 +1,6 @@
 """What the terminal shows of a vehicle that is followed: what is new, second by second, and the end in a table."""
 
+import math
 from collections.abc import Iterator
 
 from rich.console import RenderableType
@@ -7,6 +8,8 @@ from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
 from rotorfit.core.tracked import QUANTITIES, Alarm, Track, Tracked, TrackedAxis
+
+_PUSH = {"x": "m/s^2", "y": "m/s^2", "z": "m/s^2", "yaw": "rad/s^2"}
 
 UNITS = {"delay": "s", "lag": "s", "total_lag": "s", "damping": "1/s"}
 
@@ -73,7 +76,13 @@ def track_view(result: Track) -> View:
                     *said, what.replace("_", " "), number_text(value, axis.ci95[what]) + unit,
                     interval_text(axis.ci95[what]),
                 )  # fmt: skip
+        if axis.wind is not None:
+            out.add_row("", "", "wind", f"{axis.wind:.2f} {_PUSH[name]}", interval_text(axis.wind_ci95))
     yield out
+    if last.air:
+        low, high = last.air.speed_ci95
+        towards = f"{math.degrees(last.air.direction):.0f} deg from the world's x, counter-clockwise"
+        yield indented(f"Mean wind {last.air.speed:.1f} m/s ({low:.1f} to {high:.1f}), towards {towards}", 0)
     if len(result.regimes) > 1:
         yield ""
         yield from bullets(
