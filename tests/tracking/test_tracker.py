@@ -86,3 +86,16 @@ def test_a_tracker_that_saw_nothing_ends_without_regimes() -> None:
     assert state.time == 0.0
     assert regimes == ()
     assert state.alarms == ()
+
+
+@pytest.mark.parametrize("at", [4.96, 4.97, 4.98, 4.99])
+def test_an_alarm_of_the_pose_is_told_whether_or_not_a_look_falls_on_it(at: float) -> None:
+    tracker, told = Tracker(CARD, LAW, origin=0), []
+    for k in range(520):
+        stamp, x = 10_000_000 * k, 0.002 * k + (1.0 if k >= round(100 * at) else 0.0)
+        before = tracker.state()
+        tracker.update(Sample("command", stamp - 1, stamp, (0.1 + 0.01 * (k % 2), 0.0, 0.0, 0.0)))
+        tracker.update(Sample("pose", stamp, stamp, (x, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0)))
+        told += [alarm.cause for alarm in tracker.state().alarms] if tracker.state() is not before else []
+
+    assert told == ["pose_jumped"]

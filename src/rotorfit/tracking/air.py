@@ -18,6 +18,7 @@ from rotorfit.core.tracked import Air
 from rotorfit.dynamics.disturbance import discretize, distinct_steps, stationary
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.dynamics.predictor import free_run
+from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
 from rotorfit.estimation.likelihood.likelihood import inverted
@@ -151,8 +152,6 @@ def _air(
 
 AVERAGED, ALIKE = 10.0, 3.0
 """The mean wind is told after so long; over the second, gusts are taken as one [s]."""
-
-NORMAL = 1.96
 
 
 LOOKS_BACK, SLOPE = 40.0, 0.3

@@ -52,7 +52,8 @@ LEAST_CHUNKS = 12
 """Chunks of the rest of a regime below which its variance is not known and nothing is asked."""
 
 EXPECTED = {"input": 0.3, "damping": 0.5, "delay": 0.05, "lag": 0.5, "trim": 0.5}
-"""Sizes of changes that are looked for: of logarithms, the delay [s], the trim [m/s^2, rad/s^2]. A direction in which a
+"""Sizes of changes that are looked for: as a share of the input, of logarithms, of the delay [s], of the trim [m/s^2,
+rad/s^2]. A direction in which a
 window knows less than this is left out."""
 
 OTHERWISE = 0.5
@@ -87,7 +88,7 @@ TOGETHER = 0.5
 """Changes of several axes so near to each other are one [s]."""
 
 STEP = 0.2
-"""Grid of that time [s]."""
+"""Grid of the time of a change [s]."""
 
 
 @dataclass(frozen=True)

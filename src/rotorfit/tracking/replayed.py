@@ -49,6 +49,8 @@ def _stand_on(ground: Ground, part: Flight, since: float) -> None:
         while sent and sent[0][0] <= time:
             ground.command(*sent.pop(0))
         ground.pose(float(time), one)
+    for command in sent:
+        ground.command(*command)
 
 
 def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:

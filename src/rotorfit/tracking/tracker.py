@@ -21,13 +21,24 @@ from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
-from rotorfit.estimation.identifiability import LEAST_TIME
+from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
-from rotorfit.tracking.following import REFIT, SILENT, Followed, doubt_of, followed_of, refitted, renewed, said, stepped
+from rotorfit.tracking.following import (
+    REFIT,
+    SILENT,
+    Followed,
+    Said,
+    doubt_of,
+    followed_of,
+    refitted,
+    renewed,
+    said,
+    stepped,
+)
 from rotorfit.tracking.growing_flight import GrowingFlight
 
 EVERY = 1.0
@@ -41,8 +52,6 @@ QUIET = 5.0
 
 FALSE_ALARMS_PER_HOUR, MOST_FALSE_ALARMS = 0.1, 60.0
 """Promised by default, and the most that can be asked for: one a minute."""
-
-NORMAL = 1.96
 
 
 @dataclass(frozen=True)
@@ -94,20 +103,22 @@ class Tracker:
 
     def update(self, sample: Sample) -> None:
         """Takes a sample: a pose, or a command as it was sent."""
-        took = self._growing.add(sample)
-        if alarms := self._growing.alarms():
-            self._state = replace(self._state, time=self._growing.now, alarms=alarms)
-        if not took:
-            return
-        now = self._growing.now
-        if now >= self._following.next_look:
-            self._look(now)
+        took, now = self._growing.add(sample), self._growing.now
+        alarms = self._growing.alarms()
+        if took and now >= self._following.next_look:
+            self._look(now, alarms)
+        elif alarms:
+            self._state = replace(self._state, time=now, alarms=alarms)
 
-    def _look(self, now: float) -> None:
+    def _look(self, now: float, alarms: tuple[Alarm, ...]) -> None:
+        """A look; what the pose raised by itself in the same instant stands before its alarms."""
         if flight := self._growing.flight():
-            self._state = self._following.look(flight, now, self._growing.standing)
-        else:
-            self._following.next_look = now + EVERY
+            state = self._following.look(flight, now, self._growing.standing)
+            self._state = replace(state, alarms=(*alarms, *state.alarms))
+            return
+        self._following.next_look = now + EVERY
+        if alarms:
+            self._state = replace(self._state, time=now, alarms=alarms)
 
     def state(self) -> Tracked:
         """What was known at the last look, at most a second of flight ago."""
@@ -159,9 +170,7 @@ class Following:
             standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
         """
         self.next_look += EVERY * max(np.ceil((now - self.next_look) / EVERY + 1e-9), 1.0)
-        for axes in groups_of([flight], flight.axes):
-            self._groups[axes] = self._followed(axes, flight, now)
-        self._groups = {axes: group for axes, group in self._groups.items() if axes in groups_of([flight], flight.axes)}
+        self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if standing:
             self._seen = None
         alarm = None if standing else self._change(now)
@@ -266,12 +275,12 @@ class Following:
         self, flight: Flight, axis: str, now: float, followed: Followed | None, motion: AxisMotion | None
     ) -> TrackedAxis:
         """What is known of one axis."""
-        knowledge, state = _knowledge(flight, axis, now, followed)
+        words = said(followed, axis) if followed else None
+        knowledge, state = _knowledge(flight, axis, now, followed, words)
         if axis in self._changed:
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
-        if followed is not None:
-            words = said(followed, axis)
+        if followed and words:
             structure = followed.fit.model.axes[axis].structure
             out = replace(
                 out, values=words.values, ci95=words.ci95, ci95_vehicle=words.ci95_vehicle, structure=structure
@@ -289,11 +298,13 @@ class Following:
         )
 
 
-def _knowledge(flight: Flight, axis: str, now: float, followed: Followed | None) -> tuple[Knowledge, str]:
+def _knowledge(
+    flight: Flight, axis: str, now: float, followed: Followed | None, words: Said | None
+) -> tuple[Knowledge, str]:
     """What an axis is, in one word and in words."""
     if not commands_axis(flight, axis):
         return "not_excited", "not excited: no command moves it"
-    if followed is None:
+    if followed is None or words is None:
         return "learning", "learning"
     if axis not in followed.estimates:
         silent = followed.fit.model.axes[axis].status["input"] == "not_excited"
@@ -301,8 +312,7 @@ def _knowledge(flight: Flight, axis: str, now: float, followed: Followed | None)
     quiet = _quiet(flight, axis, now)
     if quiet > QUIET:
         return "holding", f"holding (no excitation for {quiet:.0f} s)"
-    values = said(followed, axis).values
-    if all(values[name] is not None for name in ("input", "damping", "delay")):
+    if all(words.values[name] is not None for name in ("input", "damping", "delay")):
         return "known", "known"
     return "not_identifiable", "not identifiable"
 
