@@ -6,7 +6,7 @@ FLIGHTS (default 40) of 60 s in open loop and as many in closed loop, over five 
 default under `first_order_delay`, the law that these vehicles obey.
 
 - covered: share of the 95 % intervals of input, damping and delay that hold the truth, 5, 10, 20, 40 s after the start
-  and at landing; of the axes that had numbers by then.
+  and at landing, of the axes that had numbers by then: this flight's (these vehicles obey their law) and the vehicle's.
 - known: time until an axis is `known`, over the time at which the Cramer-Rao bound of the flight so far, taken as an
   interval, would first have been: median.
 - landing: what the last step before landing says less what the batch fit says, in standard errors of the batch.
@@ -38,7 +38,7 @@ class Told:
     """What came of one flight.
 
     Attributes:
-        held: Moment (the last is landing) to whether each interval held the truth.
+        held: Moment (the last is landing) to whether each interval held the truth: this flight's, and the vehicle's.
         known: Time until known over the earliest possible, of each axis that both reached.
         off: Last step less the batch fit, in standard errors.
         cost: Processor seconds a second of flight.
@@ -46,7 +46,7 @@ class Told:
         alarms: How many.
     """
 
-    held: dict[float, list[bool]]
+    held: dict[float, list[tuple[bool, bool]]]
     known: list[float]
     off: list[float]
     cost: float
@@ -86,14 +86,18 @@ def told_of(job: tuple[Design, str]) -> Told:
     return Told(held, known, off, cost, float(np.median(looks)), alarms)
 
 
-def _held(design: Design, state) -> list[bool]:
-    out = []
-    for axis, known in state.axes.items():
-        for name, true in zip(COEFFICIENTS, truth_of(design, axis), strict=True):
-            if name in known.ci95:
-                low, high = known.ci95[name]
-                out.append((low is None or low <= true) and (high is None or true <= high))
-    return out
+def _held(design: Design, state) -> list[tuple[bool, bool]]:
+    return [
+        (_within(known.ci95_flight[name], true), _within(known.ci95[name], true))
+        for axis, known in state.axes.items()
+        for name, true in zip(COEFFICIENTS, truth_of(design, axis), strict=True)
+        if name in known.ci95
+    ]
+
+
+def _within(ends, true: float) -> bool:
+    low, high = ends
+    return (low is None or low <= true) and (high is None or true <= high)
 
 
 def _possible(design: Design, flight: Flight) -> dict[str, float]:
@@ -120,7 +124,10 @@ def report(name: str, told: Sequence[Told]) -> None:
         held = [one for each in told for one in each.held.get(moment, [])]
         if held:
             when = "at landing" if np.isinf(moment) else f"at {moment:g} s"
-            print(f"  {when:11} {100 * np.mean(held):5.1f} % of {len(held)} intervals hold the truth")
+            flight, vehicle = 100 * np.mean(held, axis=0)
+            print(
+                f"  {when:11} {flight:5.1f} % (the vehicle's {vehicle:.1f} %) of {len(held)} hold the truth"
+            )
     known, off = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off"))
     size = np.abs(off)
     print(f"  known after {np.median(known):.2f} times the earliest time (median of {known.size} axes)")

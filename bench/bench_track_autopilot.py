@@ -33,7 +33,7 @@ def main() -> None:
             alarms += len(state.alarms)
             for axis, known in state.axes.items() if now in MOMENTS else ():
                 for what, error in (("steady_gain", GAIN_ERROR), ("total_lag", SLOW_ERROR)):
-                    for kind, ends in (("as it flies", known.ci95), ("any flight", known.ci95_vehicle)):
+                    for kind, ends in (("vehicle", known.ci95), ("this flight", known.ci95_flight)):
                         low, high = ends.get(what, (None, None))
                         if low is not None and high is not None:
                             held[now, what, kind].append(low - error <= truth[axis][what] <= high + error)

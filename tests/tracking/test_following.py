@@ -24,11 +24,11 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> N
 
     for name, value in whole.values.items():
         if value is not None:
-            low, high = whole.ci95[name]
+            low, high = whole.ci95_flight[name]
             assert low is not None
             assert high is not None
             assert told.values[name] == pytest.approx(value, abs=0.05 * (high - low))
-            near, far = told.ci95[name]
+            near, far = told.ci95_flight[name]
             assert near is not None
             assert far is not None
             assert far - near == pytest.approx(high - low, rel=0.25)
@@ -37,8 +37,8 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> N
 def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: Followed) -> None:
     told = said(early, "z")
 
-    for name, (low, high) in told.ci95.items():
-        least, most = told.ci95_vehicle[name]
+    for name, (low, high) in told.ci95_flight.items():
+        least, most = told.ci95[name]
         assert low is None or least is None or least <= low + 1e-12
         assert high is None or most is None or most >= high - 1e-12
 
@@ -47,4 +47,4 @@ def test_of_an_axis_that_is_not_followed_nothing_is_said(early: Followed) -> Non
     told = said(early, "x")
 
     assert set(told.values.values()) == {None}
-    assert told.ci95 == told.ci95_vehicle == {}
+    assert told.ci95 == told.ci95_flight == {}

@@ -49,8 +49,8 @@ class TrackedAxis:
         knowledge: In one word.
         state: In words, such as `holding (no excitation for 12 s)`.
         values: Name of `QUANTITIES` to its estimate; None where it is not told.
-        ci95: The same to the 95 % interval of the vehicle as it flies now; an open end is None.
-        ci95_vehicle: The same to the interval of the vehicle on any flight, as `fit` gives it.
+        ci95: The same to the 95 % interval of the vehicle, on this flight or another; an open end is None.
+        ci95_flight: The same to the interval of this flight alone: of a vehicle that obeys its law exactly.
         structure: Name of the law.
         wind: Acceleration that the commands do not explain, the trim with it [m/s^2, rad/s^2]; None where unknown.
         wind_ci95: Its 95 % interval.
@@ -64,7 +64,7 @@ class TrackedAxis:
     state: str = "learning"
     values: Mapping[str, float | None] = field(default_factory=lambda: dict.fromkeys(QUANTITIES))
     ci95: Mapping[str, Interval] = field(default_factory=dict)
-    ci95_vehicle: Mapping[str, Interval] = field(default_factory=dict)
+    ci95_flight: Mapping[str, Interval] = field(default_factory=dict)
     structure: str = ""
     wind: float | None = None
     wind_ci95: Interval = (None, None)
@@ -79,7 +79,7 @@ class TrackedAxis:
             "state": self.state,
             **{name: self.values.get(name) for name in QUANTITIES},
             "ci95": {name: list(ends) for name, ends in self.ci95.items()},
-            "ci95_vehicle": {name: list(ends) for name, ends in self.ci95_vehicle.items()},
+            "ci95_flight": {name: list(ends) for name, ends in self.ci95_flight.items()},
             "structure": self.structure,
             "wind": self.wind,
             "wind_ci95": list(self.wind_ci95),

@@ -23,7 +23,7 @@ SHOWN = ("input", "damping", "delay", "lag", "wind")
 """What has a chart, where it is told at any time."""
 
 READING = (
-    "The line is the estimate, the band its 95 % interval for the vehicle as it flew then; where the line ends nothing "
+    "The line is the estimate, the band its 95 % interval for the vehicle as known then; where the line ends nothing "
     "was told. Every second regime is grey, red lines are alarms."
 )
 
@@ -165,7 +165,7 @@ def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
         rows: list[tuple[str, ...]] = [
             (
                 name, what.replace("_", " "), term_of(what), _value(value, axis.ci95.get(what)), unit_of(what, name),
-                _interval(axis.ci95.get(what), value), _interval(axis.ci95_vehicle.get(what), value),
+                _interval(axis.ci95.get(what), value), _interval(axis.ci95_flight.get(what), value),
             )
             for what in QUANTITIES
             if (value := axis.values.get(what)) is not None

@@ -68,11 +68,11 @@ class Followed:
 
 @dataclass(frozen=True)
 class Said:
-    """What is said of one axis: values and intervals by name, of these flights and of the vehicle."""
+    """What is said of one axis: values and intervals by name, of the vehicle and of this flight."""
 
     values: Mapping[str, float | None]
     ci95: Mapping[str, Interval]
-    ci95_vehicle: Mapping[str, Interval]
+    ci95_flight: Mapping[str, Interval]
 
 
 def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> Followed:
@@ -223,11 +223,11 @@ def said(followed: Followed, axis: str) -> Said:
         flight[name] = interval(one, 0.0, _times(own, share))
         vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
         values[name] = one.value
-    told = statuses({name: flight.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
+    told = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
     for name in QUANTITIES:
-        if told.get(name, "ok") != "ok" or None in flight.get(name, (None, None)):
+        if told.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
             values[name] = None
-    return Said(values, flight, vehicle)
+    return Said(values, vehicle, flight)
 
 
 def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:

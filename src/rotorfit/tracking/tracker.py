@@ -282,9 +282,7 @@ class Following:
         out = TrackedAxis(knowledge, state)
         if followed and words:
             structure = followed.fit.model.axes[axis].structure
-            out = replace(
-                out, values=words.values, ci95=words.ci95, ci95_vehicle=words.ci95_vehicle, structure=structure
-            )
+            out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
         if motion is None or out.values["damping"] is None:  # wind is told through the damping
             return out
         return replace(
