@@ -125,9 +125,7 @@ def report(name: str, told: Sequence[Told]) -> None:
         if held:
             when = "at landing" if np.isinf(moment) else f"at {moment:g} s"
             flight, vehicle = 100 * np.mean(held, axis=0)
-            print(
-                f"  {when:11} {flight:5.1f} % (the vehicle's {vehicle:.1f} %) of {len(held)} hold the truth"
-            )
+            print(f"  {when:11} {flight:5.1f} % (the vehicle's {vehicle:.1f} %) of {len(held)} hold the truth")
     known, off = (np.concatenate([getattr(each, what) for each in told]) for what in ("known", "off"))
     size = np.abs(off)
     print(f"  known after {np.median(known):.2f} times the earliest time (median of {known.size} axes)")
