@@ -40,6 +40,7 @@ from rotorfit.tracking.following import (
     stepped,
 )
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.wind_error import coefficient_error, tells_wind
 
 EVERY = 1.0
 """Time between looks [s]."""
@@ -283,12 +284,13 @@ class Following:
         if followed and words:
             structure = followed.fit.model.axes[axis].structure
             out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
-        if motion is None or out.values["damping"] is None:  # wind is told through the damping
+        if motion is None or followed is None or words is None or not tells_wind(words.ci95_flight):
             return out
+        error = coefficient_error(flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight)
         return replace(
             out,
             wind=motion.wind,
-            wind_ci95=_around(motion.wind, motion.wind_error),
+            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, error))),
             gusts=motion.gusts,
             velocity=motion.velocity,
             ahead=motion.ahead,

@@ -1,0 +1,61 @@
+"""What errors of the coefficients add to that of the wind: by the formula, and by filtering anew with others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.tracking.air import motion_now
+from rotorfit.tracking.following import refitted
+from rotorfit.tracking.replayed import until
+from rotorfit.tracking.wind_error import coefficient_error, tells_wind
+from tracked_flights import LAW, known
+
+pytestmark = pytest.mark.flights
+KNOWN = {"input": (2.0, 3.0), "damping": (1.0, 2.0), "delay": (0.1, 0.2)}
+
+
+@pytest.fixture(scope="module")
+def estimate() -> Estimate:
+    return refitted(known()[0], ("z",), LAW, 30.0).estimates["z"]
+
+
+def anew(now: float, estimate: Estimate) -> float:
+    """Standard error of the wind by moving the coefficients and the trim by a share of one standard error each way."""
+    part, optimum, share = until(known()[0], now), estimate.optimum, 0.1
+    C = inverted(optimum.score.information, optimum.free)[: optimum.point.n, : optimum.point.n]
+    root = np.linalg.cholesky(C + 1e-14 * np.eye(len(C)))
+    winds = []
+    for direction in (*root.T, np.zeros(len(C))):
+        values = optimum.point.flat()
+        values[: len(C)] += share * direction
+        moved = replace(estimate, optimum=replace(optimum, point=optimum.point.with_flat(values)))
+        winds.append(motion_now(part, {"z": moved})[0]["z"].wind)
+    return float(np.linalg.norm(np.array(winds[:-1]) - winds[-1]) / share)
+
+
+def test_the_formula_is_what_filtering_anew_gives(estimate: Estimate) -> None:
+    moments = np.arange(12.0, 30.0, 1.5)
+    by_formula = [coefficient_error(until(known()[0], now), "z", estimate, {}, {}) for now in moments]
+    by_filter = [anew(now, estimate) for now in moments]
+
+    ratio = np.sqrt(np.mean(np.square(by_formula)) / np.mean(np.square(by_filter)))
+    assert ratio == pytest.approx(1.0, abs=0.15)
+    assert np.corrcoef(by_formula, by_filter)[0, 1] > 0.9
+
+
+def test_it_is_wider_where_the_vehicle_is_known_less_well_than_this_flight_says(estimate: Estimate) -> None:
+    flight = known()[0]
+    own = dict.fromkeys(KNOWN, (1.0, 1.1))
+    twice = dict.fromkeys(KNOWN, (1.0, 1.2))
+
+    error = coefficient_error(flight, "z", estimate, own, own)
+    assert coefficient_error(flight, "z", estimate, twice, own) == pytest.approx(2 * error)
+
+
+def test_the_wind_is_told_where_the_damping_is_known() -> None:
+    assert tells_wind(KNOWN)
+    assert not tells_wind(KNOWN | {"damping": (0.1, 2.0)})
+    assert not tells_wind({})
