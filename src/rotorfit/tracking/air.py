@@ -7,6 +7,7 @@ is then c + b s + s', the trim with it: through a drag b, air that moves at (c +
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -58,25 +59,28 @@ STILL = (0.0, 1.0, 0.0)
 """Input, damping and delay of an axis that is not told: it only keeps the other company."""
 
 
-def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> tuple[dict[str, AxisMotion], Air | None]:
+def motion_now(
+    flight: Flight, estimates: Mapping[str, Estimate], wider: Mapping[str, float] = MappingProxyType({})
+) -> tuple[dict[str, AxisMotion], Air | None]:
     """The motion at the last pose of the axes that are told; none where the last segment is too short. And the wind.
 
     Args:
         flight: So far.
         estimates: Axis name to its estimate.
+        wider: Axis name to how much wider the damping's interval is than the information says; 1 without.
     """
     out: dict[str, AxisMotion] = {}
     air = None
     for pair in (("x", "y"), ("z", "yaw")):
         known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
         if known:
-            motion, wind = _of_pair(flight, pair, known)
+            motion, wind = _of_pair(flight, pair, known, wider)
             out, air = out | motion, air or wind
     return out, air
 
 
 def _of_pair(
-    flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate]
+    flight: Flight, pair: tuple[str, str], known: Mapping[str, Estimate], wider: Mapping[str, float]
 ) -> tuple[dict[str, AxisMotion], Air | None]:
     """Two axes that predict together, at the last pose."""
     first = next(iter(known.values()))
@@ -110,7 +114,8 @@ def _of_pair(
     drag = all(meaning_of(flight.card, axis).asked == "tilt" for axis in pair)
     air = None
     if drag and len(found) == 2:
-        air = _air(time, heading, laws, [found[axis] for axis in pair], [_damping_error(known[axis]) for axis in pair])
+        errors = [wider.get(axis, 1.0) * _damping_error(known[axis]) for axis in pair]
+        air = _air(time, heading, laws, [found[axis] for axis in pair], errors)
     return _with_heading(moved, laws, found, float(heading[-1])), air
 
 
@@ -126,16 +131,16 @@ def _air(
 ) -> Air | None:
     """The mean wind, from the drag that the law's damping is where commands are tilts; None before `AVERAGED` seconds.
 
-    (c + s') / b + s of each axis of the heading frame, turned into the world. How far b is known tells how far the
-    wind is.
+    (c + s') / b + s of each axis of the heading frame, turned into the world. What acts is measured, so that all of
+    this goes by 1 / b: how far b is known tells how far the wind is.
     """
     settled = time > time[0] + AVERAGED / 2
     if time[-1] - time[0] < AVERAGED:
         return None
     s, change = (np.column_stack([means[settled, i] for _, means, _ in states]) for i in (1, 2))
     damping, turn = laws[:, DAMPING], heading[settled]
-    pushed = (heading_from_world(change, turn) + laws[:, TRIM]) / damping
-    wind = world_from_heading(pushed, turn) + s
+    pushed = (heading_from_world(change, turn) + laws[:, TRIM]) / damping + heading_from_world(s, turn)
+    wind = world_from_heading(pushed, turn)
     mean, part = wind.mean(axis=0), np.floor((time[settled] - time[settled][0]) / ALIKE).astype(int)
     parts = np.column_stack([np.bincount(part, w) / np.bincount(part) for w in wind.T])
     covariance = np.diag(parts.var(axis=0, ddof=1) / len(parts))

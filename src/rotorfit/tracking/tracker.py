@@ -40,7 +40,7 @@ from rotorfit.tracking.following import (
     stepped,
 )
 from rotorfit.tracking.growing_flight import GrowingFlight
-from rotorfit.tracking.wind_error import coefficient_error, tells_wind
+from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
 
 EVERY = 1.0
 """Time between looks [s]."""
@@ -268,15 +268,27 @@ class Following:
         """The state in words and numbers."""
         known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
-        moving, air = motion_now(flight, estimates)
-        axes = {axis: self._axis(flight, axis, now, known.get(axis), moving.get(axis)) for axis in flight.axes}
+        words = {axis: said(one, axis) for axis, one in known.items() if one}
+        wide = {axis: wider("damping", one.ci95, one.ci95_flight) for axis, one in words.items()}
+        moving, air = motion_now(flight, estimates, wide)
+        if any(axis not in words or words[axis].values["damping"] is None for axis in ("x", "y")):
+            air = None  # its speed goes by the damping of both
+        axes = {
+            axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
+            for axis in flight.axes
+        }
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air)
 
     def _axis(
-        self, flight: Flight, axis: str, now: float, followed: Followed | None, motion: AxisMotion | None
+        self,
+        flight: Flight,
+        axis: str,
+        now: float,
+        followed: Followed | None,
+        words: Said | None,
+        motion: AxisMotion | None,
     ) -> TrackedAxis:
         """What is known of one axis."""
-        words = said(followed, axis) if followed else None
         knowledge, state = _knowledge(flight, axis, now, followed, words)
         if axis in self._changed:
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
