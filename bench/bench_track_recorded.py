@@ -86,9 +86,8 @@ def main() -> None:
             )
         alarms, hours = alarms + len(track.alarms), hours + flight.duration / 3600
     if off:
-        print(
-            f"\nlast step off the batch: {np.median(off):.3f} (median), {np.quantile(off, 0.99):.3f} (99 %) of {len(off)}"
-        )
+        median, most = np.quantile(off, [0.5, 0.99])
+        print(f"\nlast step off the batch: {median:.3f} (median), {most:.3f} (99 %) of {len(off)}")
         for moment, each in sorted(prophecies.items()):
             print(f"at {moment:g} s {sum(each)} of {len(each)} intervals hold what the whole flight gives")
         print(f"{alarms} alarms in {60 * hours:.0f} minutes")
