@@ -69,7 +69,7 @@ FUNCTIONS: dict[str, str] = {
     "simulate": "(model, command_time, command, time, pose=None, velocity=None)",
     "state_space": "(model)",
     "studio": "(folder=None, port=0, ready=None)",
-    "track": "(flight, card=None, *, structure='averaged', false_alarms_per_hour=0.1, progress=None)",
+    "track": "(flight, card=None, *, structure='averaged', false_alarms_per_hour=0.1, after=None, progress=None)",
     "tune": (
         "(model, design='predictor', *, path=None, rate=50.0, latency=0.015, axes=('x', 'y', 'z', 'yaw'), "
         "peak=1.7, draws=200, seed=0)"
@@ -280,7 +280,13 @@ WRONG_TYPES: dict[str, dict[str, list[Any]]] = {
     "tune": {"design": [5, None], "rate": ["50"], "axes": [5], "draws": [1.5], "seed": [None]},
     "export": {"to": [5, None], "path": [5], "dt": ["0.02"], "name": [5]},
     "save": {"result": [5, None, "model.json"], "path": [5]},
-    "track": {"flight": [5, None, []], "card": [5], "structure": [5, None], "false_alarms_per_hour": ["0.1", None]},
+    "track": {
+        "flight": [5, None, []],
+        "card": [5],
+        "structure": [5, None],
+        "false_alarms_per_hour": ["0.1", None],
+        "after": [5],
+    },
 }
 
 

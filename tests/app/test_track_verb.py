@@ -1,6 +1,7 @@
 """`rotorfit track LOG`: the lines that programs read, as they were promised, and one line for each mistake."""
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
 def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> None:
     """A tracker that raises one alarm, whatever flies."""
 
-    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any) -> Track:
+    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, _earlier: Any) -> Track:
         states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, (), 1)
         for state in states:
             on_state(state)
@@ -118,9 +119,35 @@ def test_people_get_words_a_model_and_a_page(log: tuple[str, ...], tmp_path: Pat
     assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0
 
 
+def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have_settled(
+    log: tuple[str, ...], tmp_path: Path
+) -> None:
+    before, gains = tmp_path / "before.json", tmp_path / "gains.toml"
+    lines(*log, "--structure", LAW, "-o", str(before))
+    slow = Csv(simulate_flight(Truth(delay=(0.25,) * 4), steps(("x", "y", "z")), 22.0, seed=8)).write(tmp_path)
+    told = lines(*slow, "--structure", LAW, "--after", str(before), "--tune", str(gains))
+
+    first = told[0]["axes"]["x"]
+    assert first["from"] == "before.json"
+    assert first["state"].endswith("(until then from before.json)")
+    assert first["input"] == json.loads(before.read_text())["axes"]["x"]["input"]
+    last = told[-2]["axes"]["x"]
+    assert (last["from"], last["state"]) == (None, "known")
+    assert last["against_earlier"]["delay"][0] == pytest.approx(0.1, abs=0.02)
+    assert {line["cause"] for line in told if line["type"] == "alarm"} == {"another_vehicle"}
+    published = [line for line in told if line["type"] == "gains"]
+    assert list(published[0])[:4] == ["type", "time", "axes", "why"]
+    assert published[0]["file"] == str(gains)
+    assert tomllib.loads(gains.read_text())["axes"].keys() == {axis for line in published for axis in line["axes"]}
+    assert tomllib.loads(gains.read_text())["axes"]["x"]["delay"] == pytest.approx(0.25, abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["LOG", "--tune", "gains.json"], "gains.json: gains are written as .toml"),
+        (["LOG", "--tune", "LOG"], "gains are written as .toml"),
+        (["LOG", "--after", "LOG"], "not a model file"),
         (["none.csv"], "none.csv"),
         (["LOG", "--card", "no-such-card"], "no-such-card"),
         (["LOG", "--structure", "best"], "no such structure: 'best'; structures are "),

@@ -162,6 +162,7 @@ def track(
     *,
     structure: str = AVERAGED,
     false_alarms_per_hour: float = 0.1,
+    after: ModelLike | None = None,
     progress: Progress | None = None,
 ) -> Track:
     """Follows the model through a flight as if it were live, as `rotorfit track` does.
@@ -172,6 +173,7 @@ def track(
         card: For a log; None for its own, or the one built-in card that fits.
         structure: As of `fit`.
         false_alarms_per_hour: How many false alarms are to be expected at the most, above 0 and at most 60.
+        after: The model of an earlier flight: what the vehicle was, told until this flight tells, then compared with.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
@@ -180,10 +182,11 @@ def track(
     Raises:
         TypeError: Neither a path, nor a log, nor a flight.
         LogError, CardError, FlightError: As of `flight`.
-        ModelError: No such structure.
+        ModelError: No such structure, or the earlier model cannot be used.
         RotorfitError: A number of false alarms that cannot be promised.
     """
     from rotorfit.core.laws import structure_named
+    from rotorfit.tracking.earlier import Earlier
     from rotorfit.tracking.replayed import tracked
 
     law = as_word(structure, "structure")
@@ -194,6 +197,10 @@ def track(
         raise RotorfitError(f"false alarms an hour are above 0 and at most 60, not {most:g}")
     if not isinstance(flight, Flight | Log | str | PathLike):
         raise TypeError(f"a flight, a log or the path of a log is wanted, not {named(flight)}")
+    earlier = None
+    if after is not None:
+        known = Path(after).name if isinstance(after, str | PathLike) else "the earlier model"
+        earlier = Earlier(as_model(after), known)
     chosen = as_card(card)
     given = flight if isinstance(flight, Flight) else flight_from_log(flight, chosen)
     end = given.segments[-1].end
@@ -202,7 +209,7 @@ def track(
         if progress:
             progress(min(state.time / end, 1.0), f"tracked to {state.time:.0f} s")
 
-    return tracked(given, law, most, told)
+    return tracked(given, law, most, told, earlier)
 
 
 def ladder(

@@ -93,18 +93,31 @@ def highest_peak(law: AxisLaw, possible: Doubt) -> float:
 
 def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
     """A law around every vehicle that is believed possible; one around which it is not stable has no margin."""
-    L = -law_response(law, possible.frequency) * possible.response
-    stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
-    peak = np.where(stable, 1 / np.abs(1 + L).min(axis=1), np.inf)
-    phase, delay = _phase_and_delay(L, possible.frequency)
+    peak, phase, delay = _around_each(law, possible)
     return Robustness(
-        float(np.mean(~stable)),
+        float(np.mean(np.isinf(peak))),
         _quantile(peak, 0.95),
-        _quantile(np.where(stable, phase, 0.0), 0.05),
-        _quantile(np.where(stable, delay, 0.0), 0.05),
+        _quantile(phase, 0.05),
+        _quantile(delay, 0.05),
         len(possible.vehicles),
         possible.seed,
     )
+
+
+def share_beyond(law: AxisLaw, possible: Doubt, peak: float, delay: float) -> float:
+    """Share of the vehicles that are believed possible around which a law has a higher peak of the sensitivity, or a
+    smaller delay margin [s]."""
+    peaks, _, delays = _around_each(law, possible)
+    return float(np.mean((peaks > peak) | (delays < delay)))
+
+
+def _around_each(law: AxisLaw, possible: Doubt) -> tuple[Array, Array, Array]:
+    """Peak, phase margin and delay margin of each vehicle, shape (D,): infinite, 0 and 0 where it is not stable."""
+    L = -law_response(law, possible.frequency) * possible.response
+    stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
+    phase, delay = _phase_and_delay(L, possible.frequency)
+    peak = np.where(stable, 1 / np.abs(1 + L).min(axis=1), np.inf)
+    return peak, np.where(stable, phase, 0.0), np.where(stable, delay, 0.0)
 
 
 def _quantile(values: Array, share: float) -> float:

@@ -34,7 +34,7 @@ Knowledge = Literal["learning", "known", "holding", "not_identifiable", "not_exc
 """What an axis is: too short a flight so far, all coefficients told, none commanded for a while (the last values hold),
 commanded but not told, or not moved by its commands."""
 
-Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "other"]
+Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "another_vehicle", "other"]
 """What a change probably is; see `docs/track.md`."""
 
 QUANTITIES = ("input", "damping", "delay", "lag", "steady_gain", "total_lag")
@@ -58,6 +58,9 @@ class TrackedAxis:
         velocity: World x, y, z and the rate of yaw [m/s, rad/s]; None where unknown.
         ahead: The same a second later, if the last command holds; None where unknown.
         ahead_ci95: Its 95 % band.
+        earlier: Name of the earlier model that the values are from; empty where this flight tells them.
+        against: Name of `QUANTITIES` to the ratio of what this flight tells to what the earlier model did, of `delay`,
+            `lag` and `total_lag` the difference [s], with its 95 % interval; only where both tell it.
     """
 
     knowledge: Knowledge = "learning"
@@ -72,6 +75,8 @@ class TrackedAxis:
     velocity: float | None = None
     ahead: float | None = None
     ahead_ci95: Interval = (None, None)
+    earlier: str = ""
+    against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:
         """As a line of JSON holds it."""
@@ -87,6 +92,8 @@ class TrackedAxis:
             "velocity": self.velocity,
             "velocity_in_1_s": self.ahead,
             "velocity_in_1_s_ci95": list(self.ahead_ci95),
+            "from": self.earlier or None,
+            "against_earlier": {name: list(three) for name, three in self.against.items()},
         }
 
 
@@ -191,6 +198,8 @@ class Tracked:
         regime: Number of the regime, from 0.
         regime_start: When it began [s].
         air: The mean wind; None where it is not known, or damping is no drag.
+        model: As of the last refit of each axis: what `validate`, `tune` and `export` take; None before the first.
+        landed: Whether it is the last, after a last fit of what there is.
     """
 
     time: float
@@ -199,6 +208,8 @@ class Tracked:
     regime: int = 0
     regime_start: float = 0.0
     air: Air | None = None
+    model: Model | None = field(default=None, compare=False, repr=False)
+    landed: bool = False
 
     def to_mapping(self) -> dict[str, Any]:
         """As a line of JSON holds it."""

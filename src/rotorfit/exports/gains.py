@@ -6,6 +6,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from rotorfit.control.control_law import AxisLaw
 from rotorfit.control.tuning import AxisTuning, Tuning
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES
@@ -63,6 +64,7 @@ UNITS: Mapping[str, str] = {
     "observer": "1, 1/s, 1/s^2: corrections of p, v, d per error of the predicted pose, once a command",
     "phase_margin": "deg",
     "delay_margin": "s",
+    "retuned_at": "s of the flight that `rotorfit track --tune` followed",
 }
 
 
@@ -138,19 +140,100 @@ def save_gains(tuning: Tuning, model: Model, path: str | Path) -> Path | None:
     Raises:
         ModelError: A name that ends otherwise.
     """
-    path = Path(path)
+    return write_gains(tuning_mapping(tuning, model), path)
+
+
+def check_gains_name(path: Path) -> None:
+    """Refuses a name of another kind of file.
+
+    Raises:
+        ModelError: It ends otherwise.
+    """
     if path.suffix not in SUFFIXES:
         raise ModelError(f"{path}: gains are written as {', '.join(SUFFIXES)}; give such a name")
-    mapping = _without_none(tuning_mapping(tuning, model))
+
+
+def write_gains(mapping: Mapping[str, Any], path: str | Path, keep: bool = True) -> Path | None:
+    """Writes a mapping of `tuning_mapping`, as `save_gains` does; `keep` as of `write_whole`."""
+    path = Path(path)
+    check_gains_name(path)
+    mapping = _without_none(mapping)
     if path.suffix == ".toml":
         import tomli_w
 
-        return write_whole(path, tomli_w.dumps(mapping))
+        return write_whole(path, tomli_w.dumps(mapping), keep)
     from ruamel.yaml import YAML
 
     text = StringIO()
     YAML().dump(mapping, text)
-    return write_whole(path, text.getvalue())
+    return write_whole(path, text.getvalue(), keep)
+
+
+def read_gains(path: str | Path) -> dict[str, Any]:
+    """What a gains file holds, as `tuning_mapping` gives it.
+
+    Raises:
+        ModelError: It is none, or damaged.
+    """
+    path = Path(path)
+    check_gains_name(path)
+    try:
+        mapping = _parsed(path)
+        for axis, one in mapping["axes"].items():
+            law_of(mapping, axis)
+            float(one["bandwidth"])
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
+        raise ModelError(f"{path}: is no gains file of `rotorfit tune` ({type(error).__name__})") from None
+    return mapping
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    """The mapping of a TOML or YAML file.
+
+    Raises:
+        ValueError: It holds something else.
+    """
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".toml":
+        import tomllib
+
+        return tomllib.loads(text)
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return dict(YAML(typ="safe").load(text))
+    except YAMLError:
+        raise ValueError(path) from None
+
+
+def law_of(mapping: Mapping[str, Any], axis: str) -> AxisLaw:
+    """The law of an axis of a gains file.
+
+    Raises:
+        KeyError, TypeError, ValueError: A number that a law needs is missing, or none.
+    """
+    one = mapping["axes"][axis]
+    kind, observer = mapping["design"], one.get("observer")
+    if kind not in LAWS:
+        raise ValueError(kind)
+    corrections = None
+    if observer is not None:
+        p, v, d = map(float, observer)
+        corrections = (p, v, d)
+    return AxisLaw(
+        kind,
+        period=1.0 / float(mapping["rate"]),
+        input=float(one["input"]),
+        damping=float(one["damping"]),
+        delay=float(one["delay"]),
+        latency=float(mapping["latency"]),
+        stiffness=float(one["stiffness"]),
+        rate=float(one["rate_gain"]),
+        integral=float(one.get("integral", 0.0)),
+        filter_time=float(one.get("filter_time", 0.0)),
+        observer=corrections,
+    )
 
 
 def _without_none(value: Any) -> Any:

@@ -45,6 +45,7 @@ CAUSES: Mapping[str, str] = {
     "delay": "delay",
     "pose_jumped": "the pose jumped",
     "pose_frozen": "the pose is frozen",
+    "another_vehicle": "not the vehicle of the earlier model",
     "other": "something else",
 }
 """A cause in few words."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.model import Axis, Interval
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
 from rotorfit.estimation.fitting import fit
@@ -116,6 +117,37 @@ def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
         return part.ci95, part.ci95_flight or part.ci95
     ends = axis.ci95.get(name, (None, None))
     return ends, axis.ci95_flight.get(name, ends)
+
+
+def together(parts: Sequence[Followed]) -> Model | None:
+    """The last refits as one model; None before the first.
+
+    Args:
+        parts: Of each group of axes that has been fitted.
+    """
+    if not parts:
+        return None
+    models = {axis: part.fit.model for part in parts for axis in part.group}
+    names = tuple(
+        name for part in parts for name in part.fit.model.covariance_names if name.partition(".")[0] in part.group
+    )
+    covariance = np.zeros((len(names), len(names)))
+    for part in parts:
+        own = [k for k, name in enumerate(names) if name.partition(".")[0] in part.group]
+        there = [part.fit.model.covariance_names.index(names[k]) for k in own]
+        covariance[np.ix_(own, own)] = part.fit.model.covariance[np.ix_(there, there)]
+    axes = {axis: models[axis].axes[axis] if axis in models else unknown_axis("too_short") for axis in AXES}
+    structures = {one.structure for one in axes.values() if one.predictor}
+    first = parts[0].fit.model
+    return replace(
+        first,
+        structure="mixed" if len(structures) > 1 else next(iter(structures), STRUCTURE),
+        axes=axes,
+        covariance_names=names,
+        covariance=covariance,
+        paper=tuple(models.get(axis, first).paper[2 * k + j] for k, axis in enumerate(AXES) for j in range(2)),
+        paper_noise={axis: noise for axis, one in models.items() if (noise := one.paper_noise.get(axis))},
+    )
 
 
 def doubt_of(axis: Axis) -> dict[str, float]:

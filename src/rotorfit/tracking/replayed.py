@@ -8,6 +8,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Track, Tracked
+from rotorfit.tracking.earlier import Earlier, check_earlier
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
 
@@ -19,6 +20,7 @@ def tracked(
     structure: str = AVERAGED,
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
     on_state: OnState = lambda _state: None,
+    earlier: Earlier | None = None,
 ) -> Track:
     """Tracks a recorded flight.
 
@@ -27,8 +29,14 @@ def tracked(
         structure: As `fit` takes it.
         false_alarms_per_hour: The expected number that is promised not to be passed.
         on_state: Called with each state as it comes.
+        earlier: What the vehicle was; None where nothing is known.
+
+    Raises:
+        CardError: Commands mean something else to the earlier model.
     """
-    following, ground, states = Following(structure, false_alarms_per_hour), Ground(), []
+    if earlier:
+        check_earlier(earlier, flight.card)
+    following, ground, states = Following(structure, false_alarms_per_hour, earlier), Ground(), []
     seen = 0.0
     for part, now in growing(flight, following.next_look):
         _stand_on(ground, part, seen)

@@ -16,7 +16,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
-from rotorfit.core.model import Interval
+from rotorfit.core.model import Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
@@ -27,6 +27,7 @@ from rotorfit.estimation.likelihood.optima import between
 from rotorfit.tracking.air import AxisMotion, motion_now
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, until_known
 from rotorfit.tracking.following import (
     REFIT,
     SILENT,
@@ -38,6 +39,7 @@ from rotorfit.tracking.following import (
     renewed,
     said,
     stepped,
+    together,
 )
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
@@ -81,10 +83,12 @@ class Tracker:
         structure: As `fit` takes it.
         false_alarms_per_hour: The expected number that is promised not to be passed.
         origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
+        after: The model of an earlier flight of the vehicle: what it was, until this flight tells.
 
     Raises:
         TypeError: The card is none.
         ValueError: A number of false alarms that cannot be promised.
+        CardError: Commands mean something else to the earlier model.
     """
 
     def __init__(
@@ -93,14 +97,20 @@ class Tracker:
         structure: str = AVERAGED,
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         origin: int | None = None,
+        after: Model | Earlier | None = None,
     ) -> None:
         if not isinstance(card, Card):
             raise TypeError(f"a Card is wanted, not {type(card).__name__}: rotorfit.load_card loads one")
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
         self._growing = GrowingFlight(card, origin)
-        self._following = Following(structure, false_alarms_per_hour)
-        self._state = Tracked(0.0, dict.fromkeys(AXES, TrackedAxis()))
+        earlier = Earlier(after) if isinstance(after, Model) else after
+        if earlier:
+            check_earlier(earlier, card)
+        self._following = Following(structure, false_alarms_per_hour, earlier)
+        begin = TrackedAxis()
+        axes = {axis: until_known(begin, earlier, axis) if earlier else begin for axis in AXES}
+        self._state = Tracked(0.0, axes)
 
     def update(self, sample: Sample) -> None:
         """Takes a sample: a pose, or a command as it was sent."""
@@ -151,15 +161,25 @@ class Following:
     Args:
         structure: As `fit` takes it.
         false_alarms_per_hour: Promised.
+        earlier: What the vehicle was; None where nothing is known.
     """
 
-    def __init__(self, structure: str = AVERAGED, false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR) -> None:
-        self._structure, self._false_alarms = structure, false_alarms_per_hour
+    def __init__(
+        self,
+        structure: str = AVERAGED,
+        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
+        earlier: Earlier | None = None,
+    ) -> None:
+        self._structure, self._earlier = structure, earlier
+        self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
+        self._false_comparisons = false_alarms_per_hour * SHARE
+        self._compared, self._unlike = 0.0, set[str]()
         self._groups: dict[tuple[str, ...], Group] = {}
         self._since = dict.fromkeys(AXES, 0.0)
         self._changed: dict[str, float] = {}
         self._seen: _Seen | None = None
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
+        self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
 
     def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
@@ -171,21 +191,28 @@ class Following:
             standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
         """
         self.next_look += EVERY * max(np.ceil((now - self.next_look) / EVERY + 1e-9), 1.0)
+        before = self._as_refitted()
         self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if standing:
             self._seen = None
         alarm = None if standing else self._change(now)
-        return self._tracked(flight, now, (alarm,) if alarm else ())
+        state = self._tracked(flight, now, (alarm,) if alarm else ())
+        if self._earlier and state.model is not before and (unlike := self._another_vehicle(state, self._earlier)):
+            return replace(state, alarms=(*state.alarms, unlike))
+        return state
 
     def memory(self) -> dict[str, Any]:
         """Regimes and the next look, as plain types; estimates are found anew."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
-        return {"since": self._since, "changed": self._changed, "bounds": bounds, "next_look": float(self.next_look)}
+        told = {"compared": self._compared, "unlike": sorted(self._unlike)}
+        since = {"since": self._since, "changed": self._changed}
+        return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Goes on from what `memory` gave."""
         self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
+        self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
         """The last look, each group fitted once more, and the regimes with their models.
@@ -206,7 +233,7 @@ class Following:
                 self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
             elif part:  # what did not change was not begun anew, and is told by more than the last regime
                 self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
-        return self._tracked(flight, now, ()), regimes
+        return replace(self._tracked(flight, now, ()), landed=True), regimes
 
     def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
         """The fit of a regime; None where it is too short."""
@@ -264,6 +291,25 @@ class Following:
         }
         return alarm
 
+    def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
+        """The alarm that the vehicle is not that of the earlier model, from a look that has fitted again.
+
+        What is promised is spent with time: a comparison may raise as many as its share of the time since the last.
+        """
+        axes = {
+            axis: one
+            for axis, one in state.axes.items()
+            if one.against and axis not in self._changed and axis not in self._unlike
+        }
+        every = [unlike for axis, one in axes.items() for unlike in compared(one, earlier, axis)]
+        if not every:
+            return None
+        threshold = self._false_comparisons * (state.time - self._compared) / 3600.0 / len(every)
+        self._compared = state.time
+        found = [one for one in every if one.p_value < threshold]
+        self._unlike |= {one.name.partition(".")[0] for one in found}
+        return another_vehicle(found, earlier, state.time) if found else None
+
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
         known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
@@ -277,7 +323,24 @@ class Following:
             axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
             for axis in flight.axes
         }
-        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air)
+        if self._earlier:
+            axes = {axis: self._after(self._earlier, axis, one) for axis, one in axes.items()}
+        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
+
+    def _after(self, earlier: Earlier, axis: str, out: TrackedAxis) -> TrackedAxis:
+        """An axis beside what the earlier model says of it; of one that has changed that says nothing."""
+        if axis in self._changed:
+            return out
+        out = replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
+        return out if axis in self._unlike else until_known(out, earlier, axis)
+
+    def _as_refitted(self) -> Model | None:
+        """The model of the last refits; the same one until there is another."""
+        parts = [group.followed for group in self._groups.values() if group.followed]
+        fits = tuple(part.fit for part in parts)
+        if [id(one) for one in fits] != [id(one) for one in self._model[0]]:
+            self._model = fits, together(parts)
+        return self._model[1]
 
     def _axis(
         self,

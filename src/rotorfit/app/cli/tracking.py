@@ -14,9 +14,11 @@ from rotorfit.app.cli.options import card_option, file_at, say_kept, structure_o
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rotorfit.app.live.regained import Message, Regaining
     from rotorfit.app.live.serving import Views
     from rotorfit.core.flight_data import Flight
     from rotorfit.core.tracked import Track, Tracked
+    from rotorfit.tracking.earlier import Earlier
 
 PORT = click.IntRange(0, 65535)
 
@@ -35,6 +37,20 @@ PORT = click.IntRange(0, 65535)
     show_default=True,
     metavar="S",
     help="How long a vehicle that is silent is waited for.",
+)
+@click.option(
+    "--after",
+    type=file_at(dir_okay=False),
+    metavar="model.json",
+    help="What the vehicle was on an earlier flight: told until this one tells, then compared with.",
+)
+@click.option(
+    "--tune",
+    "gains",
+    is_flag=False,
+    flag_value="",
+    metavar="[gains.toml]",
+    help="Publish new gains when the vehicle calls for others than those in the file; never a command.",
 )
 @click.option("--record", type=file_at(), metavar="F.mcap", help="Record what is heard, states and alarms beside it.")
 @click.option("--state", "memory", type=file_at(), metavar="FILE", help="Remember in a file, and go on from it.")
@@ -76,6 +92,8 @@ def track(
     card: str | None,
     seconds: float | None,
     patience: float,
+    after: Path | None,
+    gains: str | None,
     record: Path | None,
     memory: Path | None,
     page: int | None,
@@ -103,14 +121,17 @@ def track(
         check_destination(output, MODEL_MARK)
     if report:
         check_destination(report, REPORT_MARK)
+    earlier = _earlier(after) if after else None
+    regaining = _regaining(gains, jsonl) if gains is not None else None
     lost = ""
     with Views(page, foxglove, lambda text: click.echo(text, err=True)) as views:
         if link is not None:
             result, flight, lost = _listened(
-                link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views
-            )
+                link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views,
+                earlier, regaining,
+            )  # fmt: skip
         else:
-            result, flight = _replayed(str(log), card, pace, structure, false_alarms, jsonl, views)
+            result, flight = _replayed(str(log), card, pace, structure, false_alarms, jsonl, views, earlier, regaining)
         files = _written(result, output) if output else [None] * len(result.regimes)
         if report and flight:
             from rotorfit.reporting import write_timeline
@@ -125,6 +146,8 @@ def track(
                     click.echo(f"Model written to {file}.")
             if output and not any(files):
                 click.echo("No model written: nothing was told.")
+            if regaining:
+                click.echo(regaining.summary)
             if report and flight:
                 click.echo(f"Report written to {report}.")
     if lost:
@@ -133,9 +156,35 @@ def track(
         raise LinkError(f"{link}: {lost}")
 
 
+def _earlier(path: Path) -> "Earlier":
+    """The model of an earlier flight, called by its file."""
+    from rotorfit.files.models import load
+    from rotorfit.tracking.earlier import Earlier
+
+    return Earlier(load(path), path.name)
+
+
+def _regaining(path: str, jsonl: bool) -> "Regaining":
+    """What publishes new gains: each a line of JSON, or some for people."""
+    from rotorfit.app.live.regained import Regaining
+    from rotorfit.app.terminal import show
+    from rotorfit.app.terminal.cockpit import line_cleared
+    from rotorfit.app.terminal.tracking import gains_view
+
+    def told(message: "Message", _now: int) -> None:
+        if jsonl:
+            click.echo(json.dumps(message, allow_nan=False))
+        else:
+            line_cleared()
+            show(gains_view(message))
+
+    return Regaining(Path(path) if path else None, told, say_kept)
+
+
 def _replayed(
-    log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views"
-) -> tuple["Track", "Flight"]:
+    log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
+    earlier: "Earlier | None", regaining: "Regaining | None",
+) -> tuple["Track", "Flight"]:  # fmt: skip
     """A log, as if live, and its flight."""
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
@@ -149,13 +198,16 @@ def _replayed(
             time.sleep(max(state.time / pace - (time.monotonic() - begun), 0.0))
         views.state(state, round(state.time * 1e9))
         show_state(state)
+        if regaining:
+            regaining.state(state, round(state.time * 1e9))
 
-    return tracked(flight, structure, false_alarms, told), flight
+    return tracked(flight, structure, false_alarms, told, earlier), flight
 
 
 def _listened(
     link: str, card: str | None, seconds: float | None, patience: float, record: Path | None, memory: Path | None,
-    pace: float, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
+    pace: float, structure: Any, false_alarms: float, jsonl: bool, views: "Views", earlier: "Earlier | None",
+    regaining: "Regaining | None",
 ) -> tuple["Track", "Flight | None", str]:  # fmt: skip
     """A link, what of its flight is remembered, and why it was lost; empty where it was not."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering, recalled
@@ -171,7 +223,7 @@ def _listened(
     if record:
         check_new(record)
     chosen = card_for_link(link, card)
-    tracker = Tracker(chosen, structure, false_alarms)
+    tracker = Tracker(chosen, structure, false_alarms, after=earlier)
 
     def say(text: str) -> None:
         line_cleared()
@@ -187,10 +239,19 @@ def _listened(
 
             say(NAME)
         outlets: list[Outlet] = [views]
-        outlets += [Recording(record, chosen, link)] if record else []
+        recording = Recording(record, chosen, link) if record else None
+        outlets += [recording] if recording else []
         outlets += [Remembering(memory, tracker)] if memory else []
+        if regaining and recording:
+            regaining.listeners.append(recording.gains)
+
+        def told(state: "Tracked", now: int) -> None:
+            show_state(state)
+            if regaining:
+                regaining.state(state, now)
+
         with shown_line(lambda: line_of(tracker.state())):
-            result = followed(tracker, listening, outlets, show_state, say)
+            result = followed(tracker, listening, outlets, told, say)
     if not listening.lost:
         say(f"ended: {listening.ended}")
     return result, tracker.flight(), listening.ended if listening.lost else ""

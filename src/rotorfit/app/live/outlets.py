@@ -19,8 +19,8 @@ from rotorfit.flying.recorder import Recorder, card_as_recorded, record
 from rotorfit.tracking.growing_flight import ONE_CLOCK
 from rotorfit.tracking.tracker import Tracker
 
-TRACKED, ALARM = "/rotorfit/tracked", "/rotorfit/alarm"
-"""Topics of states and alarms, JSON as the lines of `rotorfit track --jsonl`."""
+TRACKED, ALARM, GAINS = "/rotorfit/tracked", "/rotorfit/alarm", "/rotorfit/gains"
+"""Topics of states, alarms and new gains, JSON as the lines of `rotorfit track --jsonl`."""
 
 REMEMBER_EVERY = 1.0
 """Time between two writings of what is remembered [s]."""
@@ -79,6 +79,11 @@ class Recording:
             self._recorder.told(ALARM, now, alarm.to_mapping())
             self._recorder.event(now, f"ALARM {', '.join(alarm.axes)}: {alarm.cause}: {alarm.why}")
         self._recorder.told(TRACKED, now, state.to_mapping())
+
+    def gains(self, message: Mapping[str, Any], now: int) -> None:
+        """Writes new gains."""
+        if self._recorder is not None:
+            self._recorder.told(GAINS, now, message)
 
     def close(self) -> None:
         """Ends the file.

@@ -50,7 +50,7 @@ def followed(
     tracker: Tracker,
     listening: Listening,
     outlets: Sequence["Outlet"],
-    told: Callable[[Tracked], None],
+    told: Callable[[Tracked, int], None],
     news: Callable[[str], None],
 ) -> Track:
     """Follows a vehicle until the link ends.
@@ -59,7 +59,7 @@ def followed(
         tracker: New, or one that goes on.
         listening: The link.
         outlets: Where all of it goes; they are closed at the end, whatever ends it.
-        told: Called with each new state.
+        told: Called with each new state and the link's clock [ns].
         news: Called with what happens to the link.
 
     Returns:
@@ -71,7 +71,7 @@ def followed(
     def tell(state: Tracked) -> None:
         for outlet in outlets:
             outlet.state(state, now)
-        told(state)
+        told(state, now)
 
     try:
         for heard in listening:

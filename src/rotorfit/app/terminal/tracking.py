@@ -1,7 +1,8 @@
 """What the terminal shows of a vehicle that is followed: what is new, second by second, and the end in a table."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -10,6 +11,9 @@ from rotorfit.app.terminal.tables import View, bullets, indented, interval_text,
 from rotorfit.core.tracked import QUANTITIES, Alarm, Track, Tracked, TrackedAxis
 
 _PUSH = {"x": "m/s^2", "y": "m/s^2", "z": "m/s^2", "yaw": "rad/s^2"}
+
+SAID = ("known", "not_identifiable")
+"""Of axes that are this, the numbers are given as soon as they are; of others, where they are those of before."""
 
 UNITS = {"delay": "s", "lag": "s", "total_lag": "s", "damping": "1/s"}
 
@@ -20,7 +24,8 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
         yield from alarm_view(alarm)
     for name, axis in state.axes.items():
         earlier = before.axes.get(name) if before else None
-        if (earlier is None and axis.knowledge != "learning") or (earlier and earlier.knowledge != axis.knowledge):
+        new = axis.knowledge != "learning" or axis.earlier if earlier is None else earlier.knowledge != axis.knowledge
+        if new:
             line = Text(f"{state.time:7.1f} s  {name:4}", style="dim")
             line.append(f" {axis.state}", style="default")
             line.append(_numbers(axis), style="default")
@@ -34,7 +39,19 @@ def _numbers(axis: TrackedAxis) -> str:
         for name, value in axis.values.items()
         if value is not None and name in ("input", "damping", "delay")
     ]
-    return f": {', '.join(known)}" if known and axis.knowledge in ("known", "not_identifiable") else ""
+    return f": {', '.join(known)}" if known and (axis.earlier or axis.knowledge in SAID) else ""
+
+
+def _apart(axis: TrackedAxis) -> str:
+    """How an axis differs from what it was."""
+    return ", ".join(
+        f"{name.replace('_', ' ')} {_times(name, change)} ({_times(name, low)} to {_times(name, high)})"
+        for name, (change, low, high) in axis.against.items()
+    )
+
+
+def _times(name: str, change: float) -> str:
+    return f"{change:+.3f} s" if name in ("delay", "lag", "total_lag") else f"{change:.2f}"
 
 
 def line_of(state: Tracked) -> str:
@@ -58,6 +75,20 @@ def _change(name: str) -> str:
     return "by" if name.endswith((".delay", ".trim")) else "times"
 
 
+def gains_view(message: Mapping[str, Any]) -> View:
+    """New gains, and why."""
+    for axis, one in message["axes"].items():
+        head = Text(f"{message['time']:7.1f} s  GAINS {axis}", style="bold green")
+        numbers = (
+            f"bandwidth {one['bandwidth']:.3g} rad/s, stiffness {one['stiffness']:.3g}, rate {one['rate_gain']:.3g}"
+        )
+        head.append(f": {numbers}", style="default")
+        yield head
+        yield indented(f"{message['why'][axis]}.", 11)
+    if message["file"]:
+        yield indented(f"Written to {message['file']}.", 11)
+
+
 def track_view(result: Track) -> View:
     """The axes at the end, and the regimes."""
     last = result.states[-1]
@@ -79,6 +110,8 @@ def track_view(result: Track) -> View:
         if axis.wind is not None:
             out.add_row("", "", "wind", f"{axis.wind:.2f} {_PUSH[name]}", interval_text(axis.wind_ci95))
     yield out
+    if apart := [f"{name} {_apart(axis)}" for name, axis in last.axes.items() if axis.against]:
+        yield indented(f"Against the earlier model: {'; '.join(apart)}.", 0)
     if last.air:
         low, high = last.air.speed_ci95
         towards = f"{math.degrees(last.air.direction):.0f} deg from the world's x, counter-clockwise"

@@ -1,0 +1,88 @@
+"""Gains while a vehicle flies: published as a message and, where asked for, as a file; nothing is ever commanded."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rotorfit.app.workflows import check_destination
+from rotorfit.control.retuning import Flown, Retuned, Retuning
+from rotorfit.control.tuning import LATENCY, RATE
+from rotorfit.core.display import counted
+from rotorfit.core.frames import AXES
+from rotorfit.core.model import Model
+from rotorfit.core.tracked import Tracked
+from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
+
+OF_THE_VEHICLE = ("payload", "thrust", "limits", "delay", "other")
+"""Causes of alarms after which the vehicle is learnt anew."""
+
+Message = Mapping[str, Any]
+
+
+class Regaining:
+    """Watches the states of a vehicle, and publishes new gains.
+
+    Gains that the file holds at the start are those that are flown, and its design, rate and latency hold.
+
+    Args:
+        path: Of the gains file, TOML or YAML; None for messages alone.
+        told: The first of the listeners.
+        kept: Called with where the file that was there first is kept.
+
+    Attributes:
+        listeners: Called with each message and the link's clock [ns].
+        count: Messages so far.
+
+    Raises:
+        ModelError: A name of another kind of file, or a gains file that cannot be read.
+        LogError: The path is taken by something else.
+    """
+
+    def __init__(
+        self, path: Path | None, told: Callable[[Message, int], None], kept: Callable[[Path | None], None]
+    ) -> None:
+        self._path, self.listeners, self._kept, self.count = path, [told], kept, 0
+        self._gains: dict[str, Any] = {"design": "predictor", "rate": RATE, "latency": LATENCY, "axes": {}}
+        if path:
+            check_gains_name(path)
+            check_destination(path, GAINS_MARK)
+            self._gains = read_gains(path) if path.exists() else self._gains
+        flown = {axis: Flown(law_of(self._gains, axis), float(one["bandwidth"])) for axis, one in self._axes()}
+        self._retuning = Retuning(self._gains["design"], self._gains["rate"], self._gains["latency"], flown)
+
+    def state(self, state: Tracked, now: int) -> None:
+        """Publishes what a state calls for."""
+        for alarm in state.alarms:
+            if alarm.cause in OF_THE_VEHICLE:
+                self._retuning.changed(alarm.axes)
+        known = [axis for axis, one in state.axes.items() if one.knowledge == "known" and not one.earlier]
+        if state.model is None or state.landed or not known:
+            return
+        if found := self._retuning.look(state.model, known):
+            self._publish(found, state.model, state.time, now)
+
+    @property
+    def summary(self) -> str:
+        """What has come of it, one line."""
+        if not self.count:
+            return "No gains published: those that are flown may stay, or nothing has settled."
+        return f"Gains published {counted(self.count, 'time')}{f', in {self._path}' if self._path else ''}."
+
+    def _axes(self) -> list[tuple[str, dict[str, Any]]]:
+        return [(axis, self._gains["axes"][axis]) for axis in AXES if axis in self._gains["axes"]]
+
+    def _publish(self, found: Retuned, model: Model, time: float, now: int) -> None:
+        mapping = tuning_mapping(found.tuning, model)
+        new = {axis: {**one, "retuned_at": time} for axis, one in mapping["axes"].items()}
+        axes = {**dict(self._axes()), **new}
+        axes = {axis: axes[axis] for axis in AXES if axis in axes}
+        missing = {axis: "not known well enough in this flight" for axis in AXES if axis not in axes}
+        self._gains = {**mapping, "axes": axes, "refused": missing}
+        if self._path:
+            self._kept(write_gains(self._gains, self._path, keep=self.count == 0))
+        self.count += 1
+        file = str(self._path) if self._path else None
+        loop = {name: mapping[name] for name in ("design", "rate", "latency")}
+        message = {"type": "gains", "time": time, "axes": new, "why": dict(found.why), **loop, "file": file}
+        for told in self.listeners:
+            told(message, now)

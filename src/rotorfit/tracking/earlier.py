@@ -1,0 +1,162 @@
+"""The model of an earlier flight: what the vehicle was, said as such until this flight tells it, and compared with it.
+
+Nothing is combined: a vehicle that was changed on the ground would be pulled towards what it was. Until the flight
+tells more of input, damping and delay than the earlier model did, that one's numbers stand, under its name. From then
+on the flight's own stand, and beside them how they differ from the earlier ones,
+
+    z = 1.96 (a - b) / sqrt(h_a^2 + h_b^2)
+
+with a and b the two values (logarithms but of times), h_a and h_b the half widths that face each other of their
+intervals of the vehicle, which hold what flights of one vehicle differ by. `bench/bench_real_coverage.py` counts this
+statistic on pairs of recorded flights.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from scipy.special import stdtr
+
+from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError
+from rotorfit.core.frames import AXES
+from rotorfit.core.limits import disagreement
+from rotorfit.core.model import COEFFICIENTS, Interval, Model
+from rotorfit.core.tracked import QUANTITIES, Alarm, TrackedAxis
+from rotorfit.estimation.identifiability import NORMAL
+
+SHARE = 0.25
+"""Of the false alarms that are promised, those that comparisons with the earlier model may raise."""
+
+DEGREES = 5.0
+"""Of freedom of Student's distribution that p-values of a comparison are taken from. Of 769 pairs of recorded flights
+of one vehicle 6 lie beyond 4, 2 beyond 5 and 1 beyond 6 of their standard errors; it expects 8, 3 and 1.4."""
+
+TIMES = ("delay", "lag", "total_lag")
+"""Quantities that are compared by their difference [s]; the others by their ratio."""
+
+ALIKE = ("steady_gain", "total_lag")
+"""Quantities that mean the same under every law."""
+
+Known = tuple[float, float, float]
+"""A value, and the ends of its interval."""
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """A model, and what it is called.
+
+    Attributes:
+        model: Of an earlier flight.
+        name: Such as that of its file.
+    """
+
+    model: Model
+    name: str = "the earlier model"
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """A quantity that differs from what it was.
+
+    Attributes:
+        name: `AXIS.QUANTITY`.
+        p_value: Of the same vehicle differing as much.
+        change: Ratio of new to old, or their difference [s], with its 95 % interval.
+    """
+
+    name: str
+    p_value: float
+    change: Known
+
+
+def check_earlier(earlier: Earlier, card: Card) -> None:
+    """Refuses a model whose commands mean something else.
+
+    Raises:
+        CardError: They do.
+    """
+    if trouble := disagreement(card, earlier.model.card, ("the flight's card", f"that of {earlier.name}")):
+        raise CardError(f"{earlier.name}: {trouble}; convert it (rotorfit convert), or leave --after out")
+
+
+def told_before(earlier: Earlier, axis: str) -> dict[str, Known]:
+    """What the earlier model tells of an axis, with its intervals of the vehicle."""
+    known = earlier.model.axes[axis]
+    values = {**{name: getattr(known, name) for name in COEFFICIENTS}, **known.extra}
+    values |= {name: part.value for name, part in known.combinations.items()}
+    return _closed(values, {**known.ci95, **{name: part.ci95 for name, part in known.combinations.items()}})
+
+
+def _closed(values: Mapping[str, float | None], ends: Mapping[str, Interval]) -> dict[str, Known]:
+    """Quantities with a value and an interval that has both ends."""
+    out = {}
+    for name in QUANTITIES:
+        value, (low, high) = values.get(name), ends.get(name, (None, None))
+        if value is not None and low is not None and high is not None:
+            out[name] = value, low, high
+    return out
+
+
+def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
+    """An axis with the earlier model's numbers, where they tell more of it than this flight so far."""
+    before = told_before(earlier, axis)
+    own = sum(out.values.get(name) is not None for name in COEFFICIENTS)
+    if sum(name in before for name in COEFFICIENTS) <= own:
+        return out
+    return replace(
+        out,
+        state=f"{out.state} (until then from {earlier.name})",
+        values={name: before[name][0] if name in before else None for name in QUANTITIES},
+        ci95={name: (low, high) for name, (_, low, high) in before.items()},
+        ci95_flight={},
+        structure=earlier.model.axes[axis].structure,
+        earlier=earlier.name,
+    )
+
+
+def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
+    """Each quantity that both tell, against what it was; input, damping, delay and lag only under the same law."""
+    before, now = told_before(earlier, axis), _closed(out.values, out.ci95)
+    same_law = out.structure == earlier.model.axes[axis].structure
+    return tuple(
+        _unlike(f"{axis}.{name}", before[name], now[name])
+        for name in before.keys() & now.keys()
+        if (same_law or name in ALIKE) and (name in TIMES or min(*before[name], *now[name]) > 0)
+    )
+
+
+def _unlike(name: str, before: Known, now: Known) -> Unlike:
+    """A quantity against what it was."""
+    apart = name.partition(".")[2] in TIMES
+    (b, b_low, b_high), (a, a_low, a_high) = (each if apart else map(math.log, each) for each in (before, now))
+    below, above = math.hypot(a - a_low, b_high - b), math.hypot(a_high - a, b - b_low)
+    facing = below if a > b else above
+    z = NORMAL * abs(a - b) / facing if facing > 0 else 0.0
+    low, change, high = (each if apart else math.exp(each) for each in (a - b - below, a - b, a - b + above))
+    return Unlike(name, float(2 * stdtr(DEGREES, -z)), (change, low, high))
+
+
+def another_vehicle(found: list[Unlike], earlier: Earlier, now: float) -> Alarm:
+    """That the vehicle is not the one of the earlier model.
+
+    Args:
+        found: What differs, at least one.
+        earlier: From what.
+        now: [s].
+    """
+    worst = sorted(found, key=lambda one: one.p_value)
+    named = {one.name.partition(".")[0] for one in found}
+    said = ", ".join(f"{one.name.replace('.', ' ').replace('_', ' ')} {_by(one)}" for one in worst)
+    why = f"another vehicle than {earlier.name}, or set otherwise: {said}; more than flights of one vehicle differ by"
+    change = {one.name: one.change[1:] for one in worst}
+    return Alarm(
+        now, tuple(axis for axis in AXES if axis in named), "another_vehicle", (0.0, 0.0), change, 1.0,
+        worst[0].p_value, why,
+    )  # fmt: skip
+
+
+def _by(one: Unlike) -> str:
+    if one.name.partition(".")[2] in TIMES:
+        return "{:+.3f} s ({:+.3f} to {:+.3f})".format(*one.change)
+    return "{:.2f} times ({:.2f} to {:.2f})".format(*one.change)

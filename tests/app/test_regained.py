@@ -1,0 +1,113 @@
+"""New gains are published as a message and as a file, whole; what is in the file at the start is what is flown."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from models import VEHICLE, model_of
+from rotorfit.app.live.regained import Regaining
+from rotorfit.control.tuning import tune
+from rotorfit.core.errors import LogError, ModelError
+from rotorfit.core.model import Model
+from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
+from rotorfit.exports.gains import law_of, read_gains, save_gains
+
+pytestmark = pytest.mark.flights
+
+CHANGED = Alarm(3.0, ("x",), "limits", (2.0, 2.5), {}, 0.9, 1e-9, "because")
+
+
+def states(*models: Model, axes: tuple[str, ...] = ("x",), **more: Any) -> list[Tracked]:
+    """A state a second, each with a new fit."""
+    known = {axis: TrackedAxis("known", "known") for axis in axes}
+    return [Tracked(float(5 + k), known, model=model, **more) for k, model in enumerate(models)]
+
+
+def told(path: Path | None, given: list[Tracked]) -> tuple[list[Mapping[str, Any]], Regaining]:
+    messages: list[Mapping[str, Any]] = []
+    regaining = Regaining(path, lambda message, _now: messages.append(message), lambda _kept: None)
+    for state in given:
+        regaining.state(state, 0)
+    return messages, regaining
+
+
+def only(axis: str = "x") -> Model:
+    return model_of({axis: VEHICLE[axis]})
+
+
+def test_gains_are_a_message_with_reasons_and_no_file_unless_it_is_named(tmp_path: Path) -> None:
+    (message,), regaining = told(None, states(only(), only(), only()))
+
+    assert list(message)[:4] == ["type", "time", "axes", "why"]
+    assert (message["type"], message["time"], message["file"]) == ("gains", 6.0, None)
+    assert message["axes"]["x"]["stiffness"] == tune(only()).axes["x"].law.stiffness
+    assert "settled" in message["why"]["x"]
+    assert regaining.summary == "Gains published 1 time."
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_file_is_that_of_tune_and_says_when(tmp_path: Path) -> None:
+    path = tmp_path / "gains.toml"
+    told(path, states(only(), only()))
+    held = tomllib.loads(path.read_text())
+
+    assert held["axes"]["x"]["retuned_at"] == 6.0
+    assert held["refused"].keys() == {"y", "z", "yaw"}
+    assert law_of(read_gains(path), "x") == tune(only()).axes["x"].law
+
+
+@pytest.mark.parametrize("name", ["gains.toml", "gains.yaml"])
+def test_gains_in_the_file_are_flown_and_axes_that_are_not_retuned_stay(name: str, tmp_path: Path) -> None:
+    path, model = tmp_path / name, model_of({axis: VEHICLE[axis] for axis in ("x", "z")})
+    save_gains(tune(model, "linearising", rate=25.0), model, path)
+    before = read_gains(path)
+    assert told(path, states(*(only() for _ in range(3))))[0] == []
+    assert read_gains(path) == before
+
+    g, b, tau = VEHICLE["x"]
+    (message,), _ = told(path, states(*(model_of({"x": (1.6 * g, b, tau)}) for _ in range(3))))
+    after = read_gains(path)
+    assert (message["design"], message["rate"], list(message["axes"])) == ("linearising", 25.0, ["x"])
+    assert after["axes"]["z"] == before["axes"]["z"]
+    assert after["axes"]["x"]["input"] == pytest.approx(1.6 * g)
+    assert (tmp_path / f"{name}~").exists()  # what somebody else wrote is kept
+
+
+def test_an_alarm_of_the_pose_and_a_landing_change_no_gains() -> None:
+    jump = Alarm(3.0, ("x",), "pose_jumped", (2.0, 2.5), {}, 0.9, 1e-9, "because")
+    assert len(told(None, [*states(only(), only()), *states(only(), only(), alarms=(jump,))])[0]) == 1
+    assert told(None, [*states(only()), *states(only(), landed=True)])[0] == []
+
+
+def test_after_an_alarm_the_vehicle_must_settle_anew() -> None:
+    g, b, tau = VEHICLE["x"]
+    other = [model_of({"x": (g, b, tau + 0.1)}) for _ in range(3)]
+    given = [*states(only(), only()), *states(other[0], alarms=(CHANGED,)), *states(*other[1:])]
+    first, second = told(None, given)[0]
+
+    assert second["why"]["x"].startswith("the vehicle has changed")
+    assert first["axes"]["x"]["delay"] + 0.1 == pytest.approx(second["axes"]["x"]["delay"])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error", "said"),
+    [
+        ("gains.json", None, ModelError, "gains are written as"),
+        ("gains.toml", "hello = 1\n", LogError, "not overwritten"),
+        ("gains.toml", 'format = "rotorfit-gains"\ndesign = 3\n', ModelError, "no gains file"),
+        ("gains.toml", 'format = "rotorfit-gains\n', ModelError, "no gains file"),
+        ("gains.yaml", "format: rotorfit-gains\naxes: [\n", ModelError, "no gains file"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_and_stays(
+    name: str, text: str | None, error: type[Exception], said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(error, match=said):
+        told(path, [])
+    assert text is None or path.read_text() == text

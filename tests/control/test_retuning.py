@@ -1,0 +1,82 @@
+"""Gains change in flight where the vehicle calls for it, once its interval has settled, and not otherwise."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from models import VEHICLE, Point, model_of
+from rotorfit.control.retuning import FASTER, Flown, Retuned, Retuning
+from rotorfit.control.tuning import tune
+from rotorfit.core.model import Model
+
+pytestmark = pytest.mark.flights
+
+
+def of_x(point: Point = VEHICLE["x"], error: float = 0.05) -> Model:
+    """A model of x alone."""
+    return model_of({"x": point}, error=error)
+
+
+def flown(error: float = 0.05) -> Mapping[str, Flown]:
+    """Gains of the vehicle as it is."""
+    one = tune(of_x(error=error), axes=("x",)).axes["x"]
+    return {"x": Flown(one.law, one.bandwidth)}
+
+
+def looks(retuning: Retuning, *models: Model) -> list[Retuned]:
+    """What comes of models in a row."""
+    return [found for model in models if (found := retuning.look(model, ("x",)))]
+
+
+def test_the_first_gains_come_when_a_second_fit_says_the_same() -> None:
+    retuning, first = Retuning(), of_x()
+
+    assert looks(retuning, first, first) == []  # no new fit, nothing new
+    (found,) = looks(retuning, of_x())
+    assert found.tuning.axes["x"].law == tune(of_x(), axes=("x",)).axes["x"].law
+    assert "settled" in found.why["x"]
+
+
+def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:
+    rng, (g, b, tau), retuning = np.random.default_rng(1), VEHICLE["x"], Retuning(flown=flown())
+    noise = rng.standard_normal((25, 3)) * (0.05 * g, 0.05 * b, 0.005)
+
+    assert looks(retuning, *(of_x((g + i, b + j, tau + k)) for i, j, k in noise.tolist())) == []
+
+
+def test_gains_of_a_flight_that_told_more_are_not_given_up_for_one_that_tells_less() -> None:
+    assert looks(Retuning(flown=flown(0.01)), *(of_x(error=0.2) for _ in range(4))) == []
+
+
+def test_a_vehicle_that_is_known_better_gets_faster_gains_once() -> None:
+    retuning, slow = Retuning(flown=flown(0.2)), flown(0.2)["x"].bandwidth
+
+    (found,) = looks(retuning, *(of_x(error=0.01) for _ in range(5)))
+    assert found.tuning.axes["x"].bandwidth >= FASTER * slow
+    assert "known better" in found.why["x"]
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6])
+def test_gains_of_another_vehicle_are_replaced_once(factor: float) -> None:
+    g, b, tau = VEHICLE["x"]
+    (found,) = looks(Retuning(flown=flown()), *(of_x((factor * g, b, tau)) for _ in range(5)))
+
+    assert found.tuning.axes["x"].law.input == pytest.approx(factor * g)
+
+
+def test_after_a_change_what_was_fitted_before_says_nothing() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning, other = Retuning(flown=flown()), (g, b, tau + 0.1)
+    assert looks(retuning, of_x(), of_x()) == []
+    retuning.changed(["x"])
+
+    assert looks(retuning, of_x(other)) == []  # one fit has not settled
+    (found,) = looks(retuning, of_x(other), of_x(other))
+    assert found.why["x"].startswith("the vehicle has changed")
+
+
+def test_fits_that_still_learn_have_not_settled() -> None:
+    assert looks(Retuning(), of_x(error=0.3), of_x(error=0.15), of_x(error=0.07)) == []
+    g, b, tau = VEHICLE["x"]
+    assert looks(Retuning(), of_x(), of_x((1.5 * g, b, tau)), of_x((g, b, tau))) == []

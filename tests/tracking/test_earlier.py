@@ -1,0 +1,140 @@
+"""The model of an earlier flight is said as such until the flight tells, and compared with what it tells."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models import VEHICLE, model_of
+from rotorfit.control.tuning import tune
+from rotorfit.core.errors import CardError
+from rotorfit.core.model import COEFFICIENTS, Model
+from rotorfit.core.tracked import Tracked, TrackedAxis
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
+from rotorfit.tracking.replayed import growing, tracked
+from rotorfit.tracking.tracker import Following, Tracker
+from tracked_flights import LAW, known
+
+pytestmark = pytest.mark.flights
+
+NAME = "model.json"
+
+
+def own() -> Model:
+    """What the known flight tells."""
+    model = known()[1].regimes[0].model
+    assert model is not None
+    return model
+
+
+def scaled(model: Model, axis: str, factor: float) -> Model:
+    """The model of a vehicle that answers more to commands on one axis."""
+    one = model.axes[axis]
+    assert one.input is not None
+    low, high = one.ci95["input"]
+    assert low is not None
+    assert high is not None
+    gain = one.combinations["steady_gain"]
+    ends = (gain.ci95[0] or 0.0) * factor, (gain.ci95[1] or 0.0) * factor
+    other = replace(
+        one,
+        input=factor * one.input,
+        ci95={**one.ci95, "input": (factor * low, factor * high)},
+        combinations={**one.combinations, "steady_gain": replace(gain, value=factor * gain.value, ci95=ends)},
+    )
+    return replace(model, axes={**model.axes, axis: other})
+
+
+def test_a_tracker_states_the_earlier_model_at_once_and_never_as_learnt() -> None:
+    model = own()
+    state = Tracker(model.card, LAW, after=Earlier(model, NAME)).state()
+
+    for axis, one in state.axes.items():
+        assert one.knowledge == "learning"
+        assert one.state == "learning (until then from model.json)"
+        assert one.to_mapping()["from"] == NAME
+        assert one.values["damping"] == model.axes[axis].damping
+        assert one.ci95["damping"] == model.axes[axis].ci95["damping"]
+        assert one.ci95_flight == {}
+    assert Tracker(model.card, LAW, after=model).state().axes["x"].earlier == "the earlier model"
+
+
+def test_what_the_flight_tells_takes_its_place() -> None:
+    earlier, told = Earlier(own(), NAME), known()[1].states[-1].axes["x"]
+
+    assert until_known(told, earlier, "x") == told
+    little = replace(told, values={**told.values, "damping": None, "delay": None})
+    assert until_known(little, earlier, "x").earlier == NAME
+    untold = Earlier(model_of({"y": VEHICLE["y"]}), NAME)
+    assert until_known(TrackedAxis(), untold, "x") == TrackedAxis()
+
+
+def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
+    flight = known()[0]
+    same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))
+
+    assert same.alarms == ()
+    axis = same.states[-1].axes["x"]
+    assert set(COEFFICIENTS) <= axis.against.keys()
+    same_as_before = {name: 0.0 if name in ("delay", "total_lag") else 1.0 for name in axis.against}
+    assert all(low <= same_as_before[name] <= high for name, (_, low, high) in axis.against.items())
+
+    (alarm,) = other.alarms
+    assert (alarm.cause, alarm.axes) == ("another_vehicle", ("x",))
+    low, high = alarm.change["x.input"]
+    assert low < 0.8 < high
+    assert "another vehicle than model.json" in alarm.why
+    assert len(other.regimes) == 1
+    later = [state.axes["x"] for state in other.states if state.time > alarm.time]
+    assert all(one.earlier == "" for one in later)  # it is not what this vehicle was
+
+
+def test_a_difference_of_five_standard_errors_is_told_but_raises_no_alarm() -> None:
+    """Flights of one vehicle differ so now and then; the threshold is what the promise leaves."""
+    model = own()
+    told = known()[1].states[-1].axes["x"]
+    low, high = (np.log(end) for end in model.axes["x"].ci95["input"])
+    sd = np.hypot(high - low, np.subtract(*np.log(told.ci95["input"]))) / (2 * 1.96)
+    (one,) = [
+        each
+        for each in compared(told, Earlier(scaled(model, "x", float(np.exp(5 * sd))), NAME), "x")
+        if each.name == "x.input"
+    ]
+
+    assert one.change[2] < 1.0
+    assert one.p_value > SHARE * 0.1 * 30.0 / 3600.0
+    assert another_vehicle([one], Earlier(model, NAME), 9.0).p_value == one.p_value
+
+
+def test_after_a_change_nothing_of_the_earlier_model_is_said() -> None:
+    following = Following(LAW, 0.1, Earlier(own(), NAME))
+    regimes = {"since": dict.fromkeys(VEHICLE, 6.0), "changed": {"x": 6.0}, "bounds": [(0.0, None)]}
+    following.recall({**regimes, "next_look": 7.0})
+    part, now = next(growing(known()[0], 7.0))
+    state = following.look(part, now)
+
+    assert state.axes["x"].values["input"] is None
+    assert state.axes["x"].earlier == ""
+    assert state.axes["y"].earlier == NAME
+
+
+def test_a_model_whose_commands_mean_something_else_is_refused() -> None:
+    raw = own().card.raw
+    card = card_from_mapping({**raw, "limits": {**raw["limits"], "tilt": 0.7}}, "another")
+    with pytest.raises(CardError, match=r"model\.json: a command of 1 on x reaches .*convert it"):
+        Tracker(card, LAW, after=Earlier(own(), NAME))
+
+
+def test_the_state_holds_the_model_that_tune_and_files_take() -> None:
+    state: Tracked = known()[1].states[-2]
+    model = state.model
+    assert model is not None
+
+    assert from_mapping(to_mapping(model), "here").axes["x"].input == model.axes["x"].input
+    assert set(tune(model).axes) == set(VEHICLE)
+    assert known()[1].states[-1].landed
+    assert not state.landed
+    still = [one.model for one in known()[1].states]
+    assert len({id(one) for one in still}) < len(still) / 2  # the same until there is another fit
