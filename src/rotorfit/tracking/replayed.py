@@ -14,19 +14,13 @@ from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
 
 OnState = Callable[[Tracked], None]
 
-Stopped = Callable[[], object]
-
 
 def tracked(
     flight: Flight,
     structure: str = AVERAGED,
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
     on_state: OnState = lambda _state: None,
-<<<<<<< HEAD
     earlier: Earlier | None = None,
-=======
-    stopped: Stopped = lambda: False,
->>>>>>> 951aab7 (wip)
 ) -> Track:
     """Tracks a recorded flight.
 
@@ -35,14 +29,10 @@ def tracked(
         structure: As `fit` takes it.
         false_alarms_per_hour: The expected number that is promised not to be passed.
         on_state: Called with each state as it comes.
-<<<<<<< HEAD
         earlier: What the vehicle was; None where nothing is known.
 
     Raises:
         CardError: Commands mean something else to the earlier model.
-=======
-        stopped: Asked after each of them: whether it is enough. What was seen by then is the flight.
->>>>>>> 951aab7 (wip)
     """
     if earlier:
         check_earlier(earlier, flight.card)
@@ -53,9 +43,6 @@ def tracked(
         seen = now
         states.append(following.look(part, now, ground.stands))
         on_state(states[-1])
-        if stopped():
-            flight = part
-            break
     last, regimes = following.finish(flight, flight.segments[-1].end)
     on_state(last)
     return Track((*states, last), regimes)
