@@ -11,7 +11,7 @@ from typing import Any
 from starlette.testclient import TestClient
 
 from flights import steps
-from rotorfit.app.web.gate import cookie_name
+from rotorfit.app.loopback.gate import Gate, cookie_name
 from rotorfit.app.web.routes import Studio
 from rotorfit.app.web.workspace import Workspace
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
@@ -28,11 +28,11 @@ PAGE = {**COOKIE, "origin": ORIGIN, "sec-fetch-site": "same-origin"}
 def opened(folder: Path) -> Iterator[Studio]:
     """A studio on a folder; whatever runs is ended with it."""
     workspace = Workspace(folder)
-    studio = Studio(workspace, TOKEN, PORT)
+    studio = Studio(workspace, lambda app: Gate(app, TOKEN, PORT))
     try:
         yield studio
     finally:
-        studio.runner.close()
+        studio.close()
         settled(studio)
         workspace.close()
 

@@ -328,3 +328,20 @@ def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext
     assert answer is not None
     assert answer.status == 401
     expect(page.locator("body")).to_contain_text("open the address that the studio printed")
+
+
+def test_a_vehicle_is_followed_on_the_page_and_becomes_a_log(context: BrowserContext, address: str) -> None:
+    page = opened(context, address)
+    step(page, "Live")
+    page.get_by_role("button", name="Follow").click()
+    view = page.frame_locator("iframe.live")
+    expect(view.locator("#time")).to_have_text(re.compile(r"^\d+ s$"), timeout=WORK)
+    expect(view.locator(".axis canvas").first).to_be_visible()
+    expect(page.locator("#live")).to_contain_text("the simulated pilot")
+
+    page.get_by_role("button", name="End").click()
+    expect(view.locator("#link")).to_have_text("ended", timeout=WORK)
+    expect(page.locator("#live")).to_contain_text("what was heard is the log live-1.mcap")
+    step(page, "Logs")
+    expect(page.locator("#logs .cards li")).to_have_count(1)
+    assert page.complaints == []  # type: ignore[attr-defined]

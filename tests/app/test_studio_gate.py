@@ -9,8 +9,8 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from rotorfit.app.loopback.gate import POLICY, cookie_name
 from rotorfit.app.web import routes, workspace
-from rotorfit.app.web.gate import POLICY, cookie_name
 from rotorfit.app.web.routes import Studio
 from rotorfit.app.web.workspace import safe_name
 from studio_room import COOKIE, HOST, ORIGIN, PAGE, PORT, TOKEN, added, bag, client_of, opened, session_of

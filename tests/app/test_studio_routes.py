@@ -14,8 +14,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from models import model_of
+from rotorfit.app.loopback.gate import SANDBOX
 from rotorfit.app.web.card_lines import card_from_text
-from rotorfit.app.web.gate import SANDBOX
 from rotorfit.app.web.routes import Studio
 from rotorfit.app.web.workspace import Workspace, WorkspaceError
 from rotorfit.app.workflows import fit_logs

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rotorfit.core.errors import LinkError
 from rotorfit.core.frames import yaw_from_quaternion
 from rotorfit.core.limits import GRAVITY
 from rotorfit.simulation import rigid_body
 from rotorfit.simulation.air import Gusts, Rise, Wind
-from rotorfit.simulation.change import Change, changed
+from rotorfit.simulation.change import Change, changed, changes_of
 from rotorfit.simulation.flight_room import Conditions, FlightRoom, RoomFlight, fly_commands
 from rotorfit.simulation.sensors import Mocap, Turn
 from rotorfit.simulation.vehicle import Radio, Vehicle, load_vehicle
@@ -269,3 +270,18 @@ def test_what_no_vehicle_can_become_is_refused() -> None:
             Change(**({"time": 1.0} | wrong))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="rise"):
         Rise(2.0, 1.0)
+
+
+def test_an_address_says_what_changes_and_when() -> None:
+    found = changes_of(["mass=1.3@40", "rotors=0.9/1/1/1@5", "tilt=0.2@0"], "")
+
+    assert found == (Change(40.0, mass=1.3), Change(5.0, rotors=(0.9, 1.0, 1.0, 1.0)), Change(0.0, tilt=0.2))
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["mass=1.3@", "mass=@4", "mass=-1@4", "mass=nan@4", "mass=1/2@4", "rotors=0.9@4", "paint=2@4", "mass=2@-1"],
+)
+def test_a_change_that_cannot_be_is_one_line(option: str) -> None:
+    with pytest.raises(LinkError, match=r"is not WHAT=VALUE@SECOND; what can change: mass, rotors"):
+        changes_of([option], "bebop2")

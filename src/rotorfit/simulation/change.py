@@ -4,11 +4,16 @@ A payload, a weak propeller, a battery that gives way, other limits, a slower ra
 with the mocap (`sensors.Mocap`), and the wind that rises with the air (`air.Wind`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rotorfit.core.errors import LinkError
 from rotorfit.simulation.vehicle import Four, Radio, Vehicle
+
+GIVEN = {"mass": 1, "rotors": 4, "latency": 1, "tilt": 1, "speed": 1, "vertical_speed": 1, "yaw_rate": 1}
+"""What an address can change, and how many numbers it takes; names of `Change`."""
 
 
 @dataclass(frozen=True)
@@ -75,3 +80,27 @@ def changed(vehicle: Vehicle, changes: Sequence[Change]) -> Vehicle:
 def later(radio: Radio, change: Change) -> Radio:
     """The radio after a change."""
     return replace(radio, latency=radio.latency + change.latency)
+
+
+def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
+    """The changes of an address, from options such as `mass=1.3@40` or `rotors=0.9/1/1/1@40`: at second 40.
+
+    Raises:
+        LinkError: One that is none.
+    """
+    found = []
+    for option in options:
+        key, _, rest = option.partition("=")
+        text, _, when = rest.partition("@")
+        try:
+            numbers, time = [float(part) for part in text.split("/")], float(when)
+            if len(numbers) != GIVEN.get(key) or not all(map(math.isfinite, (*numbers, time))):
+                raise ValueError
+            value: Any = tuple(numbers) if key == "rotors" else numbers[0]
+            found.append(Change(time, **{key: value}))
+        except ValueError:
+            raise LinkError(
+                f"--link sim{'' if address.startswith(',') else ':'}{address}: {option!r} is not WHAT=VALUE@SECOND; "
+                f"what can change: {', '.join(GIVEN)}, factors and limits above 0"
+            ) from None
+    return tuple(found)

@@ -11,10 +11,14 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import AVERAGED, STRUCTURES
 from rotorfit.estimation.methods import BEST, METHODS
 from rotorfit.files.cards import builtin_card_text
+from rotorfit.flying.links.opening import check_listens, split
 
 MOST_RANGES = 50
 
 LONGEST_CARD = 100_000
+
+SESSION_CARD = "session"
+"""In place of a card's name: the session's own."""
 
 WIDEST = 4096
 """Pixels of a plot."""
@@ -115,6 +119,23 @@ def fit_request(
     uncertainty = bool(body.get("uncertainty")) and METHODS[method].likelihood
     settings = {"method": method, "structure": structure, "axes": axes, "uncertainty": uncertainty}
     return {"kind": "fit", **settings, **spans}, words
+
+
+def live_request(body: Any, session: Session) -> tuple[str, str, bool]:
+    """Link, card, and whether that is a text: `{"link", "card"}`, a name, `""` for none, `"session"` for the session's.
+
+    Raises:
+        LinkError: No such link, or one that nobody can listen to.
+    """
+    link, card = _field(body, "link", str).strip(), _field(body, "card", str)
+    check_listens(link)
+    if split(link)[0] == "replay":
+        raise RequestError("a log is not live; add it on the page Logs")
+    if card and card != SESSION_CARD:
+        builtin_card_text(card)
+    if card == SESSION_CARD and not session.card:
+        raise RequestError("there is no card yet; draft one on the page Card")
+    return link, session.card if card == SESSION_CARD else card, card == SESSION_CARD
 
 
 def _end(value: float | None) -> str:

@@ -4,7 +4,6 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict
-from importlib import resources
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
@@ -14,9 +13,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
+from starlette.types import ASGIApp
 
-from rotorfit.app.web.asking import edits_from, fit_request, ranges_from, window_from
-from rotorfit.app.web.gate import SANDBOX, Gate, cookie_name, refused
+from rotorfit.app.live.feed import live_routes
+from rotorfit.app.loopback.files import file_of, static
+from rotorfit.app.loopback.gate import SANDBOX, refused
+from rotorfit.app.web.asking import edits_from, fit_request, live_request, ranges_from, window_from
+from rotorfit.app.web.following import Follower
 from rotorfit.app.web.runner import BusyError, Runner
 from rotorfit.app.web.shelf import Shelf
 from rotorfit.app.web.windowed import Series, packed, window_of
@@ -42,27 +45,28 @@ RESULTS = {
 }
 """Files of a fit that may be asked for."""
 
-PAGE = {"css": "text/css", "js": "text/javascript"}
-"""Suffixes of the page's own files."""
-
 
 class Studio:
     """A workspace and what serves it."""
 
-    def __init__(self, workspace: Workspace, token: str, port: int) -> None:
+    def __init__(self, workspace: Workspace, gated: Callable[[ASGIApp], ASGIApp]) -> None:
         self.workspace = workspace
         self.shelf = Shelf(workspace)
         self.runner = Runner(workspace)
+        self.follower = Follower(workspace.incoming, self._followed)
         self._looking = Lock()
-        self._token, self._cookie = token, cookie_name(port)
-        self.app = Gate(
-            Starlette(routes=self._routes(), exception_handlers={RotorfitError: _told, OSError: _told}), token, port
-        )
+        handlers: Any = {RotorfitError: _told, OSError: _told}
+        self.app = gated(Starlette(routes=self._routes(), exception_handlers=handlers))
+
+    def close(self) -> None:
+        """Ends whatever runs."""
+        self.follower.close()
+        self.runner.close()
 
     def _routes(self) -> list[Route]:
         return [
-            Route("/", self.page),
-            Route("/page/{name}", _static),
+            Route("/", lambda _: file_of("rotorfit.app.web", "index.html")),
+            Route("/page/{name}", static("rotorfit.app.web")),
             Route("/api/constants", _reading(lambda _: constants_mapping())),
             Route("/api/session", _reading(self.session)),
             Route("/api/logs", self.upload, methods=["POST"]),
@@ -80,21 +84,22 @@ class Studio:
             Route("/api/fits/{fit}/cancel", _changing(self.cancel), methods=["POST"]),
             Route("/api/fits/{fit}/exports/{format}", self.exported),
             Route("/api/fits/{fit}/{file}", self.result),
+            Route("/api/live", _changing(self.follow), methods=["POST"]),
+            Route("/api/live", _changing(self.follow_no_more), methods=["DELETE"]),
+            *live_routes(lambda: self.follower.feed, "/live"),
         ]
-
-    def page(self, request: Request) -> Response:
-        """The page itself; the link that was printed hands over the token, which then travels as a cookie."""
-        response = Response(_page_file("index.html"), media_type="text/html")
-        if "token" in request.query_params:
-            response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
-        return response
 
     def session(self, request: Request) -> Any:
         """The session, or nothing new since the revision that the page knows."""
         session, running = self.workspace.session, self.runner.running
         if request.query_params.get("seen") == str(session.revision):
-            return {"revision": session.revision, "running": None if running is None else asdict(running)}
-        return {**session_mapping(session, running), "told": self.workspace.told}
+            now: dict[str, Any] = {
+                "revision": session.revision,
+                "running": None if running is None else asdict(running),
+            }
+        else:
+            now = {**session_mapping(session, running), "told": self.workspace.told}
+        return {**now, "live": self.follower.to_mapping()}
 
     async def upload(self, request: Request) -> Response:
         """Receives a log as the body of the request, and keeps it if it can be read."""
@@ -215,6 +220,18 @@ class Studio:
         """Removes a fit from the session."""
         self.workspace.remove_fit(self._fit(request).id)
 
+    def follow(self, _: Request, body: Any) -> Any:
+        """Starts to follow a vehicle."""
+        self.follower.start(*live_request(body, self.workspace.session))
+
+    def _followed(self, log_id: str, name: str, path: Path) -> None:
+        """Keeps the recording of a vehicle that was followed."""
+        self._kept(Upload(log_id, name, path.name, path.stat().st_size, ""))
+
+    def follow_no_more(self, _: Request, _body: Any) -> Any:
+        """Ends it."""
+        self.follower.stop()
+
     def result(self, request: Request) -> Response:
         """A file of a fit, to show or to keep."""
         name, fit = request.path_params["file"], self._fit(request)
@@ -258,28 +275,6 @@ class Studio:
 def _said_by_the_page(refusal: str) -> str:
     """A refusal of an export with the page's name for what is an option on the command line."""
     return refusal.replace("--predictor", f"'{UNTOLD}'").replace("export --to ", "export to ")
-
-
-def _static(request: Request) -> Response:
-    """A file of the page, by a name that is one of them."""
-    name = request.path_params["name"]
-    known = {entry.name for entry in _folder("rotorfit.app.web", "page").iterdir()} - {"index.html"}
-    if name in ("uPlot.iife.min.js", "uPlot.min.css"):
-        data = _folder("rotorfit.reporting", "uplot").joinpath(name).read_bytes()
-    elif name in known:
-        data = _page_file(name)
-    else:
-        return refused(404, "there is no such file")
-    return Response(data, media_type=PAGE[name.rpartition(".")[2]])
-
-
-def _folder(package: str, name: str) -> Any:
-    return resources.files(package).joinpath(name)
-
-
-def _page_file(name: str) -> bytes:
-    data: bytes = _folder("rotorfit.app.web", "page").joinpath(name).read_bytes()
-    return data
 
 
 def _json(content: Any, status: int = 200) -> Response:

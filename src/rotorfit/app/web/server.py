@@ -1,8 +1,6 @@
 """The server: one process, one user, 127.0.0.1."""
 
-import secrets
 import signal
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import uvicorn
 
+from rotorfit.app.loopback.listener import Loopback
 from rotorfit.app.web.routes import Studio
 from rotorfit.app.web.workspace import Workspace, WorkspaceError, default_folder
 
@@ -18,33 +17,20 @@ def serve(folder: Path | None, port: int, ready: Callable[[str, Path], None] | N
     """Serves a workspace until it is interrupted."""
     workspace = Workspace(folder or default_folder())
     try:
-        # The protocol is named because asyncio turns off waiting for full packets only where it is: 40 ms an answer.
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                listener.bind(("127.0.0.1", port))
-            except OSError as error:
-                raise WorkspaceError(f"port {port}: {error.strerror}; choose another with --port, or none") from None
-            listener.listen()  # from here on the address answers
-            own, token = listener.getsockname()[1], secrets.token_urlsafe(32)
-            studio = Studio(workspace, token, own)
-            config = uvicorn.Config(
-                studio.app,
-                log_level="warning",
-                access_log=False,  # the first request holds the token
-                server_header=False,
-                proxy_headers=False,
-                timeout_graceful_shutdown=2,
-                lifespan="off",
-            )
-            server = uvicorn.Server(config)
+        try:
+            loopback = Loopback(port, "studio")
+        except OSError as error:
+            raise WorkspaceError(f"port {port}: {error.strerror}; choose another with --port, or none") from None
+        with loopback:
+            studio = Studio(workspace, loopback.gated)
+            server = loopback.server(studio.app, 2)
             try:
                 with _ended_by_interrupt(server):
                     if ready:
-                        ready(f"http://127.0.0.1:{own}/?token={token}", workspace.folder)
-                    server.run(sockets=[listener])
+                        ready(loopback.address, workspace.folder)
+                    server.run(sockets=[loopback.socket])
             finally:
-                studio.runner.close()
+                studio.close()
     finally:
         workspace.close()
 

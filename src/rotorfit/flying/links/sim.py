@@ -4,6 +4,7 @@ sim                        a Bebop 2 in still air
 sim,wind=2                 the same in wind
 sim:VEHICLE                a built-in vehicle, or a file of one
 sim:VEHICLE,wind=2,gusts=0.3   mean wind along the world's x, and standard deviation of gusts [m/s]
+sim,mass=1.3@40            heavier by 0.3 from second 40 on: WHAT=VALUE@SECOND, names of `simulation.change.Change`
 sim,start=0/0/1.5/0,seed=3,flying=no   where the vehicle is, x/y/z/yaw [m, rad]; of wind, noise and radio; on the floor
 """
 
@@ -19,6 +20,7 @@ from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.links.link import Action, Silence
 from rotorfit.simulation.air import wind_of
+from rotorfit.simulation.change import changes_of
 
 if TYPE_CHECKING:
     from rotorfit.simulation.flight_room import FlightRoom
@@ -37,13 +39,28 @@ def open_link(address: str, card: Card) -> "SimLink":
     """Opens the virtual flight room.
 
     Args:
-        address: `VEHICLE,wind=MEAN,gusts=SIGMA,start=X/Y/Z/YAW,seed=N,flying=no`; each may be left out, and the first
-            of two counts.
+        address: `VEHICLE,wind=MEAN,gusts=SIGMA,WHAT=VALUE@SECOND,start=X/Y/Z/YAW,seed=N,flying=no`; each may be left
+            out, and the first of two counts; changes all count.
         card: Of the plan; its commands must mean what the vehicle takes them for.
 
     Raises:
         LinkError: An option that nobody knows, or a card whose commands mean something else to this vehicle.
         VehicleError: No such vehicle.
+    """
+    return room_of(address, card, "the plan's card", "plan with --card sim:{}")
+
+
+def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
+    """Opens the virtual flight room.
+
+    Args:
+        address: As of `open_link`.
+        card: Its commands must mean what the vehicle takes them for.
+        whose: What to call the card,
+        remedy: and what to try, with the vehicle in place of `{}`, where they do not.
+
+    Raises:
+        LinkError, VehicleError: As of `open_link`.
     """
     from rotorfit.simulation.flight_room import Conditions, FlightRoom
     from rotorfit.simulation.vehicle import load_vehicle
@@ -51,13 +68,13 @@ def open_link(address: str, card: Card) -> "SimLink":
     name, *given = address.split(",")
     options = [option for option in given if option.partition("=")[0] not in DEFAULTS]
     start, seed, flying = _scene([option for option in given if option not in options])
-    wind = wind_of(options, ",".join([name, *options]))
+    changes = [option for option in options if "@" in option]
+    wind = wind_of([option for option in options if option not in changes], ",".join([name, *options]))
+    conditions = Conditions(wind, changes=changes_of(changes, ",".join([name, *options])))
     vehicle = load_vehicle(name or VEHICLE)
-    if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name)):
-        raise LinkError(
-            f"sim: the plan's card is not one of {vehicle.name}: {trouble}; plan with --card sim:{name or VEHICLE}"
-        )
-    return SimLink(FlightRoom(vehicle, Conditions(wind), seed, start, flying))
+    if trouble := disagreement(card, card_from_mapping(vehicle.card(), vehicle.name), (whose, "the vehicle's")):
+        raise LinkError(f"sim: {whose} is not one of {vehicle.name}: {trouble}; {remedy.format(name or VEHICLE)}")
+    return SimLink(FlightRoom(vehicle, conditions, seed, start, flying))
 
 
 def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:

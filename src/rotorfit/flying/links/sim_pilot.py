@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import LinkError
+from rotorfit.core.errors import LinkError, PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Sines, Space
 from rotorfit.core.frames import AXES, yaw_from_quaternion
 from rotorfit.core.log import Sample
@@ -38,11 +38,14 @@ def open_listener(address: str, card: Card) -> "PilotedRoom":
         card: Its commands must mean what the vehicle takes them for.
 
     Raises:
-        LinkError: As of the link `sim`.
+        LinkError: As of the link `sim`; or the card does not say what a command reaches.
         VehicleError: No such vehicle.
-        PlanError: The card does not say what a command reaches.
     """
-    return PilotedRoom(sim.open_link(address, card), card)
+    room = sim.room_of(address, card, "the card given", "leave --card out, or name its vehicle: --link sim:VEHICLE")
+    try:
+        return PilotedRoom(room, card)
+    except PlanError as error:
+        raise LinkError(f"sim: {str(error).partition(';')[0]}; leave --card out") from error
 
 
 class PilotedRoom:

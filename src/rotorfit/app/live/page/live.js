@@ -1,5 +1,6 @@
 // The live page: states come as server-sent events, and are drawn as they come. Nothing is asked and nothing is sent.
 "use strict";
+if (location.search) history.replaceState(null, "", location.pathname); // the key stays in the cookie
 
 const KEPT = 3600;
 const AXES = ["x", "y", "z", "yaw"];
@@ -129,7 +130,7 @@ function draw() { if (!due) { due = true; requestAnimationFrame(drawn); } }
 
 let last = 0;
 function linked(text, gone) { place("link").textContent = text; place("link").className = gone ? "gone" : ""; }
-const source = new EventSource("/events");
+const source = new EventSource("events");
 source.onmessage = event => {
   const line = JSON.parse(event.data);
   last = Date.now();

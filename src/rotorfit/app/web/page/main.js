@@ -5,12 +5,14 @@ import {cardPanel} from "./card.js";
 import {comparePanel} from "./compare.js";
 import {cleared, fill, h, notice} from "./dom.js";
 import {fitPanel} from "./fit.js";
+import {livePanel} from "./live.js";
 import {logsPanel} from "./logs.js";
 import {rangesPanel} from "./ranges.js";
 
 if (location.search) history.replaceState(null, "", location.pathname + location.hash); // the token stays in the cookie
 
 const STEPS = [["logs", "Logs"], ["card", "Card"], ["ranges", "Ranges"], ["fit", "Fit"], ["compare", "Compare"]];
+const PAGES = [...STEPS, ["live", "Live"]]; // Live is no step on the way from a log to a model
 
 const studio = {
   constants: null,
@@ -55,7 +57,7 @@ const studio = {
     const seen = this.session ? `?seen=${this.session.revision}` : "";
     const found = await get(`/api/session${seen}`);
     const was = this.session;
-    if (was && found.revision === was.revision) this.session = {...was, running: found.running};
+    if (was && found.revision === was.revision) this.session = {...was, running: found.running, live: found.live};
     else this.session = found;
     if (!was && found.told) notice("warning", found.told);
     this.draw();
@@ -65,9 +67,9 @@ const studio = {
     steps();
     running();
     const shown = step();
-    for (const [name] of STEPS) document.getElementById(name).hidden = name !== shown;
+    for (const [name] of PAGES) document.getElementById(name).hidden = name !== shown;
     panels[shown].draw(studio);
-    if (shown !== "logs") this.draft();
+    if (shown !== "logs" && shown !== "live") this.draft();
   },
   go(name) { location.hash = name; },
 };
@@ -76,7 +78,7 @@ const panels = {};
 
 function step() {
   const name = location.hash.slice(1).split("/")[0];
-  return STEPS.some(([one]) => one === name) ? name : "logs";
+  return PAGES.some(([one]) => one === name) ? name : "logs";
 }
 
 function done(name) {
@@ -85,13 +87,14 @@ function done(name) {
     logs: uploads.length > 0, card: Boolean(card) && !problem, ranges: ranges.some(one => one.role === "train"),
     fit: fits.some(one => one.status === "done" && one.settings.kind === "fit"),
     compare: fits.some(one => one.status === "done" && one.settings.kind === "compare"),
+    live: Boolean(studio.session.live?.running),
   }[name];
 }
 
 function steps() {
   const place = document.getElementById("steps"), shown = step();
   if (!place.children.length) {
-    fill(place, STEPS.map(([name, words], i) => h("a", {href: `#${name}`, "data-step": name}, h("span", {className: "number", "aria-hidden": true}, String(i + 1)), h("span", {className: "words"}, words))));
+    fill(place, PAGES.map(([name, words], i) => h("a", {href: `#${name}`, "data-step": name}, h("span", {className: "number", "aria-hidden": true}, i < STEPS.length ? String(i + 1) : "≈"), h("span", {className: "words"}, words))));
   }
   for (const link of place.children) {
     const current = link.dataset.step === shown;
@@ -129,5 +132,6 @@ panels.card = cardPanel(document.getElementById("card"), studio);
 panels.ranges = rangesPanel(document.getElementById("ranges"), studio);
 panels.fit = fitPanel(document.getElementById("fit"), studio);
 panels.compare = comparePanel(document.getElementById("compare"), studio);
+panels.live = livePanel(document.getElementById("live"), studio);
 document.documentElement.dataset.ready = "true";
 watch();

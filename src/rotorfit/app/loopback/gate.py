@@ -1,8 +1,8 @@
 """The gate: what a request must show before anything behind it sees it. What is not plainly the user's own is refused.
 
-The studio listens on the loopback interface only, but every web page that the user has open can send requests there.
-So a request needs the secret of this run, must name this server as its host (against DNS rebinding), and must not come
-from another page.
+The studio and the live page listen on the loopback interface only, but every web page that the user has open can send
+requests there. So a request needs the secret of this run, must name this server as its host (against DNS rebinding),
+and must not come from another page.
 """
 
 from hmac import compare_digest
@@ -14,13 +14,15 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HOSTS = ("127.0.0.1", "localhost")
-"""Names by which the studio may be addressed."""
+"""Names by which this machine may be addressed."""
 
-POLICY = (
+_OWN_FILES = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors "
 )
-"""What the studio's own page may load: its own files."""
+
+POLICY, FRAMED = f"{_OWN_FILES}'none'", f"{_OWN_FILES}'self'"
+"""What a page of ours may load: its own files; and the policy of one that may be shown within another of them."""
 
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -37,11 +39,12 @@ class Gate:
     Args:
         app: What stands behind.
         token: The secret of this run.
-        port: That the studio listens on.
+        port: That is listened on.
+        verb: Of the command line that prints the address: `studio`, `track`.
     """
 
-    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
-        self._app, self._token = app, token.encode()
+    def __init__(self, app: ASGIApp, token: str, port: int, verb: str = "studio") -> None:
+        self._app, self._token, self._verb = app, token.encode(), verb
         self._cookie = cookie_name(port)
         self._hosts = {f"{host}:{port}" for host in HOSTS} | (set(HOSTS) if port == 80 else set())
 
@@ -52,21 +55,26 @@ class Gate:
         if scope["type"] != "http":  # no websockets here
             return await send({"type": "websocket.close", "code": 1008})
         headers = Headers(scope=scope)
-        refusal = self._refusal(scope, headers)
-        if refusal:
+        carried = self._carried(scope, headers)
+        if refusal := self._refusal(scope, headers, carried):
             return await _guarded(refusal, scope, receive, send)
-        return await _guarded(self._app, scope, receive, send)
+        kept = f"{self._cookie}={self._token.decode()}; HttpOnly; Path=/; SameSite=strict"
+        return await _guarded(self._app, scope, receive, send, kept if carried == "link" else "")
 
-    def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
-        refuse = _told if scope["path"] == "/" else refused  # a person reads it, or the page
+    def _refusal(self, scope: Scope, headers: Headers, carried: str | None) -> Response | None:
+        refuse = self._told if scope["path"] == "/" else refused  # a person reads it, or the page
         if [value.lower() for value in headers.getlist("host")] not in [[host] for host in self._hosts]:
-            return refuse(403, "this is not the address of the studio; open the one that it printed")
-        given = self._carried(scope, headers)
-        if given is None:
-            return refuse(401, "the key of this run is missing or old; open the address that the studio printed")
-        if not self._from_here(scope, headers, given):
+            return refuse(403, f"this is not the address of `rotorfit {self._verb}`; open the one that it printed")
+        if carried is None:
+            line = f"the key of this run is missing or old; open the address that `rotorfit {self._verb}` printed"
+            return refuse(401, line)
+        if not self._from_here(scope, headers, carried):
             return refuse(403, "requests of other web pages are refused")
         return None
+
+    def _told(self, status: int, line: str) -> Response:
+        """A refusal for a person."""
+        return PlainTextResponse(f"rotorfit {self._verb}: {line}.\n", status)
 
     def _carried(self, scope: Scope, headers: Headers) -> str | None:
         """How a request carries the token: `link`, `cookie` or `header`; None where it does not."""
@@ -86,7 +94,7 @@ class Gate:
         return compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
 
     def _from_here(self, scope: Scope, headers: Headers, carried: str) -> bool:
-        """Whether a request comes from the studio's own page, from the user's address bar, or from a program."""
+        """Whether a request comes from a page of this server, from the user's address bar, or from a program."""
         if carried == "link":
             return True
         origins, sites = headers.getlist("origin"), headers.getlist("sec-fetch-site")
@@ -109,13 +117,8 @@ def refused(status: int, line: str) -> Response:
     return JSONResponse({"error": line}, status)
 
 
-def _told(status: int, line: str) -> Response:
-    """The same for a person."""
-    return PlainTextResponse(f"rotorfit studio: {line}.\n", status)
-
-
-async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> None:
-    """Every answer with the headers that keep a browser careful; a policy of its own is kept."""
+async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send, cookie: str = "") -> None:
+    """Every answer with the headers that keep a browser careful, and with the cookie; a policy of its own is kept."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -127,6 +130,8 @@ async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> 
             headers["cross-origin-resource-policy"] = "same-origin"
             headers["cross-origin-opener-policy"] = "same-origin"
             headers.setdefault("x-frame-options", "DENY")
+            if cookie:
+                headers["set-cookie"] = cookie
         await send(message)
 
     await app(scope, receive, sent)

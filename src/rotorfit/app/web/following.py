@@ -1,0 +1,165 @@
+"""The follower: `rotorfit track --link` in a process of its own, what it says for the live page, and its recording.
+
+What is commanded is none of it: the verb only listens. The recording becomes a log of the session.
+"""
+
+import signal
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock, Thread
+from typing import Any
+
+from rotorfit.app.live.feed import Feed
+from rotorfit.app.web.runner import BusyError
+from rotorfit.core.errors import RotorfitError
+from rotorfit.core.plain import line_of, plain_json
+from rotorfit.core.writing import write_whole
+
+SAID = 20
+"""Lines of what the process says that are kept."""
+
+PATIENCE = 10.0
+"""How long it may take to end when the studio ends [s]."""
+
+CARD = "followed.toml"
+
+
+@dataclass
+class Run:
+    """One vehicle that is, or was, followed.
+
+    Attributes:
+        number: From 1.
+        link: As the user gave it.
+        process: That follows it.
+        feed: What a page is shown of it.
+        said: What it said besides: where it listens, what it lacks, that it ended.
+        running: Whether it goes on.
+    """
+
+    number: int
+    link: str
+    process: subprocess.Popen[str]
+    feed: Feed = field(default_factory=Feed)
+    said: deque[str] = field(default_factory=lambda: deque(maxlen=SAID))
+    running: bool = True
+
+
+class Follower:
+    """At most one vehicle at a time.
+
+    Args:
+        incoming: A name to a place for a log that is being received, and its id, as `Workspace.incoming`.
+        kept: Keeps what came there: id, name, path.
+    """
+
+    def __init__(
+        self,
+        incoming: Callable[[str], AbstractContextManager[tuple[str, Path]]],
+        kept: Callable[[str, str, Path], None],
+    ) -> None:
+        self._incoming, self._kept = incoming, kept
+        self._lock = Lock()
+        self._run: Run | None = None
+        self._none = Feed()
+
+    @property
+    def feed(self) -> Feed:
+        """Of the vehicle that is, or was last, followed."""
+        return self._run.feed if self._run else self._none
+
+    def to_mapping(self) -> dict[str, Any] | None:
+        """What the page shows besides; None before the first."""
+        run = self._run
+        if run is None:
+            return None
+        return {"number": run.number, "link": run.link, "running": run.running, "said": list(run.said)}
+
+    def start(self, link: str, card: str, text: bool) -> None:
+        """Starts to listen.
+
+        Args:
+            link: As of `rotorfit track --link`.
+            card: Name of a built-in card, or text of one; empty for what the link says itself.
+            text: Which of the two.
+
+        Raises:
+            BusyError: A vehicle is followed already.
+            WorkspaceError: There is no room for another log.
+        """
+        with self._lock:
+            if self._run is not None and self._run.running:
+                raise BusyError("a vehicle is followed already; end that first")
+            number = self._run.number + 1 if self._run else 1
+            name = f"live-{number}.mcap"
+            with ExitStack() as stack:
+                log_id, path = stack.enter_context(self._incoming(name))
+                self._run = run = Run(number, link, _process(link, card, text, path))
+                place = stack.pop_all()
+        Thread(target=self._listen, args=(run, place, log_id, name, path), daemon=True).start()
+
+    def stop(self) -> None:
+        """Asks it to end: it makes a last fit, and its recording is kept."""
+        if self._run is not None and self._run.running:
+            self._run.process.send_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """Ends it with the studio."""
+        run = self._run
+        if run is None or not run.running:
+            return
+        self.stop()
+        try:
+            run.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            run.process.kill()
+
+    def _listen(self, run: Run, place: ExitStack, log_id: str, name: str, path: Path) -> None:
+        """The thread: takes what the process prints, and its recording at the end."""
+        with place, run.process as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                told = _told(line)
+                if told:
+                    run.feed.add(told)
+                elif line.strip() and not line.startswith("{"):
+                    run.said.append(line.strip())
+            process.wait()
+            run.feed.over = True
+            try:
+                (path.parent / CARD).unlink(missing_ok=True)
+                if path.exists():
+                    self._kept(log_id, name, path)
+                    run.said.append(f"what was heard is the log {name}")
+            except (OSError, RotorfitError) as error:
+                run.said.append(f"{name} is not kept: {line_of(error)}")
+            run.running = False
+
+
+def _process(link: str, card: str, text: bool, record: Path) -> subprocess.Popen[str]:
+    words = [sys.executable, "-P", "-m", "rotorfit", "track", "--link", link, "--jsonl", "--record", str(record)]
+    if text:
+        write_whole(record.parent / CARD, card)
+        card = str(record.parent / CARD)
+    return subprocess.Popen(
+        [*words, *(["--card", card] if card else [])],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+    )
+
+
+def _told(line: str) -> dict[str, Any]:
+    """A state or an alarm; nothing where it is anything else."""
+    try:
+        told = plain_json(line)
+    except ValueError:
+        return {}
+    return told if isinstance(told, dict) and told.get("type") in ("state", "alarm") else {}

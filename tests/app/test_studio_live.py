@@ -1,0 +1,92 @@
+"""The studio follows a vehicle: states reach its live page, the recording becomes a log, and mistakes are one line."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from rotorfit.app.loopback.gate import FRAMED
+from rotorfit.app.web.routes import Studio
+from studio_room import client_of, opened, session_of
+
+SIM = {"link": "sim,gusts=0.2", "card": ""}
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Iterator[Studio]:
+    with opened(tmp_path / "workspace") as one:
+        yield one
+
+
+@pytest.fixture
+def page(studio: Studio) -> TestClient:
+    return client_of(studio)
+
+
+def until(found: Callable[[], Any], seconds: float = 120.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (value := found()):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    return value
+
+
+def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page: TestClient) -> None:
+    assert session_of(page)["live"] is None
+    assert page.post("/api/live", json=SIM).status_code == 200
+    assert session_of(page)["live"]["running"]
+    assert page.post("/api/live", json=SIM).status_code == 409
+    until(lambda: studio.follower.feed._lines)
+    assert page.request("DELETE", "/api/live", json={}).status_code == 200
+    until(lambda: not session_of(page)["live"]["running"])
+
+    events = page.get("/live/events").text.splitlines()  # ends, because nothing more will come
+    states = [json.loads(line.removeprefix("data: ")) for line in events if line.startswith("data: {")]
+    assert {state["type"] for state in states} == {"state"}
+    assert set(states[-1]["axes"]) == {"x", "y", "z", "yaw"}
+    assert events[-2] == "data: over"
+    said = session_of(page)["live"]["said"]
+    assert any("the simulated pilot" in line for line in said)
+    assert any("ended: Ctrl-C" in line for line in said)
+    assert [log["name"] for log in session_of(page)["uploads"]] == ["live-1.mcap"]
+
+
+def test_a_vehicle_that_cannot_be_listened_to_says_so_and_leaves_no_log(page: TestClient) -> None:
+    assert page.post("/api/live", json={"link": "sim:zeppelin", "card": ""}).status_code == 200
+    until(lambda: not session_of(page)["live"]["running"])
+
+    assert "zeppelin" in session_of(page)["live"]["said"][-1]
+    assert session_of(page)["uploads"] == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"link": "pigeon", "card": ""}, "no link 'pigeon'"),
+        ({"link": "tello", "card": ""}, "one controller alone"),
+        ({"link": "replay:/etc/passwd", "card": ""}, "a log is not live"),
+        ({"link": "--help", "card": ""}, "no link"),
+        ({"link": "ros2", "card": "no-such-card"}, "no-such-card"),
+        ({"link": "ros2", "card": "session"}, "there is no card yet"),
+        ({"link": "ros2"}, "lacks 'card'"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_in_one_line(page: TestClient, asked: dict[str, str], said: str) -> None:
+    answer = page.post("/api/live", json=asked)
+
+    assert answer.status_code == 422
+    assert said in answer.json()["error"]
+    assert session_of(page)["live"] is None
+
+
+def test_the_live_page_may_be_framed_by_the_studio_alone_and_loads_its_own_files(page: TestClient) -> None:
+    answer = page.get("/live/")
+
+    assert answer.headers["content-security-policy"] == FRAMED
+    assert answer.headers["x-frame-options"] == "SAMEORIGIN"
+    assert {page.get(f"/live/page/{name}").status_code for name in ("live.js", "live.css", "uPlot.min.css")} == {200}
+    assert page.get("/live/page/live.html").status_code == 404
