@@ -8,7 +8,9 @@ from test_summary import axis, model
 
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
+from rotorfit.app.terminal.tracking import track_view
 from rotorfit.core.model import Combination, Mode, Model
+from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 
 
 def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
@@ -86,3 +88,13 @@ def test_other_delays_are_told_in_one_line_an_axis_and_in_words(capsys: pytest.C
         "0.216 s (as likely), 0.300 s (less likely)"
     )
     assert lines[1].startswith("x, y: no other delay was found that fits nearly as well")
+
+
+def test_what_was_tracked_stands_with_its_units(capsys: pytest.CaptureFixture[str]) -> None:
+    values = {"input": 5.0, "damping": 0.5, "delay": 0.1, "steady_gain": 10.0}
+    one = TrackedAxis("known", "known", values, dict.fromkeys(values, (0.9, 1.1)), wind=0.1)
+    show(track_view(Track((Tracked(12.0, {"x": one, "yaw": one}),), ())))
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+
+    shown = [row[-4] for row in rows if "to" in row and {"input", "gain"} & set(row)]
+    assert shown == ["m/s^2", "m/s", "rad/s^2", "rad/s"]

@@ -36,6 +36,10 @@ def run(*words: str) -> Result:
         (("--link", "tello"), "one controller alone"),
         (("--link", "ros2"), "--card"),
         (("--link", "pigeon"), "no link 'pigeon'"),
+        (("--link", "sim", "--card", "tello"), "the card given is not one of Parrot Bebop 2: a command on x"),
+        (("--link", "sim:tello", "--card", "tello"), "what a command of 1 on x reaches; leave --card out"),
+        (("--link", "sim,mass=2"), "'mass=2' is not one of wind=NUMBER"),
+        (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),
     ],
 )
 def test_what_cannot_be_is_one_line(words: tuple[str, ...], said: str) -> None:

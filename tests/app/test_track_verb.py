@@ -1,6 +1,9 @@
 """`rotorfit track LOG`: the lines that programs read, as they were promised, and one line for each mistake."""
 
 import json
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ from rotorfit.app.cli import main
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.tracked import Alarm, Regime, Track, Tracked
+from rotorfit.files.logs import read
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
 pytestmark = pytest.mark.flights
@@ -78,7 +82,7 @@ def test_a_state_has_the_promised_keys_and_null_where_nothing_is_known(told: lis
 def faked(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> None:
     """A tracker that raises one alarm, whatever flies."""
 
-    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, _earlier: Any) -> Track:
+    def tracked(flight: Flight, _structure: str, _rate: float, on_state: Any, _earlier: Any, _stopped: Any) -> Track:
         states = Tracked(5.0, {}), Tracked(6.0, {}, (alarm,), 1), Tracked(7.0, {}, (), 1)
         for state in states:
             on_state(state)
@@ -170,3 +174,38 @@ def test_a_mistake_is_one_line_and_nothing_is_tracked(words: list[str], said: st
     assert len(error) == 1
     assert result.stdout == ""
     assert Path(log[0]).read_bytes() == before
+
+
+def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], tmp_path: Path) -> None:
+    model, page = tmp_path / "model.json", tmp_path / "track.html"
+    words = ["track", *log, "--structure", LAW, "--pace", "1", "-o", str(model), "--report", str(page)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-um", "rotorfit", *words], stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # something is known
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+
+    assert process.returncode == 1
+    assert "ended by Ctrl-C at" in err
+    assert err.strip().endswith("Aborted!")
+    assert "m/s^2" in out
+    assert f"Model written to {model}." in out
+    assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0
+    assert page.exists()
+
+
+def test_a_card_that_is_not_the_recordings_own_is_told(tmp_path: Path) -> None:
+    record, card = tmp_path / "flight.mcap", tmp_path / "card.toml"
+    words = ["track", "--link", "sim", "--for", "6", "--pace", "1000", "--structure", LAW, "--record", str(record)]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    card.write_text(read(record).attached["card"].replace('name = "', 'name = "Another ', 1), encoding="utf-8")
+
+    for source in ([str(record)], ["--link", f"replay:{record}", "--pace", "1000"]):
+        told = CliRunner().invoke(main, ["track", *source, "--card", str(card), "--structure", LAW])
+        silent = CliRunner().invoke(main, ["track", *source, "--structure", LAW])
+
+        assert told.exit_code == 0, told.output
+        assert "read with the card Another" in told.stderr
+        assert "not with the one that the log carries" in told.stderr
+        assert "the one that the log carries" not in silent.stderr

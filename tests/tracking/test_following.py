@@ -2,7 +2,8 @@
 
 import pytest
 
-from rotorfit.tracking.following import Followed, refitted, said, stepped
+from rotorfit.core.model import Interval
+from rotorfit.tracking.following import Followed, read_backwards, refitted, said, stepped
 from rotorfit.tracking.replayed import until
 from tracked_flights import LAW, known
 
@@ -48,3 +49,18 @@ def test_of_an_axis_that_is_not_followed_nothing_is_said(early: Followed) -> Non
 
     assert set(told.values.values()) == {None}
     assert told.ci95 == told.ci95_flight == {}
+
+
+@pytest.mark.parametrize(
+    ("delay", "input_status", "backwards"),
+    [
+        ((-0.07, -0.03), "not_identifiable", True),  # commands that follow the motion
+        ((-0.07, -0.03), "ok", False),  # clocks that disagree
+        ((-0.07, 0.01), "not_identifiable", False),
+        ((-0.07, None), "not_identifiable", False),
+    ],
+)
+def test_an_answer_before_its_command_is_feedback_unless_the_input_is_told(
+    delay: Interval, input_status: str, backwards: bool
+) -> None:
+    assert read_backwards({"delay": delay}, {"input": input_status, "delay": "ok"}) is backwards

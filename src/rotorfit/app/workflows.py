@@ -31,7 +31,7 @@ from rotorfit.core.model import Model, with_findings
 from rotorfit.core.plain import line_of
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.core.results import CURVE, HORIZONS, SCORE_COLUMNS, Fit, PairedTest, Validation
-from rotorfit.diagnosis.card_choice import card_of, joined_by_plus, proposal
+from rotorfit.diagnosis.card_choice import another_card, card_of, joined_by_plus, proposal
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.estimation.fitting import fit, with_delay_profiles
 from rotorfit.estimation.grouping import without_held_axes
@@ -87,7 +87,9 @@ def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
     """A log, and the flight that a card makes of it."""
     if card is not None:
-        return raw, flight_from_log(raw, card, log.span)
+        flight = flight_from_log(raw, card, log.span)
+        told = another_card(raw, card)
+        return raw, replace(flight, notes=(*([Note("card_given", told, 1)] if told else ()), *flight.notes))
     proposed = proposal(raw)
     flight = flight_from_log(raw, proposed.card, log.span)
     if proposed.rivals:

@@ -74,6 +74,17 @@ def joined_by_plus(logs: Sequence[Log]) -> str:
     )
 
 
+def another_card(log: Log, card: Card) -> str:
+    """That a log carries another card than the one that reads it, one line; empty where it does not."""
+    try:
+        own = card_of(log) if "card" in log.attached else card
+    except CardError:
+        return ""
+    if own.raw == card.raw:
+        return ""
+    return f"read with the card {card.name}, as asked, and not with the one that the log carries, {own.name}"
+
+
 def card_of(log: Log) -> Card:
     """The card of `proposal`.
 

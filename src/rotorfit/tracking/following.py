@@ -256,10 +256,26 @@ def said(followed: Followed, axis: str) -> Said:
         vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
         values[name] = one.value
     told = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
+    if read_backwards(vehicle, told):
+        return Said(nothing, {}, {})
     for name in QUANTITIES:
         if told.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
             values[name] = None
     return Said(values, vehicle, flight)
+
+
+def read_backwards(ends: Mapping[str, Interval], told: Mapping[str, str]) -> bool:
+    """Whether what was found is the feedback that gives the commands, not the vehicle.
+
+    Where nobody moves an axis but its own feedback, the commands follow the motion: an answer that comes before its
+    command, of a size that cannot be told. Clocks that disagree move a delay as far, but leave the input as it is.
+
+    Args:
+        ends: Quantity to its interval.
+        told: Coefficient to its status.
+    """
+    latest = ends.get("delay", (None, None))[1]
+    return latest is not None and latest < 0 and told["input"] != "ok"
 
 
 def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:

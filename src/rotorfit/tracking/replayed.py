@@ -14,6 +14,8 @@ from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
 
 OnState = Callable[[Tracked], None]
 
+Stopped = Callable[[], object]
+
 
 def tracked(
     flight: Flight,
@@ -21,6 +23,7 @@ def tracked(
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
     on_state: OnState = lambda _state: None,
     earlier: Earlier | None = None,
+    stopped: Stopped = lambda: False,
 ) -> Track:
     """Tracks a recorded flight.
 
@@ -30,6 +33,7 @@ def tracked(
         false_alarms_per_hour: The expected number that is promised not to be passed.
         on_state: Called with each state as it comes.
         earlier: What the vehicle was; None where nothing is known.
+        stopped: Asked after each of them: whether it is enough. What was seen by then is the flight.
 
     Raises:
         CardError: Commands mean something else to the earlier model.
@@ -43,6 +47,9 @@ def tracked(
         seen = now
         states.append(following.look(part, now, ground.stands))
         on_state(states[-1])
+        if stopped():
+            flight = part
+            break
     last, regimes = following.finish(flight, flight.segments[-1].end)
     on_state(last)
     return Track((*states, last), regimes)

@@ -123,7 +123,7 @@ def track(
         check_destination(report, REPORT_MARK)
     earlier = _earlier(after) if after else None
     regaining = _regaining(gains, jsonl) if gains is not None else None
-    lost = ""
+    lost = stopped = ""
     with Views(page, foxglove, lambda text: click.echo(text, err=True)) as views:
         if link is not None:
             result, flight, lost = _listened(
@@ -131,7 +131,9 @@ def track(
                 earlier, regaining,
             )  # fmt: skip
         else:
-            result, flight = _replayed(str(log), card, pace, structure, false_alarms, jsonl, views, earlier, regaining)
+            result, flight, stopped = _replayed(
+                str(log), card, pace, structure, false_alarms, jsonl, views, earlier, regaining
+            )
         files = _written(result, output) if output else [None] * len(result.regimes)
         if report and flight:
             from rotorfit.reporting import write_timeline
@@ -154,6 +156,8 @@ def track(
         from rotorfit.core.errors import LinkError
 
         raise LinkError(f"{link}: {lost}")
+    if stopped:  # what was seen is all there; the log is not
+        raise click.Abort
 
 
 def _earlier(path: Path) -> "Earlier":
@@ -184,24 +188,34 @@ def _regaining(path: str, jsonl: bool) -> "Regaining":
 def _replayed(
     log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
     earlier: "Earlier | None", regaining: "Regaining | None",
-) -> tuple["Track", "Flight"]:  # fmt: skip
-    """A log, as if live, and its flight."""
+) -> tuple["Track", "Flight", str]:  # fmt: skip
+    """A log, as if live, its flight, and who ended it before its end; empty where nobody did."""
+    from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
+    from rotorfit.flying.operator import operator_abort
     from rotorfit.tracking.replayed import tracked
 
     flight = load_flight(parse_log(log), card)
+    for note in flight.notes:
+        if note.code.startswith("card_"):
+            click.echo(f"{log}: {note.text}", err=True)
     begun, show_state = time.monotonic(), _shown(jsonl)
+    with operator_abort() as abort:
 
-    def told(state: "Tracked") -> None:
-        if pace:
-            time.sleep(max(state.time / pace - (time.monotonic() - begun), 0.0))
-        views.state(state, round(state.time * 1e9))
-        show_state(state)
-        if regaining:
-            regaining.state(state, round(state.time * 1e9))
+        def told(state: "Tracked") -> None:
+            while pace and not abort() and (left := state.time / pace - (time.monotonic() - begun)) > 0:
+                time.sleep(min(left, 0.1))
+            views.state(state, round(state.time * 1e9))
+            show_state(state)
+            if regaining:
+                regaining.state(state, round(state.time * 1e9))
 
-    return tracked(flight, structure, false_alarms, told, earlier), flight
+        result = tracked(flight, structure, false_alarms, told, earlier, abort)
+    if stopped := abort():
+        line_cleared()
+        click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
+    return result, flight, stopped
 
 
 def _listened(

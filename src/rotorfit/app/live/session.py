@@ -79,6 +79,8 @@ def followed(
             if heard.news:
                 news(heard.news)
             for sample in heard.samples:
+                if sample.stream == "said":
+                    news(sample.text)
                 tracker.update(sample)
                 if tracker.state() is not last:
                     last = tracker.state()

@@ -10,12 +10,13 @@ from rich.text import Text
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
 from rotorfit.core.tracked import QUANTITIES, Alarm, Track, Tracked, TrackedAxis
 
-_PUSH = {"x": "m/s^2", "y": "m/s^2", "z": "m/s^2", "yaw": "rad/s^2"}
+_LENGTH = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
+
+UNITS = {"input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "steady_gain": "{}/s", "total_lag": "s"}
+"""By quantity, with the axis' unit of length in place of `{}`; input and steady gain are per command of 1."""
 
 SAID = ("known", "not_identifiable")
 """Of axes that are this, the numbers are given as soon as they are; of others, where they are those of before."""
-
-UNITS = {"delay": "s", "lag": "s", "total_lag": "s", "damping": "1/s"}
 
 
 def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
@@ -94,22 +95,22 @@ def track_view(result: Track) -> View:
     last = result.states[-1]
     yield ""
     yield title(f"At {last.time:.1f} s, 95 % intervals of the vehicle as it flew:")
-    out = table("axis", "state", "quantity", "value", "95 %", left=(0, 1, 2))
+    out = table("axis", "state", "quantity", "value", "unit", "95 %", left=(0, 1, 2, 4))
     for name, axis in last.axes.items():
         known = [(what, axis.values[what]) for what in QUANTITIES if axis.values.get(what) is not None]
         for row, (what, value) in enumerate(known or [("", None)]):
             said = (name, axis.state) if row == 0 else ("", "")
             if value is None:
-                out.add_row(*said, "", "", "")
+                out.add_row(*said)
             else:
-                unit = f" {UNITS[what]}" if what in UNITS else ""
-                out.add_row(
-                    *said, what.replace("_", " "), number_text(value, axis.ci95[what]) + unit,
-                    interval_text(axis.ci95[what]),
-                )  # fmt: skip
+                unit = UNITS[what].format(_LENGTH[name])
+                number = number_text(value, axis.ci95[what])
+                out.add_row(*said, what.replace("_", " "), number, unit, interval_text(axis.ci95[what]))
         if axis.wind is not None:
-            out.add_row("", "", "wind", f"{axis.wind:.2f} {_PUSH[name]}", interval_text(axis.wind_ci95))
+            wind = f"{axis.wind:.2f}", f"{_LENGTH[name]}/s^2"
+            out.add_row("", "", "wind", *wind, interval_text(axis.wind_ci95))
     yield out
+    yield indented("input and steady gain are per command of 1", 0)
     if apart := [f"{name} {_apart(axis)}" for name, axis in last.axes.items() if axis.against]:
         yield indented(f"Against the earlier model: {'; '.join(apart)}.", 0)
     if last.air:

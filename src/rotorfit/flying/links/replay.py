@@ -12,7 +12,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LinkError, LinkOverError
 from rotorfit.core.frames import Array, Indices, yaw_from_quaternion
 from rotorfit.core.log import Log, Sample
-from rotorfit.diagnosis.card_choice import card_of
+from rotorfit.diagnosis.card_choice import another_card, card_of
 from rotorfit.files.logs import read
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.flights.columns import card_for, column
@@ -62,7 +62,8 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
     """
     if not address:
         raise LinkError("--link replay needs a log: replay:FILE")
-    flight = flight_from_log(read(address), card)
+    log = read(address)
+    flight = flight_from_log(log, card)
     half = flight.yaw / 2
     attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     parts: tuple[tuple[Literal["pose", "command"], Array, Array], ...] = (
@@ -74,7 +75,10 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
         for stream, time, values in parts
         for t, row in zip(time.tolist(), values.tolist(), strict=True)
     ]
-    return ReplayLink(sorted(samples, key=lambda sample: sample.received), address)
+    samples.sort(key=lambda sample: sample.received)
+    if told := another_card(log, card):
+        samples.insert(0, Sample("said", samples[0].stamp, samples[0].received, (), told))
+    return ReplayLink(samples, address)
 
 
 class ReplayLink:
