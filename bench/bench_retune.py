@@ -7,15 +7,15 @@ A Bebop 2 of the flight room follows a circle (1 m) or a lemniscate (1.2 m) at 1
 of its mass is taken up, its tilt limit goes from 10 to 15 degrees, or commands come 50 ms later. Nothing excites it but
 the path and the wind. Four flights with the same wind and noise:
 
-kept        gains of the true vehicle before the change, to the end; tuned as if it were known as `DOUBT` says
-re-tuned    the same, until re-tuning, which hears poses and commands and knows which gains are flown, publishes others
+kept        gains by a model of the vehicle before the change, off by as much as `DOUBT` says, to the end
+re-tuned    the same, until re-tuning, which hears poses and commands and comes after that model, publishes others
 true        each time gains of the true vehicle after the change, with the bandwidth that re-tuning chose
-known       from the change on, gains of the true vehicle after it, tuned as if it were known as `DOUBT` says
+known       from the change on, gains of the true vehicle after it, with the margins for such a doubt
 
-Re-tuned against true is what the estimates cost; true against known is what the doubt costs: a minute of circles tells
-less than flights that are made to tell. Printed: when which axis was tuned anew, and why; root mean square distance
-from the path from `SETTLE` after the last new gains on, to the end, in the same window for all four. At the end a
-flight whose commands stop before the payload is taken up: nothing may be published after that.
+Re-tuned against true is what the estimates cost, true against known what the doubt costs. Printed: when which axis was
+tuned anew, and why; root mean square distance from the path from `SETTLE` after the last new gains on, to the end, in
+the same window for all four. At the end a flight whose commands stop before the payload is taken up: nothing may be
+published after that.
 """
 
 import argparse
@@ -78,30 +78,41 @@ def vehicle_of(change: str) -> Vehicle:
     """The Bebop 2 with a battery that lasts; its first tilt limit where that changes."""
     vehicle = load_vehicle("bebop2")
     battery = replace(vehicle.battery, sag=0.0, flight_time=1e9)
-    vehicle = replace(vehicle, battery=battery, autopilot=replace(vehicle.autopilot, brakes_on_zero=False))
+    vehicle = replace(
+        vehicle, battery=battery, autopilot=replace(vehicle.autopilot, brakes_on_zero=False, learning=1.0)
+    )
     if change == "limits":
         return replace(vehicle, command=replace(vehicle.command, tilt=float(np.radians(10.0))))
     return vehicle
 
 
-def true_gains(vehicle: Vehicle, full_scale: Vehicle) -> Tuning:
-    """Gains of a vehicle that is known well; the command is that of another's full scale."""
+def model_of(vehicle: Vehicle, full_scale: Vehicle, seed: int | None) -> Model:
+    """A model of a vehicle, known as `DOUBT` says.
+
+    Args:
+        vehicle: What it is.
+        full_scale: What a command of 1 is, is said by another's card.
+        seed: Of its errors; None for none.
+    """
     linear, card = vehicle.linear(), card_from_mapping(full_scale.card(), full_scale.name)
     axes, names = {}, []
     for k, axis in enumerate(AXES):
-        point = Predictor(float(linear.gamma[2 * k]), float(linear.gamma[2 * k + 1]), float(linear.delay[k]))
+        true = np.array([linear.gamma[2 * k], linear.gamma[2 * k + 1], linear.delay[k]])
+        size = np.array(list(DOUBT.values())) * (abs(true[0]), abs(true[1]), 1.0)
+        off = 0.0 if seed is None else np.random.default_rng((3, seed, k)).standard_normal(3) * size
+        point = Predictor(*(true + off).tolist())
         values = {name: getattr(point, name) for name in COEFFICIENTS}
-        errors = {name: DOUBT[name] * (1.0 if name == "delay" else abs(value)) for name, value in values.items()}
+        errors = dict(zip(COEFFICIENTS, size.tolist(), strict=True))
         ends = {name: (value - 2 * errors[name], value + 2 * errors[name]) for name, value in values.items()}
         status = dict.fromkeys(COEFFICIENTS, "ok")
         axes[axis] = Axis(**values, stderr=errors, ci95=ends, status=status, predictor=point)
         names += [f"{axis}.{name}" for name in COEFFICIENTS]
     errors = np.array([axes[name.partition(".")[0]].stderr[name.partition(".")[2]] for name in names])
-    return tune(Model(card, "first_order_delay", "ml", axes, tuple(names), np.diag(errors**2), (None,) * 8, (), ()))
+    return Model(card, "first_order_delay", "ml", axes, tuple(names), np.diag(errors**2), (None,) * 8, (), ())
 
 
 def flown(
-    change: str, path: ReferencePath, seed: int, gains: Tuning, later: Sequence[Later] = (),
+    change: str, path: ReferencePath, seed: int, before: Model, later: Sequence[Later] = (),
     structure: str | None = None, commands_until: float = LENGTH,
 ) -> Flight:  # fmt: skip
     """Flies a path.
@@ -110,7 +121,7 @@ def flown(
         change: What happens to the vehicle.
         path: To be followed.
         seed: Of the wind and all noise.
-        gains: At the start.
+        before: From which the gains at the start are tuned, and which the tracker comes after.
         later: Laws that are flown from some instants on.
         structure: Law of the tracker whose gains are taken over; None for no tracker.
         commands_until: From then on nothing is commanded [s].
@@ -119,8 +130,9 @@ def flown(
     speed, angle = rng.uniform(1.0, 2.0), rng.uniform(0.0, 2.0 * np.pi)
     wind = Wind((float(speed * np.cos(angle)), float(speed * np.sin(angle)), 0.0), Gusts((0.3, 0.3, 0.15)))
     room = FlightRoom(vehicle, Conditions(wind, floor=-1e6, changes=(CHANGES[change],)), seed, path.start)
+    gains = tune(before)
     controller, steering, errors = controller_of(gains, vehicle), at_rest(np.array(path.start)), []
-    follower = Follower(vehicle, gains, structure) if structure else None
+    follower = Follower(vehicle, before, gains, structure) if structure else None
     for k in range(round(path.duration / controller.period)):
         t = k * controller.period
         for since, laws in later:
@@ -142,12 +154,12 @@ def flown(
 
 
 class Follower:
-    """`rotorfit track --tune` beside a flight: hears samples, gives gains back."""
+    """`rotorfit track --after --tune` beside a flight: hears samples, gives gains back."""
 
-    def __init__(self, vehicle: Vehicle, gains: Tuning, structure: str) -> None:
-        self._tracker = Tracker(card_from_mapping(vehicle.card(), vehicle.name), structure, origin=0)
+    def __init__(self, vehicle: Vehicle, before: Model, gains: Tuning, structure: str) -> None:
+        self._tracker = Tracker(card_from_mapping(vehicle.card(), vehicle.name), structure, origin=0, after=before)
         flown = {axis: Flown(one.law, one.bandwidth) for axis, one in gains.axes.items()}
-        self._retuning, self._last = Retuning(flown=flown), self._tracker.state()
+        self._retuning, self._last = Retuning(flown=flown, before=before), self._tracker.state()
         self.published: list[tuple[float, Tuning]] = []
 
     def hears(self, poses: list[Sample], t: float, command: Array) -> dict[str, AxisLaw]:
@@ -155,7 +167,7 @@ class Follower:
         for pose in poses:
             self._tracker.update(pose)
         self._tracker.update(Sample("command", round(t * 1e9), round(t * 1e9), tuple(command.tolist())))
-        state, self._last = self._tracker.state(), self._last
+        state = self._tracker.state()
         if state is self._last:
             return {}
         self._last = state
@@ -164,7 +176,7 @@ class Follower:
     def _looked(self, state: Tracked) -> dict[str, AxisLaw]:
         for alarm in state.alarms:
             print(f"    {state.time:5.1f} s alarm {', '.join(alarm.axes)}: {alarm.cause}", flush=True)
-            self._retuning.changed(alarm.axes)
+            self._retuning.changed(alarm.axes, alarm.cause)
         known = [axis for axis, one in state.axes.items() if one.knowledge == "known"]
         found = self._retuning.look(state.model, known) if state.model and known else None
         if found is None:
@@ -196,7 +208,7 @@ def compared(shape: str, change: str, seed: int, structure: str) -> tuple[float,
     path = ReferencePath(shape, SIZES[shape], 1.0, LENGTH)  # type: ignore[arg-type]
     vehicle = vehicle_of(change)
     then = changed(vehicle, [CHANGES[change]])
-    before, after = true_gains(vehicle, vehicle), true_gains(then, vehicle)
+    before, after = model_of(vehicle, vehicle, seed), tune(model_of(then, vehicle, None))
     print(f"{shape}, {change}, seed {seed}:", flush=True)
     retuned = flown(change, path, seed, before, structure=structure)
     earlier = [(time, {axis: one.law for axis, one in new.axes.items()}) for time, new in retuned.published]
@@ -235,7 +247,7 @@ def main() -> None:
             )
     path, vehicle = ReferencePath("circle", 1.0, 1.0, LENGTH), vehicle_of("payload")
     print(f"circle whose commands stop at {STOPPED:g} s, payload at {AT:g} s:", flush=True)
-    silent = flown("payload", path, 1, true_gains(vehicle, vehicle), (), given.structure, STOPPED)
+    silent = flown("payload", path, 1, model_of(vehicle, vehicle, 1), (), given.structure, STOPPED)
     late = [time for time, _ in silent.published if time > STOPPED]
     print(f"  {len(late)} publications after the commands have stopped")
 

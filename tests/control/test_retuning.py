@@ -69,7 +69,7 @@ def test_after_a_change_what_was_fitted_before_says_nothing() -> None:
     g, b, tau = VEHICLE["x"]
     retuning, other = Retuning(flown=flown()), (g, b, tau + 0.1)
     assert looks(retuning, of_x(), of_x()) == []
-    retuning.changed(["x"])
+    retuning.changed(["x"], "other")
 
     assert looks(retuning, of_x(other)) == []  # one fit has not settled
     (found,) = looks(retuning, of_x(other), of_x(other))
@@ -80,3 +80,38 @@ def test_fits_that_still_learn_have_not_settled() -> None:
     assert looks(Retuning(), of_x(error=0.3), of_x(error=0.15), of_x(error=0.07)) == []
     g, b, tau = VEHICLE["x"]
     assert looks(Retuning(), of_x(), of_x((1.5 * g, b, tau)), of_x((g, b, tau))) == []
+
+
+def test_after_a_change_of_limits_what_was_known_of_damping_and_delay_still_is() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning, vague = Retuning(flown=flown(0.02), before=of_x(error=0.02)), (1.5 * g, 1.1 * b, tau + 0.004)
+    assert looks(retuning, of_x(), of_x()) == []
+    retuning.changed(["x"], "limits")
+    (found,) = looks(retuning, *(of_x(vague, error=0.15) for _ in range(3)))
+    law = found.tuning.axes["x"].law
+
+    assert (law.damping, law.delay) == pytest.approx((b, tau))
+    assert law.input == pytest.approx(1.5 * g, rel=0.15)
+
+
+def test_what_is_carried_over_gives_way_where_the_flight_contradicts_it() -> None:
+    g, b, tau = VEHICLE["x"]
+    retuning, other = Retuning(flown=flown(0.02), before=of_x(error=0.02)), (1.5 * g, b, tau + 0.1)
+    retuning.changed(["x"], "limits")
+    (found,) = looks(retuning, *(of_x(other) for _ in range(3)))
+
+    assert found.tuning.axes["x"].law.delay == pytest.approx(tau + 0.1)
+
+
+def test_an_earlier_model_that_says_more_is_what_the_vehicle_is_believed_to_be() -> None:
+    g, b, tau = VEHICLE["x"]
+    (found,) = looks(Retuning(before=of_x(error=0.02)), *(of_x((1.1 * g, b, tau), error=0.2) for _ in range(3)))
+
+    assert found.tuning.axes["x"].law.input == pytest.approx(g)
+
+
+def test_a_payload_changes_no_gains() -> None:
+    retuning = Retuning(flown=flown(0.02), before=of_x(error=0.02))
+    retuning.changed(["x"], "payload")
+
+    assert looks(retuning, *(of_x(error=0.2) for _ in range(3))) == []

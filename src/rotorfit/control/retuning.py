@@ -11,25 +11,47 @@ lets it. New gains are published
 - where they are for another vehicle: its coefficients lie outside of what both intervals explain;
 - where the vehicle is known so much better that they would be `FASTER` times as fast.
 
-Otherwise they stay, so that gains from a flight that told more are not given up because this one tells less. What lies
-between `PEAK` and `LOST`, and between 1 and `FASTER`, is the hysteresis. Without excitation there is no new fit, and
-nothing is published.
+Otherwise they stay. What lies between `PEAK` and `LOST`, and between 1 and `FASTER`, is the hysteresis. Without
+excitation there is no new fit, and nothing is published.
+
+What is known from before is carried over: of an earlier model, as long as this flight tells less and does not
+contradict it, and over an alarm those coefficients k that its cause leaves as they were. With what was known before,
+N(m, C)_k, and the new fit N(m', C'), the others f follow the new fit where the carried ones are what they were:
+
+    m_f = m'_f + K (m_k - m'_k),    C_ff = C'_ff - K C'_kf + K C_kk K',    C_fk = K C_kk,    K = C'_fk (C'_kk)^-1
+
+What the new fit says of k is left unused, because both hold the same flight-to-flight spread; where it tells more, or
+lies outside of 99 % of what both allow, it stands alone.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtr
 
 from rotorfit.control.control_law import AxisLaw, Kind
-from rotorfit.control.robustness import believed_possible, doubt, known_dynamics, share_beyond
+from rotorfit.control.robustness import believed_possible, doubt, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, RATE, AxisTuning, Tuning, tune
 from rotorfit.core.errors import ModelError
-from rotorfit.core.model import COEFFICIENTS, Axis, Model, Weighed, first_order
+from rotorfit.core.frames import AXES, Array
+from rotorfit.core.model import COEFFICIENTS, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
 
 LOST = 2.0
 """Peak of the sensitivity from which a margin is lost. Source: as of `tuning.PEAK`: the upper end of what loops are
 tuned to."""
+
+CARRIED: Mapping[str, tuple[str, ...]] = {
+    "limits": ("damping", "delay"),
+    "delay": ("input", "damping"),
+    "payload": COEFFICIENTS,
+    "thrust": COEFFICIENTS,
+}
+"""Cause of an alarm to what it leaves as it was; of one that is not named nothing. A payload and lost thrust change the
+trim, which no gains hold; the damping of x and y falls with the mass, by less than a flight in wind tells."""
+
+CONTRADICTED = 0.99
+"""Probability that what is carried over and the new fit lie as far apart as here, from which the fit stands alone."""
 
 LOST_DELAY = 0.6 * DELAY_SHARE
 """The same of the delay margin, as a share of the reach of the loop."""
@@ -75,6 +97,7 @@ class Retuning:
         rate: Commands a second.
         latency: From the exposure of a pose to the command that uses it [s].
         flown: Axis name to the gains that are flown; empty where that is not known.
+        before: What the vehicle was on an earlier flight; None where nothing is known.
     """
 
     def __init__(
@@ -83,17 +106,30 @@ class Retuning:
         rate: float = RATE,
         latency: float = LATENCY,
         flown: Mapping[str, Flown] | None = None,
+        before: Model | None = None,
     ) -> None:
         self._kind, self._rate, self._latency = kind, rate, latency
         self._flown = dict(flown or {})
         self._fits: dict[str, tuple[Axis, Weighed]] = {}
+        known = before.axes if before else {}
+        self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
+        self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
 
-    def changed(self, axes: Collection[str]) -> None:
-        """Some axes are of another vehicle from now on: what was fitted before says nothing of them."""
-        self._anew |= set(axes)
+    def changed(self, axes: Collection[str], cause: str) -> None:
+        """Some axes are of another vehicle from now on.
+
+        Args:
+            axes: Their names.
+            cause: Of the alarm; what it leaves as it was is still known.
+        """
         for axis in axes:
-            self._fits.pop(axis, None)
+            last = self._fits.pop(axis, None)
+            if last:
+                self._before[axis] = self._belief(axis, last[1])
+            self._carried[axis] = tuple(name for name in self._carried[axis] if name in CARRIED.get(cause, ()))
+            if self._carried[axis] != COEFFICIENTS:
+                self._anew.add(axis)
 
     def look(self, model: Model, axes: Collection[str]) -> Retuned | None:
         """New gains, where the model calls for them.
@@ -105,8 +141,11 @@ class Retuning:
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
         for axis in axes:
-            if self._settled(model, axis) and (fresh := self._tuned(model, axis)):
-                reason = self._reason(model, axis, fresh)
+            if not self._settled(model, axis):
+                continue
+            believed = _with_law(model, axis, self._belief(axis, self._fits[axis][1]))
+            if fresh := self._tuned(believed, axis):
+                reason = self._reason(believed, axis, fresh)
                 if reason:
                     new[axis], why[axis] = fresh, reason
                     self._flown[axis] = Flown(fresh.law, fresh.bandwidth)
@@ -126,6 +165,11 @@ class Retuning:
             and now.stderr[name] >= SETTLED * old.stderr[name]
             for name in COEFFICIENTS
         )
+
+    def _belief(self, axis: str, now: Weighed) -> Weighed:
+        """What is believed of an axis: the last fit, and what is carried over."""
+        before = self._before.get(axis)
+        return now if before is None else _carried_over(before, now, self._carried[axis])
 
     def _tuned(self, model: Model, axis: str) -> AxisTuning | None:
         """Gains for an axis; None where no margins hold."""
@@ -153,9 +197,44 @@ class Retuning:
         return ""
 
 
+def _carried_over(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
+    """A fit, with some coefficients as they were known before; the fit where that says less, or something else."""
+    if not names or any(name not in law.stderr for law in (before, now) for name in COEFFICIENTS):
+        return now
+    (old, old_covariance), (new, new_covariance) = _normal(before), _normal(now)
+    kept = np.array([name in names for name in COEFFICIENTS])
+    was, known = old_covariance[np.ix_(kept, kept)], new_covariance[np.ix_(kept, kept)]
+    off = old[kept] - new[kept]
+    apart = float(off @ np.linalg.solve(was + known, off))
+    if np.linalg.det(known) <= np.linalg.det(was) or chdtr(kept.sum(), apart) > CONTRADICTED:
+        return now
+    follow = new_covariance[np.ix_(~kept, kept)] @ np.linalg.inv(known)
+    mean, covariance = old.copy(), np.zeros((3, 3))
+    mean[~kept] = new[~kept] + follow @ off
+    covariance[np.ix_(kept, kept)] = was
+    covariance[np.ix_(~kept, kept)] = follow @ was
+    covariance[np.ix_(kept, ~kept)] = (follow @ was).T
+    alone = new_covariance[np.ix_(~kept, ~kept)] - follow @ new_covariance[np.ix_(kept, ~kept)]
+    covariance[np.ix_(~kept, ~kept)] = alone + follow @ was @ follow.T
+    return weighed(now.structure, Predictor(*mean.tolist()), COEFFICIENTS, covariance)
+
+
+def _normal(law: Weighed) -> tuple[Array, Array]:
+    """Mean and covariance of input, damping and delay, shape (3,) and (3, 3)."""
+    at = [list(law.stderr).index(name) for name in COEFFICIENTS]
+    point = law.predictor
+    return np.array([point.input, point.damping, point.delay]), law.covariance[np.ix_(at, at)]
+
+
+def _with_law(model: Model, axis: str, law: Weighed) -> Model:
+    """The model with a first-order law beside an axis, by which gains go."""
+    nothing = dict.fromkeys(COEFFICIENTS)
+    plain = Plain(None, None, None, nothing, {}, {}, law)
+    return replace(model, axes={**model.axes, axis: replace(model.axes[axis], plain=plain)})
+
+
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
     """Squared distance of what a law believes from what is known, if it was known as well as that."""
-    now = first_order(model, axis)
-    at = [list(now.stderr).index(name) for name in COEFFICIENTS]
-    off = np.array([law.input, law.damping, law.delay]) - np.array(known_dynamics(model, axis))
-    return float(off @ np.linalg.solve(2.0 * now.covariance[np.ix_(at, at)], off))
+    mean, covariance = _normal(first_order(model, axis))
+    off = np.array([law.input, law.damping, law.delay]) - mean
+    return float(off @ np.linalg.solve(2.0 * covariance, off))

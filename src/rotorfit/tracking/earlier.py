@@ -121,8 +121,8 @@ def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...
     same_law = out.structure == earlier.model.axes[axis].structure
     return tuple(
         _unlike(f"{axis}.{name}", before[name], now[name])
-        for name in before.keys() & now.keys()
-        if (same_law or name in ALIKE) and (name in TIMES or min(*before[name], *now[name]) > 0)
+        for name in before
+        if name in now and (same_law or name in ALIKE) and (name in TIMES or min(*before[name], *now[name]) > 0)
     )
 
 

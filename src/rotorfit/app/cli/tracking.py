@@ -122,7 +122,7 @@ def track(
     if report:
         check_destination(report, REPORT_MARK)
     earlier = _earlier(after) if after else None
-    regaining = _regaining(gains, jsonl) if gains is not None else None
+    regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     lost = stopped = ""
     with Views(page, foxglove, lambda text: click.echo(text, err=True)) as views:
         if link is not None:
@@ -168,7 +168,7 @@ def _earlier(path: Path) -> "Earlier":
     return Earlier(load(path), path.name)
 
 
-def _regaining(path: str, jsonl: bool) -> "Regaining":
+def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
     """What publishes new gains: each a line of JSON, or some for people."""
     from rotorfit.app.live.regained import Regaining
     from rotorfit.app.terminal import show
@@ -182,7 +182,7 @@ def _regaining(path: str, jsonl: bool) -> "Regaining":
             line_cleared()
             show(gains_view(message))
 
-    return Regaining(Path(path) if path else None, told, say_kept)
+    return Regaining(Path(path) if path else None, told, say_kept, earlier.model if earlier else None)
 
 
 def _replayed(

@@ -28,6 +28,7 @@ class Regaining:
         path: Of the gains file, TOML or YAML; None for messages alone.
         told: The first of the listeners.
         kept: Called with where the file that was there first is kept.
+        before: What the vehicle was on an earlier flight; None where nothing is known.
 
     Attributes:
         listeners: Called with each message and the link's clock [ns].
@@ -39,7 +40,11 @@ class Regaining:
     """
 
     def __init__(
-        self, path: Path | None, told: Callable[[Message, int], None], kept: Callable[[Path | None], None]
+        self,
+        path: Path | None,
+        told: Callable[[Message, int], None],
+        kept: Callable[[Path | None], None],
+        before: Model | None = None,
     ) -> None:
         self._path, self.listeners, self._kept, self.count = path, [told], kept, 0
         self._gains: dict[str, Any] = {"design": "predictor", "rate": RATE, "latency": LATENCY, "axes": {}}
@@ -48,13 +53,14 @@ class Regaining:
             check_destination(path, GAINS_MARK)
             self._gains = read_gains(path) if path.exists() else self._gains
         flown = {axis: Flown(law_of(self._gains, axis), float(one["bandwidth"])) for axis, one in self._axes()}
-        self._retuning = Retuning(self._gains["design"], self._gains["rate"], self._gains["latency"], flown)
+        loop = self._gains["design"], self._gains["rate"], self._gains["latency"]
+        self._retuning = Retuning(*loop, flown, before)
 
     def state(self, state: Tracked, now: int) -> None:
         """Publishes what a state calls for."""
         for alarm in state.alarms:
             if alarm.cause in OF_THE_VEHICLE:
-                self._retuning.changed(alarm.axes)
+                self._retuning.changed(alarm.axes, alarm.cause)
         known = [axis for axis, one in state.axes.items() if one.knowledge == "known" and not one.earlier]
         if state.model is None or state.landed or not known:
             return

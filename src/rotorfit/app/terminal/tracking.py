@@ -111,8 +111,9 @@ def track_view(result: Track) -> View:
             out.add_row("", "", "wind", *wind, interval_text(axis.wind_ci95))
     yield out
     yield indented("input and steady gain are per command of 1", 0)
-    if apart := [f"{name} {_apart(axis)}" for name, axis in last.axes.items() if axis.against]:
-        yield indented(f"Against the earlier model: {'; '.join(apart)}.", 0)
+    yield from bullets(
+        f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
+    )
     if last.air:
         low, high = last.air.speed_ci95
         towards = f"{math.degrees(last.air.direction):.0f} deg from the world's x, counter-clockwise"
