@@ -53,7 +53,7 @@ test-slow: .venv/installed-dev
 	$(BIN)/pytest -m slow
 
 test-live: .venv/installed-dev
-	$(BIN)/pytest -m slow -s -rs tests/test_links_live.py
+	$(BIN)/pytest -m slow -s -rs tests/flying/test_links_live.py
 
 bench: .venv/installed-bench
 	set -e; for script in bench/bench_*.py; do $(BIN)/python "$$script"; done

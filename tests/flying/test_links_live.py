@@ -1,7 +1,7 @@
 """Flights over real middleware against fake vehicles, which run the virtual flight room on the wall clock.
 
-Slow, and of the wall clock: `pytest -m slow tests/test_links_live.py -s` prints what was reached. What a flight needs
-beyond rotorfit is installed where that is possible; else the flight is skipped, and says why.
+Slow, and of the wall clock: `pytest -m slow tests/flying/test_links_live.py -s` prints what was reached. What a flight
+needs beyond rotorfit is installed where that is possible; else the flight is skipped, and says why.
 """
 
 import json
@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+from rotorfit.app.live.ros_topics import DIAGNOSTICS, PREFIX, TOPICS
 from rotorfit.app.workflows import fit_logs
 from rotorfit.core.flight_plan import AxisExcitation, Plan, Sines, Space
 from rotorfit.core.frames import AXES
@@ -42,7 +43,10 @@ pytestmark = pytest.mark.slow
 
 FAKES = Path(__file__).parents[1] / "fakes"
 DEBIAN = "/usr/lib/python3/dist-packages"
-ROS1 = ("python3-rospy", "python3-rosmaster", "python3-geometry-msgs", "python3-nav-msgs", "python3-std-msgs")
+ROS1 = tuple(
+    f"python3-{name}" for name in ("rospy", "rosmaster", "geometry-msgs", "nav-msgs", "std-msgs", "diagnostic-msgs")
+)
+STANDARD = {DIAGNOSTICS: "diagnostic_msgs/DiagnosticArray", **{f"{PREFIX}/{name}": k for name, k in TOPICS.items()}}
 DURATION = 45.0
 SPACE = Space((-6.0, -6.0, 0.4), (6.0, 6.0, 4.0), (0.0, 0.0, 1.5, 0.0), 2.0, 1.2)
 PARTS = ("input", "damping", "delay")
@@ -203,14 +207,14 @@ def free_port() -> int:
 @pytest.fixture(scope="module")
 def master() -> Iterator[dict[str, str]]:
     """The environment of a master that is running."""
-    if not (shutil.which("rosmaster") and Path(DEBIAN, "rospy").is_dir() and Path(DEBIAN, "nav_msgs").is_dir()):
+    if not (shutil.which("rosmaster") and Path(DEBIAN, "rospy").is_dir() and Path(DEBIAN, "diagnostic_msgs").is_dir()):
         if os.geteuid() or not shutil.which("apt-get"):
             pytest.skip(f"ROS 1 is not here, and this is no root on Debian; install {' '.join(ROS1)}")
         words = ["apt-get", "install", "-y", "--no-install-recommends", *ROS1]
         if subprocess.run(words, capture_output=True, check=False).returncode:
             pytest.skip(f"ROS 1 is not here, and `{' '.join(words)}` failed")
     found = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.append({DEBIAN!r}); import rospy, nav_msgs.msg"],
+        [sys.executable, "-c", f"import sys; sys.path.append({DEBIAN!r}); import rospy, nav_msgs, diagnostic_msgs.msg"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if found.returncode:
@@ -248,6 +252,41 @@ def test_a_flight_over_ros_1_identifies_what_a_direct_one_does(
     told(live, f"ros1, {kind}")
     assert live.told["reason"] == "completed"
     agree(live, fly_direct(tmp_path, plan, "bebop2", Mocap()))
+
+
+def test_a_tracker_beside_a_flight_over_ros_1_publishes_what_it_knows_and_nothing_else(
+    tmp_path: Path, master: dict[str, str]
+) -> None:
+    raw = with_limits("bebop2-drone-dev", "bebop2")
+    (tmp_path / "card.toml").write_text(tomli_w.dumps(raw), encoding="utf-8")
+    fake = fake_words("fake_bebop", "--kind", "TransformStamped", "--topic", "/vicon/bebop/bebop")
+    words = [sys.executable, "-m", "rotorfit", "track", "--link", "ros1", "--card", str(tmp_path / "card.toml")]
+    words += ["--structure", "first_order_delay", "--publish", "ros1", "--patience", "8", "--for", "60", "--jsonl"]
+    environment = {**os.environ, **master}
+
+    with (
+        process(*fake, "--arrivals", str(tmp_path / "arrivals.json"), ready="ready", **master),
+        process(*fake_words("hear_ros1"), ready="ready", **master) as hearer,
+        subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True) as tracker,
+    ):
+        own = fly_words(tmp_path, plan_of(raw, "bebop2", 5, 25.0), "ros1", "--no-land")
+        flown = subprocess.run(own, env=environment, capture_output=True, text=True, timeout=150, check=False)
+        assert flown.returncode == 0, flown.stderr
+        time.sleep(2.0)
+        tracker.send_signal(signal.SIGINT)
+        states = [json.loads(line) for line in tracker.communicate(timeout=60)[0].splitlines()]
+        hearer.send_signal(signal.SIGTERM)
+        assert hearer.stdout is not None
+        heard = json.loads(hearer.stdout.readline())
+
+    print(f"\nros1, tracked: {len(states)} lines, heard {heard}")
+    known = states[-2]["axes"]
+    assert [known[axis]["state"].split()[0] in ("known", "holding") for axis in ("x", "y")] == [True, True]
+    assert heard["publishes"].pop("/rosout") == "rosgraph_msgs/Log"  # every node has it
+    assert heard["publishes"] == STANDARD
+    assert 8 <= heard["states"] == heard["speeds"] == heard["pushes"] < len(states)  # the last line is the end
+    assert heard["levels"].keys() == {f"rotorfit: {name}" for name in ("vehicle", *AXES)}
+    assert heard["levels"]["rotorfit: vehicle"] == 0
 
 
 # MAVLink and Tello

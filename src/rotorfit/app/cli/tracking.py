@@ -63,6 +63,11 @@ PORT = click.IntRange(0, 65535)
     metavar="[PORT]",
     help="A Foxglove WebSocket on 127.0.0.1, which PlotJuggler reads, too; default: 8765.",
 )
+@click.option(
+    "--publish",
+    metavar="ROS[:PREFIX]",
+    help="Publish what is known, no commands, on topics of ros1 or ros2; default of PREFIX: /rotorfit.",
+)
 @click.option("--jsonl", is_flag=True, help="Print one JSON object a line: states, alarms, and the end.")
 @click.option(
     "--false-alarms-per-hour",
@@ -98,6 +103,7 @@ def track(
     memory: Path | None,
     page: int | None,
     foxglove: int | None,
+    publish: str | None,
     jsonl: bool,
     false_alarms: float,
     structure: Any,
@@ -124,7 +130,10 @@ def track(
     earlier = _earlier(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     lost = stopped = ""
-    with Views(page, foxglove, lambda text: click.echo(text, err=True)) as views:
+    vehicle = str(link or log)
+    with Views(page, foxglove, publish, vehicle, lambda text: click.echo(text, err=True)) as views:
+        if regaining:
+            regaining.listeners.append(views.gains)
         if link is not None:
             result, flight, lost = _listened(
                 link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views,

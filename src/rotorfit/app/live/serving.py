@@ -1,30 +1,39 @@
-"""Views: the live page and the Foxglove server, for as long as a vehicle is followed."""
+"""Views: the live page, the Foxglove server and ROS topics, for as long as a vehicle is followed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
 from rotorfit.app.live.outlets import Outlet
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
 
+if TYPE_CHECKING:
+    from rotorfit.app.live.ros_topics import RosTopics
+
 
 class Views:
-    """What was asked for of the two; an outlet itself.
+    """What was asked for of the three; an outlet itself.
 
     Args:
         page: Port of the live page, 0 for any that is free; None for no page.
         foxglove: The same of the Foxglove server.
+        publish: `ros1` or `ros2`, perhaps with a prefix; None for no topics.
+        vehicle: What is followed, for people.
         say: Told where they are.
     """
 
-    def __init__(self, page: int | None, foxglove: int | None, say: Callable[[str], None]) -> None:
-        self._asked, self._say = (page, foxglove), say
+    def __init__(
+        self, page: int | None, foxglove: int | None, publish: str | None, vehicle: str, say: Callable[[str], None]
+    ) -> None:
+        self._asked, self._vehicle, self._say = (page, foxglove, publish), vehicle, say
         self._outlets: list[Outlet] = []
+        self._topics: RosTopics | None = None
         self._stack = ExitStack()
 
     def __enter__(self) -> "Views":
-        page, foxglove = self._asked
+        page, foxglove, publish = self._asked
         with ExitStack() as stack:
             if page is not None:
                 from rotorfit.app.live.page_server import LivePage
@@ -34,6 +43,11 @@ class Views:
                 from rotorfit.app.live.foxglove import FoxgloveOutlet
 
                 self._add(stack, FoxgloveOutlet(foxglove, self._say))
+            if publish is not None:
+                from rotorfit.app.live.ros_topics import RosTopics
+
+                self._topics = RosTopics(publish, self._vehicle)
+                self._add(stack, self._topics)
             self._stack = stack.pop_all()
         return self
 
@@ -55,6 +69,11 @@ class Views:
         """Hands a state on."""
         for outlet in self._outlets:
             outlet.state(state, now)
+
+    def gains(self, message: Mapping[str, Any], now: int) -> None:
+        """Hands new gains on, to topics alone."""
+        if self._topics:
+            self._topics.gains(message, now)
 
     def close(self) -> None:
         """Nothing: they last until the result has been shown."""

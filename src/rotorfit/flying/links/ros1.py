@@ -52,7 +52,7 @@ def open_link(address: str, card: Card) -> "Ros1Link":
     if address:
         raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
     commands, poses = ros_commands(card), ros_poses(card)
-    return Ros1Link(_node(), commands, poses, card.fail_safe or FAIL_SAFE, card.hold)
+    return Ros1Link(node(), commands, poses, card.fail_safe or FAIL_SAFE, card.hold)
 
 
 def open_poses(address: str) -> "Ros1Link":
@@ -65,7 +65,7 @@ def open_poses(address: str) -> "Ros1Link":
         LinkError: No master, no such topic, another type.
         ModuleNotFoundError: No rospy.
     """
-    rospy = _node()
+    rospy = node()
     return Ros1Link(rospy, None, poses_of_type(address, _topic_type(rospy, address)), "This link only listens.")
 
 
@@ -83,7 +83,7 @@ def open_listener(address: str, card: Card) -> "Ros1Link":
     if address:
         raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
     commands, poses = ros_commands(card), ros_poses(card)
-    return Ros1Link(_node(), None, poses, "This link only listens.", heard=commands)
+    return Ros1Link(node(), None, poses, "This link only listens.", heard=commands)
 
 
 class Ros1Link:
@@ -112,7 +112,7 @@ class Ros1Link:
             self._subscribers.append(
                 rospy.Subscriber(heard.table, _twist(heard), self._on_command, queue_size=100, tcp_nodelay=True)
             )
-            empty = _message_class("std_msgs/Empty")
+            empty = message_class("std_msgs/Empty")
             self._subscribers += [
                 rospy.Subscriber(action_topic(heard, action), empty, self._on_action, action) for action in ACTIONS
             ]
@@ -166,7 +166,7 @@ class Ros1Link:
 
     def _subscriber(self, topic: str, callback: Any) -> Any:
         kind = _topic_type(self._rospy, topic)
-        message = _message_class(kind)
+        message = message_class(kind)
         if topic == self._poses.table:
             check_pose(message(), self._poses)
         # without tcp_nodelay the sender's kernel holds small messages back, up to 40 ms
@@ -174,7 +174,7 @@ class Ros1Link:
 
     def _advertise(self, commands: CommandFields) -> dict[str, Any]:
         kinds = {commands.table: ("command", _twist(commands))}
-        kinds |= {action_topic(commands, action): (action, _message_class("std_msgs/Empty")) for action in ACTIONS}
+        kinds |= {action_topic(commands, action): (action, message_class("std_msgs/Empty")) for action in ACTIONS}
         return {
             name: self._rospy.Publisher(topic, kind, queue_size=1, tcp_nodelay=True)
             for topic, (name, kind) in kinds.items()
@@ -209,7 +209,7 @@ class Ros1Link:
 
 def _twist(commands: CommandFields) -> Any:
     """The class of the messages that carry a card's commands."""
-    return _message_class("geometry_msgs/TwistStamped" if is_stamped(commands) else "geometry_msgs/Twist")
+    return message_class("geometry_msgs/TwistStamped" if is_stamped(commands) else "geometry_msgs/Twist")
 
 
 def _stamp(message: Any) -> int:
@@ -217,7 +217,7 @@ def _stamp(message: Any) -> int:
     return int(message.header.stamp.to_nsec())
 
 
-def _node() -> Any:
+def node() -> Any:
     """rospy with this process as a node.
 
     Raises:
@@ -250,7 +250,7 @@ def _rospy() -> Any:
     return importlib.import_module("rospy")
 
 
-def _message_class(kind: str) -> Any:
+def message_class(kind: str) -> Any:
     """The class of a message type such as `geometry_msgs/Twist`.
 
     Raises:

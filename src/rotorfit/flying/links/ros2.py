@@ -149,13 +149,13 @@ class Ros2Link:
             self._rclpy.shutdown()
 
     def _subscribe(self) -> None:
-        kind = _message_class(self._topic_type(self._poses.table))
+        kind = message_class(self._topic_type(self._poses.table))
         check_pose(kind(), self._poses)
         # best effort hears reliable publishers, too, and a pose that was lost must not be sent again late
         quality = importlib.import_module("rclpy.qos").qos_profile_sensor_data
         self._node.create_subscription(kind, self._poses.table, self._on_pose, quality)
         if self._poses.velocity and self._poses.velocity_table != self._poses.table:
-            kind = _message_class(self._topic_type(self._poses.velocity_table))
+            kind = message_class(self._topic_type(self._poses.velocity_table))
             self._node.create_subscription(kind, self._poses.velocity_table, self._on_velocity, quality)
 
         if self._heard:
@@ -163,7 +163,7 @@ class Ros2Link:
                 depth=HEARD, reliability=quality.reliability, durability=quality.durability
             )
             self._node.create_subscription(_twist(self._heard), self._heard.table, self._on_command, depth)
-            empty = _message_class("std_msgs/msg/Empty")
+            empty = message_class("std_msgs/msg/Empty")
             for action in ACTIONS:
                 self._node.create_subscription(
                     empty, action_topic(self._heard, action), partial(self._on_action, action), depth
@@ -171,7 +171,7 @@ class Ros2Link:
 
     def _advertise(self, commands: CommandFields) -> dict[str, tuple[Any, Any]]:
         twist = _twist(commands)
-        empty = _message_class("std_msgs/msg/Empty")
+        empty = message_class("std_msgs/msg/Empty")
         topics = {"command": (twist, commands.table)}
         topics |= {action: (empty, action_topic(commands, action)) for action in ACTIONS}
         publishers = {
@@ -212,7 +212,7 @@ class Ros2Link:
 
 def _twist(commands: CommandFields) -> Any:
     """The class of the messages that carry a card's commands."""
-    return _message_class("geometry_msgs/msg/TwistStamped" if is_stamped(commands) else "geometry_msgs/msg/Twist")
+    return message_class("geometry_msgs/msg/TwistStamped" if is_stamped(commands) else "geometry_msgs/msg/Twist")
 
 
 def _stamp(message: Any) -> int:
@@ -220,7 +220,7 @@ def _stamp(message: Any) -> int:
     return int(message.header.stamp.sec) * _SECOND + int(message.header.stamp.nanosec)
 
 
-def _message_class(kind: str) -> Any:
+def message_class(kind: str) -> Any:
     """The class of a message type such as `geometry_msgs/msg/Twist`.
 
     Raises:
