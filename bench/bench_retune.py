@@ -177,8 +177,9 @@ class Follower:
         for alarm in state.alarms:
             print(f"    {state.time:5.1f} s alarm {', '.join(alarm.axes)}: {alarm.cause}", flush=True)
             self._retuning.changed(alarm.axes, alarm.cause)
-        known = [axis for axis, one in state.axes.items() if one.knowledge == "known"]
-        found = self._retuning.look(state.model, known) if state.model and known else None
+        words = ("known", "not_identifiable")
+        told = [[axis for axis, one in state.axes.items() if one.knowledge == word] for word in words]
+        found = self._retuning.look(state.model, *told) if state.model else None
         if found is None:
             return {}
         self.published.append((state.time, found.tuning))

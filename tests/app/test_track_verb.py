@@ -150,7 +150,7 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
     ("words", "said"),
     [
         (["LOG", "--tune", "gains.json"], "gains.json: gains are written as .toml"),
-        (["LOG", "--tune", "LOG"], "gains are written as .toml"),
+        (["--tune", "LOG"], "give such a name, or put --tune behind the LOG"),
         (["LOG", "--after", "LOG"], "not a model file"),
         (["none.csv"], "none.csv"),
         (["LOG", "--card", "no-such-card"], "no-such-card"),

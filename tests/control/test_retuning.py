@@ -115,3 +115,14 @@ def test_a_payload_changes_no_gains() -> None:
     retuning.changed(["x"], "payload")
 
     assert looks(retuning, *(of_x(error=0.2) for _ in range(3))) == []
+
+
+def test_an_axis_that_is_not_told_in_full_is_tuned_only_where_the_rest_is_carried_over() -> None:
+    g, b, tau = VEHICLE["x"]
+    others = [of_x((1.5 * g, b, tau), error=0.15) for _ in range(3)]
+    alone, after = Retuning(flown=flown(0.02)), Retuning(flown=flown(0.02), before=of_x(error=0.02))
+    for retuning in (alone, after):
+        retuning.changed(["x"], "limits")
+
+    assert [alone.look(model, (), ("x",)) for model in others] == [None] * 3
+    assert any(after.look(model, (), ("x",)) for model in others)

@@ -9,7 +9,7 @@ from models import VEHICLE, model_of
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import CardError
 from rotorfit.core.model import COEFFICIENTS, Model
-from rotorfit.core.tracked import Tracked, TrackedAxis
+from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
@@ -89,6 +89,14 @@ def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() 
     assert len(other.regimes) == 1
     later = [state.axes["x"] for state in other.states if state.time > alarm.time]
     assert all(one.earlier == "" for one in later)  # it is not what this vehicle was
+
+
+def test_pictures_show_what_this_flight_told_and_frames_say_what_it_did_not() -> None:
+    axis = until_known(TrackedAxis(), Earlier(own(), NAME), "x")
+    track = Track((Tracked(5.0, {"x": axis}), Tracked(6.0, {"x": known()[1].states[-1].axes["x"]})), ())
+
+    assert np.isnan(track.timeline("x", "input").value).tolist() == [True, False]
+    assert track.to_frame()["earlier"].to_list() == [NAME, None]
 
 
 def test_a_difference_of_five_standard_errors_is_told_but_raises_no_alarm() -> None:

@@ -1,8 +1,8 @@
 """Retuning: when the gains that are flown are to be others, from one model after the other of a vehicle in flight.
 
-An axis is looked at where a fit says something new of it and the vehicle's interval has settled: two fits in a row, the
-second of half as much data again, agree within the interval of the first, and it does not shrink faster than noise
-lets it. New gains are published
+An axis is looked at where a fit says something new of it and what is believed of it has settled: after two fits in a
+row, the second of half as much data again, it agrees within the interval of the first, and that does not shrink faster
+than noise lets it. New gains are published
 
 - where none are flown;
 - where the vehicle has changed, its new self has settled, and those that are flown do not hold for all of it: for more
@@ -126,24 +126,26 @@ class Retuning:
         for axis in axes:
             last = self._fits.pop(axis, None)
             if last:
-                self._before[axis] = self._belief(axis, last[1])
+                self._before[axis] = last[1]
             self._carried[axis] = tuple(name for name in self._carried[axis] if name in CARRIED.get(cause, ()))
             if self._carried[axis] != COEFFICIENTS:
                 self._anew.add(axis)
 
-    def look(self, model: Model, axes: Collection[str]) -> Retuned | None:
+    def look(self, model: Model, known: Collection[str], excited: Collection[str] = ()) -> Retuned | None:
         """New gains, where the model calls for them.
 
         Args:
             model: As of the last fit of each axis.
-            axes: Those that it is known of.
+            known: Axes that it is known of.
+            excited: Axes of which it tells something: enough where the rest is carried over.
         """
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
-        for axis in axes:
-            if not self._settled(model, axis):
+        for axis in (axis for axis in AXES if axis in known or axis in excited):
+            belief = self._settled(model, axis, axis in known)
+            if belief is None:
                 continue
-            believed = _with_law(model, axis, self._belief(axis, self._fits[axis][1]))
+            believed = _with_law(model, axis, belief)
             if fresh := self._tuned(believed, axis):
                 reason = self._reason(believed, axis, fresh)
                 if reason:
@@ -151,20 +153,25 @@ class Retuning:
                     self._flown[axis] = Flown(fresh.law, fresh.bandwidth)
         return Retuned(Tuning(self._kind, self._rate, self._latency, new, {}), why) if new else None
 
-    def _settled(self, model: Model, axis: str) -> bool:
-        """Whether there is a new fit, which says the same as the one before, and not much more."""
-        before, now = self._fits.get(axis), first_order(model, axis)
-        if before and before[0] is model.axes[axis]:
-            return False
+    def _settled(self, model: Model, axis: str, known: bool) -> Weighed | None:
+        """What is believed of an axis, where there is a new fit and it says the same as before, and not much more."""
+        before = self._fits.get(axis)
+        if model.axes[axis].predictor is None or (before and before[0] is model.axes[axis]):
+            return None
+        fit = first_order(model, axis)
+        now = self._belief(axis, fit)
+        if not known and now is fit:
+            return None
         self._fits[axis] = model.axes[axis], now
-        if before is None or any(name not in now.stderr or name not in before[1].stderr for name in COEFFICIENTS):
-            return False
+        if before is None or any(name not in law.stderr for law in (now, before[1]) for name in COEFFICIENTS):
+            return None
         old = before[1]
-        return all(
+        same = all(
             abs(getattr(now.predictor, name) - getattr(old.predictor, name)) <= AGREES * old.stderr[name]
             and now.stderr[name] >= SETTLED * old.stderr[name]
             for name in COEFFICIENTS
         )
+        return now if same else None
 
     def _belief(self, axis: str, now: Weighed) -> Weighed:
         """What is believed of an axis: the last fit, and what is carried over."""

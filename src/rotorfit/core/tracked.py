@@ -284,13 +284,13 @@ class Track:
         return tuple(n for n in names if any(_at(state, n).knowledge != "not_excited" for state in self.states))
 
     def timeline(self, axis: str, name: str) -> Timeline:
-        """One quantity of one axis over the flight.
+        """One quantity of one axis over the flight, as far as this flight told it: nothing of an earlier model.
 
         Args:
             axis: Its name.
             name: One of `QUANTITIES`, or `wind`.
         """
-        every = [_at(state, axis) for state in self.states]
+        every = [TrackedAxis() if (one := _at(state, axis)).earlier else one for state in self.states]
         if name == "wind":
             rows = [(one.wind, *one.wind_ci95) for one in every]
         else:
@@ -328,7 +328,8 @@ class Track:
             library: `polars`, or `pandas`, which must be installed.
 
         Returns:
-            A `DataFrame` of the columns `time` [s], `regime`, `axis`, `knowledge`, `state` in words, `structure`; of
+            A `DataFrame` of the columns `time` [s], `regime`, `axis`, `knowledge`, `state` in words, `earlier`, the
+            model that the numbers are from where it is not this flight, `structure`; of
             each quantity `NAME`, `NAME_low` and `NAME_high`, the ends of its 95 % interval; `wind`, `wind_low`,
             `wind_high`, `gusts`, `velocity`, `ahead`, `ahead_low`, `ahead_high`; null where unknown, and for open ends.
 
@@ -336,10 +337,11 @@ class Track:
             ModuleNotFoundError: pandas is asked for and not installed.
         """
         with_ends = [(name, f"{name}_low", f"{name}_high") for name in (*QUANTITIES, "wind", "ahead")]
-        heads = ("time", "regime", "axis", "knowledge", "state", "structure", "gusts", "velocity")
+        heads = ("time", "regime", "axis", "knowledge", "state", "earlier", "structure", "gusts", "velocity")
         rows = [
             (
-                state.time, state.regime, name, one.knowledge, one.state, one.structure, one.gusts, one.velocity,
+                state.time, state.regime, name, one.knowledge, one.state, one.earlier or None, one.structure, one.gusts,
+                one.velocity,
                 *(part for what in QUANTITIES for part in (one.values.get(what), *_ends(one, what))),
                 one.wind, *one.wind_ci95, one.ahead, *one.ahead_ci95,
             )

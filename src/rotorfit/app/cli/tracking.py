@@ -23,6 +23,20 @@ if TYPE_CHECKING:
 PORT = click.IntRange(0, 65535)
 
 
+def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> str | None:
+    """The name of a gains file, before a LOG is taken for one; empty for messages alone."""
+    from rotorfit.core.errors import ModelError
+
+    if name:
+        from rotorfit.exports.gains import check_gains_name
+
+        try:
+            check_gains_name(Path(name))
+        except ModelError as error:
+            raise click.BadParameter(f"{error}, or put --tune behind the LOG", ctx) from None
+    return name
+
+
 @click.command()
 @click.argument("log", metavar="[LOG]", required=False)
 @click.option(
@@ -49,6 +63,7 @@ PORT = click.IntRange(0, 65535)
     "gains",
     is_flag=False,
     flag_value="",
+    callback=gains_name,
     metavar="[gains.toml]",
     help="Publish new gains when the vehicle calls for others than those in the file; never a command.",
 )

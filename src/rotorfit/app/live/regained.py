@@ -61,10 +61,13 @@ class Regaining:
         for alarm in state.alarms:
             if alarm.cause in OF_THE_VEHICLE:
                 self._retuning.changed(alarm.axes, alarm.cause)
-        known = [axis for axis, one in state.axes.items() if one.knowledge == "known" and not one.earlier]
-        if state.model is None or state.landed or not known:
+        if state.model is None or state.landed:
             return
-        if found := self._retuning.look(state.model, known):
+        told = {
+            word: [axis for axis, one in state.axes.items() if one.knowledge == word]
+            for word in ("known", "not_identifiable")
+        }
+        if found := self._retuning.look(state.model, told["known"], told["not_identifiable"]):
             self._publish(found, state.model, state.time, now)
 
     @property

@@ -93,7 +93,8 @@ function taken(state) {
     for (const [quantity] of QUANTITIES) {
       const {series, said} = one.parts[quantity];
       const ends = (quantity === "wind" ? axis.wind_ci95 : axis.ci95[quantity]) || [null, null], value = axis[quantity] ?? null;
-      if (series[0].length < time.length) { series[0].push(value); series[1].push(ends[0]); series[2].push(ends[1]); }
+      const drawn = axis.from && quantity !== "wind" ? [null, null, null] : [value, ...ends]; // a chart shows what this flight told
+      if (series[0].length < time.length) for (const part of [0, 1, 2]) series[part].push(drawn[part]);
       said.textContent = value === null && ends[0] === null && ends[1] === null ? "–" : `${figure(value)}  (${figure(ends[0])} to ${figure(ends[1])})`;
     }
   }
