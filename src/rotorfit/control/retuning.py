@@ -8,7 +8,8 @@ than noise lets it. New gains are published
 - where the vehicle has changed, its new self has settled, and those that are flown do not hold for all of it: for more
   than 5 % of what its interval allows they leave less than `LOST` and `LOST_DELAY`;
 - where it has not changed, but they probably do not hold: the same for more than half of it;
-- where they are for another vehicle: its coefficients lie outside of what both intervals explain;
+- where they are for another vehicle: its coefficients lie outside of what both intervals explain, and new ones would
+  be as fast: slower ones only because they must;
 - where the vehicle is known so much better that they would be `FASTER` times as fast.
 
 Otherwise they stay. What lies between `PEAK` and `LOST`, and between 1 and `FASTER`, is the hysteresis. Without
@@ -197,7 +198,7 @@ class Retuning:
         if lost > (ANEW if anew else PROBABLY):
             since = "the vehicle has changed: " if anew else ""
             return f"{since}those flown keep no margins for {100 * lost:.0f} % of what it may be"
-        if _apart(flown.law, model, axis) > EXPLAINED:
+        if _apart(flown.law, model, axis) > EXPLAINED and FASTER * fresh.bandwidth >= flown.bandwidth:
             return "those flown are for another vehicle than its interval allows"
         if fresh.bandwidth >= FASTER * flown.bandwidth:
             return f"the vehicle is known better: {fresh.bandwidth / flown.bandwidth:.1f} times as fast"
