@@ -1,8 +1,8 @@
 """Retuning: when the gains that are flown are to be others, from one model after the other of a vehicle in flight.
 
-An axis is looked at where a fit says something new of it and what is believed of it has settled: after two fits in a
-row, the second of half as much data again, it agrees within the interval of the first, and that does not shrink faster
-than noise lets it. New gains are published
+An axis is looked at where a fit says something new of it and it has settled: two fits in a row, the second of half as
+much data again, or what is believed after them, agree within the interval of the first, and that does not shrink
+faster than noise lets it. New gains are published
 
 - where none are flown;
 - where the vehicle has changed, its new self has settled, and those that are flown do not hold for all of it: for more
@@ -111,7 +111,7 @@ class Retuning:
     ) -> None:
         self._kind, self._rate, self._latency = kind, rate, latency
         self._flown = dict(flown or {})
-        self._fits: dict[str, tuple[Axis, Weighed]] = {}
+        self._fits: dict[str, tuple[Axis, Weighed, Weighed]] = {}
         known = before.axes if before else {}
         self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
@@ -127,7 +127,7 @@ class Retuning:
         for axis in axes:
             last = self._fits.pop(axis, None)
             if last:
-                self._before[axis] = last[1]
+                self._before[axis] = last[2]
             self._carried[axis] = tuple(name for name in self._carried[axis] if name in CARRIED.get(cause, ()))
             if self._carried[axis] != COEFFICIENTS:
                 self._anew.add(axis)
@@ -163,16 +163,10 @@ class Retuning:
         now = self._belief(axis, fit)
         if not known and now is fit:
             return None
-        self._fits[axis] = model.axes[axis], now
-        if before is None or any(name not in law.stderr for law in (now, before[1]) for name in COEFFICIENTS):
+        self._fits[axis] = model.axes[axis], fit, now
+        if before is None:
             return None
-        old = before[1]
-        same = all(
-            abs(getattr(now.predictor, name) - getattr(old.predictor, name)) <= AGREES * old.stderr[name]
-            and now.stderr[name] >= SETTLED * old.stderr[name]
-            for name in COEFFICIENTS
-        )
-        return now if same else None
+        return now if (known and _same(before[1], fit)) or _same(before[2], now) else None
 
     def _belief(self, axis: str, now: Weighed) -> Weighed:
         """What is believed of an axis: the last fit, and what is carried over."""
@@ -203,6 +197,17 @@ class Retuning:
         if fresh.bandwidth >= FASTER * flown.bandwidth:
             return f"the vehicle is known better: {fresh.bandwidth / flown.bandwidth:.1f} times as fast"
         return ""
+
+
+def _same(old: Weighed, now: Weighed) -> bool:
+    """Whether a law says the same as the one before, and not much more."""
+    if any(name not in law.stderr for law in (old, now) for name in COEFFICIENTS):
+        return False
+    return all(
+        abs(getattr(now.predictor, name) - getattr(old.predictor, name)) <= AGREES * old.stderr[name]
+        and now.stderr[name] >= SETTLED * old.stderr[name]
+        for name in COEFFICIENTS
+    )
 
 
 def _carried_over(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
