@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
-from rotorfit.files.cards import builtin_cards
+from rotorfit.files.cards import builtin_cards, card_from_mapping
 from rotorfit.flying.links.link import wall_clock
 from rotorfit.flying.links.opening import open_listener
 from rotorfit.flying.listening import Heard, Listening
@@ -26,6 +27,10 @@ BEBOP = builtin_cards()["bebop2"]
 def twist(**parts: float) -> SimpleNamespace:
     linear = SimpleNamespace(**{axis: parts.get(axis, 0.0) for axis in "xyz"})
     return SimpleNamespace(linear=linear, angular=SimpleNamespace(x=0.0, y=0.0, z=parts.get("yaw", 0.0)))
+
+
+def state(mode: int = 0, name: str = "") -> SimpleNamespace:
+    return SimpleNamespace(mode=mode, name=name)
 
 
 class Graph:
@@ -45,7 +50,7 @@ class Graph:
         return SimpleNamespace(header=header, pose=part, transform=part)
 
     def kind(self, name: str) -> Any:
-        return {"Twist": twist, "Empty": SimpleNamespace}.get(name.rpartition("/")[2], self.pose)
+        return {"Twist": twist, "Empty": SimpleNamespace, "State": state}.get(name.rpartition("/")[2], self.pose)
 
     def subscribe(self, topic: str, _kind: Any, callback: Any, *extra: Any, **_: Any) -> Any:
         self.heard[topic] = lambda message: callback(message, *extra)
@@ -60,7 +65,9 @@ class Graph:
         rospy.__spec__ = ModuleSpec("rospy", None)
         rospy.core = SimpleNamespace(is_initialized=lambda: True)  # type: ignore[attr-defined]
         topic = self.topic()
-        rospy.get_published_topics = lambda: [[topic, "geometry_msgs/TransformStamped"]]  # type: ignore[attr-defined]
+        rospy.get_published_topics = lambda: [  # type: ignore[attr-defined]
+            [topic, "geometry_msgs/TransformStamped"], ["/state", "other_msgs/State"]
+        ]  # fmt: skip
         rospy.Subscriber, rospy.Publisher = self.subscribe, self.publish  # type: ignore[attr-defined]
         graph.is_master_online = lambda: True  # type: ignore[attr-defined]
         lib.get_message_class = self.kind  # type: ignore[attr-defined]
@@ -70,7 +77,10 @@ class Graph:
         rclpy, qos = ModuleType("rclpy"), ModuleType("rclpy.qos")
         topic = self.topic()
         node = SimpleNamespace(
-            get_topic_names_and_types=lambda: [(topic, ["geometry_msgs/msg/TransformStamped"])],
+            get_topic_names_and_types=lambda: [
+                (topic, ["geometry_msgs/msg/TransformStamped"]),
+                ("/state", ["other_msgs/msg/State"]),
+            ],
             create_subscription=lambda kind, name, callback, _: self.subscribe(name, kind, callback),
             create_publisher=self.publish,
             destroy_node=lambda: None,
@@ -80,7 +90,8 @@ class Graph:
         qos.qos_profile_sensor_data = SimpleNamespace(reliability=1, durability=1)  # type: ignore[attr-defined]
         qos.QoSProfile = SimpleNamespace  # type: ignore[attr-defined]
         out = {"rclpy": rclpy, "rclpy.qos": qos}
-        for package, names in {"geometry_msgs": ("Twist", "TransformStamped"), "std_msgs": ("Empty",)}.items():
+        kinds = {"geometry_msgs": ("Twist", "TransformStamped"), "std_msgs": ("Empty",), "other_msgs": ("State",)}
+        for package, names in kinds.items():
             out[f"{package}.msg"] = ModuleType(f"{package}.msg")
             for name in names:
                 setattr(out[f"{package}.msg"], name, self.kind(name))
@@ -110,6 +121,32 @@ def test_a_listener_on_ros_hears_commands_poses_and_landings_and_publishes_nothi
     with pytest.raises(LinkError):
         link.act("land")
     assert not graph.published
+
+
+def with_window(*conditions: dict[str, Any]) -> Card:
+    return card_from_mapping({**BEBOP.raw, "window": list(conditions)}, "bebop2")
+
+
+@pytest.mark.parametrize("name", ["ros1", "ros2"])
+def test_the_window_of_the_card_is_watched_on_ros(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = Graph(monkeypatch)
+    missing = {"when": "/elsewhere:mode", "optional": True}
+    link = open_listener(name, with_window({"when": "/state:mode", "equals": [4, 5]}, missing))
+    for mode in (3, 4, 5, 3):
+        graph.heard["/state"](state(mode))
+    graph.heard["/state"](state(4))
+    graph.heard["/bebop/land"](None)
+
+    assert [one.values for one in link.receive(link.now)] == [(0.0,), (1.0,), (0.0,), (1.0,), (0.0,)]
+    assert "/elsewhere" not in graph.heard
+
+
+@pytest.mark.parametrize("name", ["ros1", "ros2"])
+@pytest.mark.parametrize("field", ["name", "nothing"])
+def test_a_window_of_what_is_no_number_is_refused(name: str, field: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    Graph(monkeypatch)
+    with pytest.raises(LinkError, match=rf"/state has no number '{field}' for \[window\]"):
+        open_listener(name, with_window({"when": f"/state:{field}"}))
 
 
 def test_a_tello_cannot_be_shared() -> None:

@@ -3,6 +3,7 @@
 import math
 import os
 import time
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,8 @@ from rotorfit.core.log import Sample
 from rotorfit.files.cards import builtin_cards, card_from_mapping, load_card
 from rotorfit.flying.links import link as wall_clock
 from rotorfit.flying.links import mavlink, mavlink_listener
-from rotorfit.flying.links.mavlink_listener import MavlinkListener
+from rotorfit.flying.links.card_window import obedience
+from rotorfit.flying.links.mavlink_listener import MavlinkListener, _field
 from rotorfit.flying.links.mavlink_messages import AUTOPILOTS, Poses, SenderClock, between, mavlink_commands, setpoint
 
 pymavlink = pytest.importorskip("pymavlink", reason="pip install 'rotorfit[mavlink]'")
@@ -476,6 +478,20 @@ def test_a_listener_says_when_the_vehicle_does_not_obey(monkeypatch: pytest.Monk
     told = [one.values for one in bench.hear(1.0) if one.stream == "obeys"]
 
     assert told == [(0.0,)]
+
+
+def test_a_listener_keeps_to_the_window_of_the_card(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Overheard(monkeypatch)
+    raw = {**CARD.raw, "window": [{"when": "HEARTBEAT:armed"}, {"when": "HEARTBEAT:custom_mode", "equals": 6 << 16}]}
+    window = obedience(card_from_mapping(raw, "mavlink"))
+    bench.link = MavlinkListener(bench.wire, mavlink_commands(CARD), window=window)
+    told = []
+    for base, mode in ((0, 6), (128, 6), (128, 3), (129, 6)):
+        heartbeat = common.MAVLink_heartbeat_message(2, 12, base, mode << 16, 3, 3)
+        told += [one.values for one in window.heard("HEARTBEAT", partial(_field, heartbeat), 1)]
+
+    assert [one.values for one in bench.link._inbox] == [(0.0,)]  # nothing is learnt before the first heartbeat
+    assert told == [(1.0,), (0.0,), (1.0,)]
 
 
 def test_a_vehicle_that_was_started_anew_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:

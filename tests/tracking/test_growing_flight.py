@@ -140,6 +140,21 @@ def test_what_the_vehicle_says_of_itself_closes_the_flight() -> None:
     assert flight.segments[-1].end == pytest.approx(end, abs=0.05)
 
 
+def test_nothing_is_learnt_while_the_window_is_closed_from_the_start_or_in_flight() -> None:
+    samples, shut, open_ = flown(), Sample("obeys", 0, 0, (0.0,)), Sample("obeys", 0, 0, (1.0,))
+    flight, _ = grown(
+        [shut, *samples[:2000], open_, *samples[2000:6000], shut, *samples[6000:7000], open_, *samples[7000:]]
+    )
+    times = [(samples[place].stamp - samples[0].stamp) / 1e9 for place in (2000, 6000, 7000)]
+
+    first, second = flight.segments
+    assert times[0] <= first.start + 0.02
+    assert first.start < times[0] + 1.0
+    assert first.end == pytest.approx(times[1], abs=0.05)
+    assert times[2] <= second.start + 0.02
+    assert second.start < times[2] + 1.0
+
+
 def test_it_goes_on_from_its_memory() -> None:
     samples, at = flown(), len(flown()) // 2
     first = GrowingFlight(CARD)

@@ -41,7 +41,7 @@ class Ground:
         self.level = np.inf
         self._closed: list[tuple[float, float]] = []
         self._since: float | None = None
-        self._obeys = True
+        self._obeys, self._allowed = True, -np.inf  # since when what is heard counts again
         self._recent: deque[tuple[float, Array]] = deque()
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
@@ -76,6 +76,8 @@ class Ground:
             time: [s].
             obeys: Whether it obeys the commands that are heard.
         """
+        if obeys and not self._obeys:
+            self._allowed = time
         self._obeys = obeys
         if not obeys and self._since is None:
             self._since = time
@@ -115,7 +117,7 @@ class Ground:
         if self._obeys and not rests and not moving_by_itself:
             sideways = int(np.argmax(ranges / RESTS)) != 2
             end = max(time - BEGUN, self._since) if sideways else time
-            self._closed.append((self._since, end))
+            self._closed.append((self._since, max(end, self._allowed)))
             self._since = None
 
     def forget(self, before: float) -> None:

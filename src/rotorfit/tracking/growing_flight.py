@@ -155,7 +155,7 @@ class GrowingFlight:
 
     def _obeyed(self, sample: Sample) -> bool:
         """Whether the vehicle obeys the commands that are heard, as its autopilot says."""
-        if self._origin is not None and self._obeys != bool(sample.values[0]):
+        if self._obeys != bool(sample.values[0]):
             self._obeys = not self._obeys
             self._ground.told(self.now, self._obeys)
         return False

@@ -122,7 +122,8 @@ def _raw(channel: Channel, value: float) -> float:
     return (value / unit - channel.offset) / channel.scale
 
 
-def _value(channel: Channel, read: Callable[[str], float]) -> float:
+def channel_value(channel: Channel, read: Callable[[str], float]) -> float:
+    """The value of a channel, SI, from the raw one that a source has."""
     unit = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
     raw = read(channel.source) if isinstance(channel.source, str) else channel.source
     return (raw * channel.scale + channel.offset) * unit
@@ -135,7 +136,7 @@ def command_values(fields: CommandFields, read: Callable[[str], float]) -> tuple
         fields: Where the commands are.
         read: Field name to its raw value in the message.
     """
-    values = {axis: _value(channel, read) for axis, channel in fields.channels.items()}
+    values = {axis: channel_value(channel, read) for axis, channel in fields.channels.items()}
     if not all(map(math.isfinite, values.values())):
         return None
     return tuple(values.get(axis, 0.0) for axis in AXES)
@@ -148,7 +149,7 @@ def pose_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float
         fields: Where the pose comes from.
         read: Field name to its raw value in the message.
     """
-    values = {axis: _value(channel, read) for axis, channel in fields.channels.items()}
+    values = {axis: channel_value(channel, read) for axis, channel in fields.channels.items()}
     if not all(map(math.isfinite, values.values())):
         return None
     quaternion: tuple[float, ...]
@@ -162,7 +163,7 @@ def pose_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float
 
 def velocity_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
     """Forward, left, up [m/s] and yaw rate [rad/s], NaN where the card has none; None where a speed is not finite."""
-    values = {axis: _value(channel, read) for axis, channel in fields.velocity.items()}
+    values = {axis: channel_value(channel, read) for axis, channel in fields.velocity.items()}
     if not all(math.isfinite(values[axis]) for axis in ("x", "y", "z")):
         return None
     return (values["x"], values["y"], values["z"], values.get("yaw", math.nan))

@@ -18,6 +18,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields, command_values
+from rotorfit.flying.links.card_window import Obedience, obedience
 from rotorfit.flying.links.link import Action, wall_clock
 from rotorfit.flying.links.mavlink import SILENCE, MavlinkLink, connect
 from rotorfit.flying.links.mavlink_messages import FIELDS, IN_AIR, MESSAGE_INTERVAL, SETPOINT, mavlink_commands
@@ -48,7 +49,7 @@ def open_listener(address: str, card: Card) -> "MavlinkListener":
         ModuleNotFoundError: No pymavlink.
     """
     stream = bool(address) and not address.startswith("udp")
-    link = MavlinkListener(connect(address), mavlink_commands(card), stream)
+    link = MavlinkListener(connect(address), mavlink_commands(card), stream, obedience(card))
     link.greet()
     return link
 
@@ -56,11 +57,15 @@ def open_listener(address: str, card: Card) -> "MavlinkListener":
 class MavlinkListener(MavlinkLink):
     """A vehicle with an autopilot that somebody else flies; implements `links.Link`, and takes no commands."""
 
-    def __init__(self, connection: Any, heard: CommandFields, stream: bool = False) -> None:
+    def __init__(
+        self, connection: Any, heard: CommandFields, stream: bool = False, window: Obedience | None = None
+    ) -> None:
         super().__init__(connection, None)
         self._fields, self._stream = heard, stream
         self._heading: float | None = None
-        self._forwarded, self._obeys, self._landed = False, True, 0
+        self._window = window or Obedience({})
+        self._forwarded, self._landed = False, 0
+        self._inbox += self._window.begun(wall_clock())
 
     def act(self, action: Action) -> None:
         """Closes; anything else is refused."""
@@ -108,6 +113,8 @@ class MavlinkListener(MavlinkLink):
         if kind in ("HEARTBEAT", "EXTENDED_SYS_STATE") and self._is_target(message):
             self._landed = getattr(message, "landed_state", self._landed)
             self._tell_obedience(received)
+        if kind in self._window.conditions and self._is_target(message):
+            self._inbox += self._window.heard(kind, lambda name: _field(message, name), received)
         if kind in ("ATTITUDE_QUATERNION", "ATTITUDE") and self._is_target(message):
             self._heading = _heading(message)
         elif kind == SETPOINT and self._autopilot and message.target_system in (0, self._target[0]):
@@ -120,9 +127,7 @@ class MavlinkListener(MavlinkLink):
     def _tell_obedience(self, received: int) -> None:
         """Whether the vehicle obeys what is heard: in the air, and in the mode for what others send."""
         obeys = self._landed in (0, IN_AIR) and (self._in_our_mode or not self._forwarded)
-        if obeys != self._obeys:
-            self._obeys = obeys
-            self._inbox.append(Sample("obeys", received, received, (float(obeys),)))
+        self._inbox += self._window.told(obeys, received)
 
     def _is_target(self, message: Any) -> bool:
         return self._autopilot is not None and (message.get_srcSystem(), message.get_srcComponent()) == self._target
@@ -142,6 +147,20 @@ class MavlinkListener(MavlinkLink):
         raw = dict(zip(FIELDS, (vx, vy, message.vz, 0.0 if math.isnan(rate) else rate), strict=True))
         values = command_values(self._fields, raw.__getitem__)
         return [] if values is None else [Sample("command", stamp, received, values)]
+
+
+ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED of a heartbeat's base mode."""
+
+
+def _field(message: Any, name: str) -> float:
+    """A field for the card's window, NaN where there is none; `armed` of a heartbeat is a bit of its base mode."""
+    if name == "armed" and message.get_type() == "HEARTBEAT":
+        return float(bool(message.base_mode & ARMED))
+    try:
+        return float(getattr(message, name, math.nan))
+    except (TypeError, ValueError):  # a text, or several numbers
+        return math.nan
 
 
 def _heading(message: Any) -> float:

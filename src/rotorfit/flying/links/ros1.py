@@ -9,7 +9,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields, PoseFields
+from rotorfit.flying.links.card_window import Obedience, obedience
 from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.ros_messages import (
     ACTIONS,
@@ -25,6 +26,7 @@ from rotorfit.flying.links.ros_messages import (
     action_samples,
     action_topic,
     check_pose,
+    check_window,
     command_samples,
     fill,
     is_stamped,
@@ -33,6 +35,7 @@ from rotorfit.flying.links.ros_messages import (
     ros_commands,
     ros_poses,
     velocity_samples,
+    window_samples,
 )
 
 DEBIAN = "/usr/lib/python3/dist-packages"
@@ -83,7 +86,7 @@ def open_listener(address: str, card: Card) -> "Ros1Link":
     if address:
         raise LinkError(f"ros1 takes no address ({address!r}); set ROS_MASTER_URI, and name topics in the card")
     commands, poses = ros_commands(card), ros_poses(card)
-    return Ros1Link(node(), None, poses, "This link only listens.", heard=commands)
+    return Ros1Link(node(), None, poses, "This link only listens.", heard=commands, window=obedience(card))
 
 
 class Ros1Link:
@@ -97,8 +100,10 @@ class Ros1Link:
         fail_safe: str,
         hold: float | None = None,
         heard: CommandFields | None = None,
+        window: Obedience | None = None,
     ) -> None:
         self.fail_safe, self.silence = fail_safe, Silence(hold)
+        self._window = window or Obedience({})
         self.live = True
         self._rospy = rospy
         self._commands, self._heard = commands, heard
@@ -116,6 +121,8 @@ class Ros1Link:
             self._subscribers += [
                 rospy.Subscriber(action_topic(heard, action), empty, self._on_action, action) for action in ACTIONS
             ]
+            self._inbox.extend(self._window.begun(wall_clock()))
+            self._subscribers += self._watching()
         if commands:
             _check_alone(rospy, commands.table)
         self._publishers = self._advertise(commands) if commands else {}
@@ -172,6 +179,16 @@ class Ros1Link:
         # without tcp_nodelay the sender's kernel holds small messages back, up to 40 ms
         return self._rospy.Subscriber(topic, message, callback, queue_size=100, tcp_nodelay=True)
 
+    def _watching(self) -> Iterator[Any]:
+        """Subscriptions for the card's window; none where nobody publishes what the card can do without."""
+        for topic, conditions in self._window.conditions.items():
+            known = dict(self._rospy.get_published_topics())
+            if topic not in known and all(one.optional for one in conditions):
+                continue
+            kind = message_class(_topic_type(self._rospy, topic))
+            check_window(kind(), topic, self._window)
+            yield self._rospy.Subscriber(topic, kind, self._on_window, topic, queue_size=100, tcp_nodelay=True)
+
     def _advertise(self, commands: CommandFields) -> dict[str, Any]:
         kinds = {commands.table: ("command", _twist(commands))}
         kinds |= {action_topic(commands, action): (action, message_class("std_msgs/Empty")) for action in ACTIONS}
@@ -201,7 +218,10 @@ class Ros1Link:
             self._inbox.extend(command_samples(message, self._heard, _stamp))
 
     def _on_action(self, _message: Any, action: str) -> None:
-        self._inbox.extend(action_samples(action))
+        self._inbox.extend(action_samples(action, self._window))
+
+    def _on_window(self, message: Any, topic: str) -> None:
+        self._inbox.extend(window_samples(message, topic, self._window))
 
     def _on_velocity(self, message: Any) -> None:
         self._inbox.extend(velocity_samples(message, self._poses, _stamp))

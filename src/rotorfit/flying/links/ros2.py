@@ -13,6 +13,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.flying.links.card_fields import CommandFields, PoseFields
+from rotorfit.flying.links.card_window import Obedience, obedience
 from rotorfit.flying.links.link import Action, Silence, seconds_until, wall_clock
 from rotorfit.flying.links.ros_messages import (
     ACTIONS,
@@ -21,6 +22,7 @@ from rotorfit.flying.links.ros_messages import (
     action_samples,
     action_topic,
     check_pose,
+    check_window,
     command_samples,
     fill,
     is_stamped,
@@ -29,6 +31,7 @@ from rotorfit.flying.links.ros_messages import (
     ros_commands,
     ros_poses,
     velocity_samples,
+    window_samples,
 )
 
 _SECOND = 1_000_000_000
@@ -76,7 +79,7 @@ def open_listener(address: str, card: Card) -> "Ros2Link":
     """
     if address:
         raise LinkError(f"ros2 takes no address ({address!r}); set ROS_DOMAIN_ID, and name topics in the card")
-    return Ros2Link(None, ros_poses(card), "This link only listens.", heard=ros_commands(card))
+    return Ros2Link(None, ros_poses(card), "This link only listens.", heard=ros_commands(card), window=obedience(card))
 
 
 class Ros2Link:
@@ -89,8 +92,10 @@ class Ros2Link:
         fail_safe: str,
         hold: float | None = None,
         heard: CommandFields | None = None,
+        window: Obedience | None = None,
     ) -> None:
         self.fail_safe, self.silence = fail_safe, Silence(hold)
+        self._window = window or Obedience({})
         self.live = True
         self._rclpy = importlib.import_module("rclpy")
         self._rclpy.init()
@@ -168,6 +173,14 @@ class Ros2Link:
                 self._node.create_subscription(
                     empty, action_topic(self._heard, action), partial(self._on_action, action), depth
                 )
+            self._inbox += self._window.begun(wall_clock())
+            for topic, conditions in self._window.conditions.items():
+                known = dict(self._node.get_topic_names_and_types())
+                if topic not in known and all(one.optional for one in conditions):
+                    continue
+                kind = message_class(self._topic_type(topic))
+                check_window(kind(), topic, self._window)
+                self._node.create_subscription(kind, topic, partial(self._on_window, topic), depth)
 
     def _advertise(self, commands: CommandFields) -> dict[str, tuple[Any, Any]]:
         twist = _twist(commands)
@@ -204,7 +217,10 @@ class Ros2Link:
             self._inbox.extend(command_samples(message, self._heard, _stamp))
 
     def _on_action(self, action: str, _message: Any) -> None:
-        self._inbox.extend(action_samples(action))
+        self._inbox.extend(action_samples(action, self._window))
+
+    def _on_window(self, topic: str, message: Any) -> None:
+        self._inbox.extend(window_samples(message, topic, self._window))
 
     def _on_velocity(self, message: Any) -> None:
         self._inbox.extend(velocity_samples(message, self._poses, _stamp))

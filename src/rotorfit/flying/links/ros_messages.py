@@ -8,6 +8,7 @@ from typing import Any
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
+from rotorfit.flights.columns import split_source
 from rotorfit.flying.links.card_fields import (
     CommandFields,
     PoseFields,
@@ -18,6 +19,7 @@ from rotorfit.flying.links.card_fields import (
     raw_values,
     velocity_values,
 )
+from rotorfit.flying.links.card_window import Obedience
 from rotorfit.flying.links.link import wall_clock
 
 PATIENCE = 5.0
@@ -144,10 +146,33 @@ def command_samples(message: Any, fields: CommandFields, stamp_of: Callable[[Any
     return [] if values is None else [Sample("command", stamp or received, received, values)]
 
 
-def action_samples(action: str) -> list[Sample]:
+def action_samples(action: str, obedience: Obedience) -> list[Sample]:
     """What somebody's order to take off or to land means: from a landing on, commands are not obeyed."""
-    received = wall_clock()
-    return [Sample("obeys", received, received, (float(action == "take_off"),))]
+    return obedience.told(action == "take_off", wall_clock())
+
+
+def window_samples(message: Any, topic: str, obedience: Obedience) -> list[Sample]:
+    """What a message says of the card's window."""
+    return obedience.heard(topic, lambda name: float(attrgetter(name)(message)), wall_clock())
+
+
+def check_window(message: Any, topic: str, obedience: Obedience) -> None:
+    """Refuses a type of message that does not have the window's fields, or not as numbers.
+
+    Args:
+        message: An empty one of the type that the topic has.
+        topic: Its name.
+        obedience: What the card asks of it.
+
+    Raises:
+        LinkError: A field that is not there, or is text.
+    """
+    for one in obedience.conditions[topic]:
+        name = split_source(one.channel.source)[1]
+        try:
+            float(attrgetter(name)(message))
+        except (AttributeError, TypeError, ValueError):
+            raise LinkError(f"{topic} has no number {name!r} for [window]; name a card that fits with --card") from None
 
 
 def check_pose(message: Any, fields: PoseFields) -> None:
