@@ -1,9 +1,12 @@
 """Steps between refits lead to where the batch estimator stands, and never say more than it does."""
 
+from dataclasses import replace
+
 import pytest
 
+from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import Interval
-from rotorfit.tracking.following import Followed, read_backwards, refitted, said, stepped
+from rotorfit.tracking.following import Followed, read_backwards, refitted, renewed, said, stepped
 from rotorfit.tracking.replayed import until
 from tracked_flights import LAW, known
 
@@ -64,3 +67,16 @@ def test_an_answer_before_its_command_is_feedback_unless_the_input_is_told(
     delay: Interval, input_status: str, backwards: bool
 ) -> None:
     assert read_backwards({"delay": delay}, {"input": input_status, "delay": "ok"}) is backwards
+
+
+def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
+    flight, _ = known()
+    followed = refitted(until(flight, 12.0), ("z",), LAW, 12.0)
+    whole = until(flight, 20.0)
+    apart = replace(whole, segments=(Segment(whole.segments[0].start, 12.0), Segment(12.5, 20.0)))
+    now = said(renewed(followed, apart), "z")
+
+    low, high = said(followed, "z").ci95["input"]
+    assert low is not None
+    assert high is not None
+    assert low < now.values["input"] < high  # type: ignore[operator]

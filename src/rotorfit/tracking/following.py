@@ -212,7 +212,8 @@ def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
     known = point.coefficients + point.trim.size
     starts = np.ones(point.start.size, bool)
     free = np.concatenate([optimum.free[:known], starts, optimum.free[optimum.point.n :]])
-    return replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
+    new = replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
+    return new if point.start.size == optimum.point.start.size else _moved(new, False)  # scored with the new start
 
 
 def _moved(estimate: Estimate, levels: bool) -> Estimate:
