@@ -267,14 +267,16 @@ def test_a_tracker_beside_a_flight_over_ros_1_publishes_what_it_knows_and_nothin
     with (
         process(*fake, "--arrivals", str(tmp_path / "arrivals.json"), ready="ready", **master),
         process(*fake_words("hear_ros1"), ready="ready", **master) as hearer,
-        subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True) as tracker,
+        (tmp_path / "states").open("w") as out,  # a pipe that nobody reads is full after 14 states
+        subprocess.Popen(words, env=environment, stdout=out) as tracker,
     ):
         own = fly_words(tmp_path, plan_of(raw, "bebop2", 5, 25.0), "ros1", "--no-land")
         flown = subprocess.run(own, env=environment, capture_output=True, text=True, timeout=150, check=False)
         assert flown.returncode == 0, flown.stderr
         time.sleep(2.0)
         tracker.send_signal(signal.SIGINT)
-        states = [json.loads(line) for line in tracker.communicate(timeout=60)[0].splitlines()]
+        assert tracker.wait(60) == 0
+        states = [json.loads(line) for line in (tmp_path / "states").read_text(encoding="utf-8").splitlines()]
         hearer.send_signal(signal.SIGTERM)
         assert hearer.stdout is not None
         heard = json.loads(hearer.stdout.readline())
