@@ -38,6 +38,17 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> N
             assert far - near == pytest.approx(high - low, rel=0.25)
 
 
+def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: Followed) -> None:
+    """Else the information would be of another number of start velocities than there are."""
+    flight = replace(until(known()[0], 20.0), segments=(Segment(0.0, 18.0), Segment(18.5, 20.0)))
+    held = stepped(replace(early, stepped=31.0), flight, 31.1)
+    optimum = held.estimates["z"].optimum
+
+    assert optimum.point.start.size == 2
+    assert len(optimum.free) == len(optimum.score.information)
+    assert said(held, "z").values["input"] == said(early, "z").values["input"]
+
+
 def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: Followed) -> None:
     told = said(early, "z")
 

@@ -98,6 +98,59 @@ class TrackedAxis:
 
 
 @dataclass(frozen=True)
+class AxisMotion:
+    """The motion of one axis at one pose.
+
+    Attributes:
+        velocity: World x, y, z or the rate of yaw [m/s, rad/s].
+        wind: Acceleration that the commands do not explain, the trim with it [m/s^2, rad/s^2].
+        wind_ci95: Its 95 % interval.
+        gusts: Standard deviation of the velocity that gusts give the vehicle [m/s, rad/s].
+        ahead: Velocity a second later, if the last command holds.
+        ahead_ci95: Its 95 % band.
+    """
+
+    velocity: float
+    wind: float
+    wind_ci95: tuple[float, float]
+    gusts: float
+    ahead: float
+    ahead_ci95: tuple[float, float]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """By the names that a state has in JSON."""
+        return {
+            "velocity": self.velocity,
+            "wind": self.wind,
+            "wind_ci95": list(self.wind_ci95),
+            "gusts": self.gusts,
+            "velocity_in_1_s": self.ahead,
+            "velocity_in_1_s_ci95": list(self.ahead_ci95),
+        }
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion at the last pose, by the coefficients of the last look.
+
+    Attributes:
+        time: Of the pose, in the seconds of the flight.
+        axes: Axis name to its motion; those only whose damping is told.
+    """
+
+    time: float
+    axes: Mapping[str, AxisMotion]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {
+            "type": "motion",
+            "time": self.time,
+            "axes": {name: axis.to_mapping() for name, axis in self.axes.items()},
+        }
+
+
+@dataclass(frozen=True)
 class Air:
     """The mean wind of the last half minute, where commands are tilts and damping is drag.
 

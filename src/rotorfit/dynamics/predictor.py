@@ -32,7 +32,7 @@ START_VELOCITY_VARIANCE = 10.0
 
 
 @inner()
-def _settle(law: Array, z: Array, C: int, yaw: float) -> None:
+def settle(law: Array, z: Array, C: int, yaw: float) -> None:
     """Fills the lagged parts of C columns as after long holding the command in force, at their world velocities."""
     c, s = np.cos(yaw), np.sin(yaw)
     for j in range(C):
@@ -45,7 +45,7 @@ def _settle(law: Array, z: Array, C: int, yaw: float) -> None:
 
 
 @inner()
-def _in_force(t: float, law: Array, command_time: Array, command: Array, k: Any, u: Array) -> None:
+def in_force(t: float, law: Array, command_time: Array, command: Array, k: Any, u: Array) -> None:
     """Fills which command of each axis acts at t and its value, both shape (2,)."""
     for j in range(2):
         k[j] = 0
@@ -165,13 +165,13 @@ def predict(
     z, free = np.zeros(STATE), np.zeros(STATE)
     work, series, longest = np.zeros((2, 3, 12)), lag_series(filter_law), longest_step(filter_law)
     prior, measured = np.empty(4), np.empty(5)
-    _in_force(pose_time[0], law, command_time, command, k, u)
+    in_force(pose_time[0], law, command_time, command, k, u)
     for a in range(2):
         own = COLUMNS * a
         z[V + own], z[T + own + 1 + a], z[V + own + 3 + a] = origin[a], 1.0, 1.0
         prior[a], prior[2 + a] = trim_variance[a], START_VELOCITY_VARIANCE
     demands(filter_law, what, whose, u, z)
-    _settle(filter_law, z, 5, yaw[0])
+    settle(filter_law, z, 5, yaw[0])
     F, D = bank_tables(steps, levels)
     bank = start_bank(levels, prior)
     s = 0
@@ -245,9 +245,9 @@ def free_run(
     for a in range(2):
         own = COLUMNS * a
         z[P + own], z[V + own], z[T + own] = position[a], velocity[a], law[a, TRIM]
-    _in_force(time[0], law, command_time, command, k, u)
+    in_force(time[0], law, command_time, command, k, u)
     demands(law, what, whose, u, z)
-    _settle(law, z, 1, yaw[0])
+    settle(law, z, 1, yaw[0])
     for i in range(time.size):
         before = max(i - 1, 0)
         advance(

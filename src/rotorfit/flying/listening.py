@@ -16,7 +16,10 @@ from rotorfit.core.log import Sample
 from rotorfit.flying.links.link import Link, wall_clock
 
 PERIOD = 0.05
-"""Time that a batch takes [s]."""
+"""Time that a batch takes of what is played back, and after which an empty one comes [s]."""
+
+PROMPT = 0.004
+"""Time that a live batch takes [s]: a sample waits no longer."""
 
 SILENT = 2.0
 """Without a pose for so long the peer is gone [s]."""
@@ -128,12 +131,12 @@ class Listening:
     def _run(self, batches: Any, over: threading.Event) -> None:
         """The thread: reads, and opens the link again where it broke."""
         link: Link | None = self._link
-        broken, since = "", 0.0
+        broken, since, due = "", 0.0, 0
         while not over.is_set():
             try:
                 if link is None:
                     link = self._opened()
-                samples = link.receive(link.now + round(PERIOD * 1e9))
+                samples = link.receive(link.now + round(PROMPT * 1e9))
             except LinkError as error:
                 if link is not None:
                     link.act("close")
@@ -144,7 +147,9 @@ class Listening:
                     return
                 over.wait(RETRY)
                 continue
-            batches.put(Heard(tuple(samples), link.now, "the link is back" if broken else ""))
+            if samples or broken or link.now >= due:
+                due = link.now + round(PERIOD * 1e9)
+                batches.put(Heard(tuple(samples), link.now, "the link is back" if broken else ""))
             broken = ""
         if link is not None:
             link.act("close")

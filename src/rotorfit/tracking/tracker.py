@@ -1,12 +1,15 @@
 """Tracker: samples in, and at any moment what is known of the vehicle; the flight so far is all that it remembers.
 
 Every sample goes into the growing flight and costs no more than that. Once a second (`look`) the estimates of all axes
-take a step, the last seconds are compared with the rest, and the state is put together. It never commands a vehicle.
+take a step, the last seconds are compared with the rest, and the state is put together: at once, or live in a process
+beside. It never commands a vehicle.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -18,13 +21,13 @@ from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
 from rotorfit.core.model import Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.core.tracked import Alarm, Knowledge, Motion, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
-from rotorfit.tracking.air import AxisMotion, motion_now
+from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, until_known
@@ -42,6 +45,8 @@ from rotorfit.tracking.following import (
     together,
 )
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.looks import End, Looked, Looks, LooksBeside
+from rotorfit.tracking.motion_stream import MotionStream
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
 
 EVERY = 1.0
@@ -52,6 +57,9 @@ LONGEST = 300.0
 
 QUIET = 5.0
 """Time without a new command after which an axis holds [s]: by then it has answered the last."""
+
+UNTOLD = 1000
+"""States that wait for `Tracker.news` at the most."""
 
 FALSE_ALARMS_PER_HOUR, MOST_FALSE_ALARMS = 0.1, 60.0
 """Promised by default, and the most that can be asked for: one a minute."""
@@ -84,6 +92,10 @@ class Tracker:
         false_alarms_per_hour: The expected number that is promised not to be passed.
         origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
         after: The model of an earlier flight of the vehicle: what it was, until this flight tells.
+        live: Look in a process beside, so that `update` never waits: states come when they are ready, with the time
+            that they speak of. They are those of a tracker that looks at once, on a machine that keeps up. End it by
+            `finish`, by `close`, or as a context manager.
+        paced: Live, let `update` wait where the machine does not keep up, rather than leave looks out.
 
     Raises:
         TypeError: The card is none.
@@ -98,42 +110,71 @@ class Tracker:
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         origin: int | None = None,
         after: Model | Earlier | None = None,
+        live: bool = False,
+        paced: bool = False,
     ) -> None:
         if not isinstance(card, Card):
             raise TypeError(f"a Card is wanted, not {type(card).__name__}: rotorfit.load_card loads one")
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
+        following = Following(structure, false_alarms_per_hour)
         self._growing = GrowingFlight(card, origin)
         earlier = Earlier(after) if isinstance(after, Model) else after
         if earlier:
             check_earlier(earlier, card)
-        self._following = Following(structure, false_alarms_per_hour, earlier)
+        promised = structure, false_alarms_per_hour, earlier
+        following = Following(*promised)
+        self._looks: Looks = LooksBeside(card, promised, paced) if live else _LooksHere(following)
+        self._due = following.next_look
+        self._memory: Mapping[str, Any] = following.memory()
         begin = TrackedAxis()
         axes = {axis: until_known(begin, earlier, axis) if earlier else begin for axis in AXES}
         self._state = Tracked(0.0, axes)
+        self._untold: deque[Tracked] = deque(maxlen=UNTOLD)
+        self._stream = MotionStream(*self._growing.rows)
 
     def update(self, sample: Sample) -> None:
         """Takes a sample: a pose, or a command as it was sent."""
         took, now = self._growing.add(sample), self._growing.now
-        alarms = self._growing.alarms()
-        if took and now >= self._following.next_look:
-            self._look(now, alarms)
-        elif alarms:
-            self._state = replace(self._state, time=now, alarms=alarms)
+        if took and sample.stream == "pose":
+            self._stream.follow()
+        if took and now >= self._due:
+            self._due = _next_look(self._due, now)
+            self._looks.ask(self._growing)
+        self._take_in()
 
-    def _look(self, now: float, alarms: tuple[Alarm, ...]) -> None:
-        """A look; what the pose raised by itself in the same instant stands before its alarms."""
-        if flight := self._growing.flight():
-            state = self._following.look(flight, now, self._growing.standing)
-            self._state = replace(state, alarms=(*alarms, *state.alarms))
-            return
-        self._following.next_look = now + EVERY
+    def _take_in(self) -> None:
+        """Looks that are ready; what the pose raised by itself in the same instant stands before their alarms."""
+        alarms = self._growing.alarms()
+        if any(alarm.cause == "pose_jumped" for alarm in alarms):
+            self._stream.end()
+        for looked in self._looks.answers():
+            self._memory = looked.memory
+            self._stream.begin(looked.courses, looked.doubt)
+            self._tell(replace(looked.state, alarms=(*alarms, *looked.state.alarms)))
+            alarms = ()
         if alarms:
-            self._state = replace(self._state, time=now, alarms=alarms)
+            self._tell(replace(self._state, alarms=alarms))
+
+    def _tell(self, state: Tracked) -> None:
+        self._state = state
+        self._untold.append(state)
 
     def state(self) -> Tracked:
-        """What was known at the last look, at most a second of flight ago."""
+        """What was known at the last look that is ready: at most a second of flight ago, and what a look takes."""
         return self._state
+
+    def motion(self) -> Motion | None:
+        """Velocity, wind, gusts and the second ahead at the last pose, by what the last look that is ready knew.
+
+        None before an axis is told, and from a jump of the pose until the next look.
+        """
+        return self._stream.motion()
+
+    def news(self) -> list[Tracked]:
+        """All states since the last call, in order: none is missed, and no alarm."""
+        self._take_in()
+        return [self._untold.popleft() for _ in range(len(self._untold))]
 
     def flight(self) -> Flight | None:
         """The flight so far, as far as it is remembered; None before the first command and pose."""
@@ -141,18 +182,79 @@ class Tracker:
 
     def memory(self) -> dict[str, Any]:
         """What `recall` of another tracker goes on from, as arrays: the flight so far, and its regimes."""
-        return {**self._growing.memory(), "following": np.array(json.dumps(self._following.memory()))}
+        following = {**self._memory, "next_look": float(self._due)}
+        return {**self._growing.memory(), "following": np.array(json.dumps(following))}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Goes on from what `memory` gave; before the first sample."""
         self._growing.recall(memory)
-        self._following.recall(json.loads(str(memory["following"])))
+        self._memory = json.loads(str(memory["following"]))
+        self._due = float(self._memory["next_look"])
+        self._looks.recall(self._memory)
 
     def finish(self) -> tuple[Tracked, tuple[Regime, ...]]:
         """What is known at the end, by a last fit, and every regime with its model."""
-        if flight := self._growing.flight():
-            return self._following.finish(flight, self._growing.now)
-        return self._state, ()
+        end = self._looks.finish(self._growing)
+        self._take_in()
+        self.close()
+        return end or (replace(self._state, alarms=()), ())
+
+    def close(self) -> None:
+        """Leaves nothing behind, whether or not it was finished."""
+        self._looks.close()
+
+    def __enter__(self) -> "Tracker":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _next_look(due: float, now: float) -> float:
+    """When the look after one that was due is due [s]."""
+    return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
+
+
+def looked_at(following: "Following", flight: Flight, now: float, standing: bool) -> Looked:
+    """A look with all that goes on from it; see `Following.look`."""
+    state = following.look(flight, now, standing)
+    return Looked(state, following.memory(), following.courses, following.doubt)
+
+
+class _LooksHere:
+    """Looks at once, in the calling thread; see `Looks`.
+
+    Args:
+        following: The estimates.
+    """
+
+    def __init__(self, following: "Following") -> None:
+        self._following = following
+        self._looked: list[Looked] = []
+
+    def ask(self, growing: GrowingFlight) -> None:
+        """See `Looks`."""
+        if flight := growing.flight():
+            self._looked.append(looked_at(self._following, flight, growing.now, growing.standing))
+
+    def answers(self) -> Iterator[Looked]:
+        """See `Looks`."""
+        while self._looked:
+            yield self._looked.pop(0)
+
+    def finish(self, growing: GrowingFlight) -> End | None:
+        """See `Looks`."""
+        flight = growing.flight()
+        return self._following.finish(flight, growing.now) if flight else None
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """See `Looks`."""
+        self._following.recall(memory)
+
+    def close(self) -> None:
+        """See `Looks`."""
 
 
 class Following:
@@ -162,6 +264,11 @@ class Following:
         structure: As `fit` takes it.
         false_alarms_per_hour: Promised.
         earlier: What the vehicle was; None where nothing is known.
+
+    Attributes:
+        next_look: When one is due [s].
+        courses: Filters of the motion at the last look, to go on with.
+        doubt: Axis name to the standard error of the wind that coefficients leave.
     """
 
     def __init__(
@@ -181,6 +288,8 @@ class Following:
         self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
         self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
         self.next_look = LEAST_TIME
+        self.courses: tuple[Course, ...] = ()
+        self.doubt: dict[str, float] = {}
 
     def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
         """A look at the flight so far.
@@ -190,7 +299,7 @@ class Following:
             now: [s].
             standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
         """
-        self.next_look += EVERY * max(np.ceil((now - self.next_look) / EVERY + 1e-9), 1.0)
+        self.next_look = _next_look(self.next_look, now)
         before = self._as_refitted()
         self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if standing:
@@ -205,7 +314,7 @@ class Following:
         """Regimes and the next look, as plain types; estimates are found anew."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike)}
-        since = {"since": self._since, "changed": self._changed}
+        since = {"since": dict(self._since), "changed": dict(self._changed)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
@@ -316,7 +425,8 @@ class Following:
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         words = {axis: said(one, axis) for axis, one in known.items() if one}
         wide = {axis: wider("damping", one.ci95, one.ci95_flight) for axis, one in words.items()}
-        moving, air = motion_now(flight, estimates, wide)
+        moving, air, self.courses = courses(flight, estimates, wide)
+        self.doubt = {}
         if any(axis not in words or words[axis].values["damping"] is None for axis in ("x", "y")):
             air = None  # its speed goes by the damping of both
         axes = {
@@ -349,7 +459,7 @@ class Following:
         now: float,
         followed: Followed | None,
         words: Said | None,
-        motion: AxisMotion | None,
+        motion: AxisNow | None,
     ) -> TrackedAxis:
         """What is known of one axis."""
         knowledge, state = _knowledge(flight, axis, now, followed, words)
@@ -361,7 +471,9 @@ class Following:
             out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
         if motion is None or followed is None or words is None or not tells_wind(words.ci95_flight):
             return out
-        error = coefficient_error(flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight)
+        error = self.doubt[axis] = coefficient_error(
+            flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight
+        )
         return replace(
             out,
             wind=motion.wind,

@@ -261,35 +261,35 @@ def _listened(
     if record:
         check_new(record)
     chosen = card_for_link(link, card)
-    tracker = Tracker(chosen, structure, false_alarms, after=earlier)
 
     def say(text: str) -> None:
         line_cleared()
         click.echo(f"{link}: {text}", err=True)
 
-    if memory and recalled(memory, tracker):
-        say(f"goes on from {memory}")
     show_state = _shown(jsonl)
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
-        if link.startswith("sim"):
-            from rotorfit.flying.links.sim_pilot import NAME
+        with Tracker(chosen, structure, false_alarms, after=earlier, live=True, paced=not listening.live) as tracker:
+            if memory and recalled(memory, tracker):
+                say(f"goes on from {memory}")
+            if link.startswith("sim"):
+                from rotorfit.flying.links.sim_pilot import NAME
 
-            say(NAME)
-        outlets: list[Outlet] = [views]
-        recording = Recording(record, chosen, link) if record else None
-        outlets += [recording] if recording else []
-        outlets += [Remembering(memory, tracker)] if memory else []
-        if regaining and recording:
-            regaining.listeners.append(recording.gains)
+                say(NAME)
+            outlets: list[Outlet] = [views]
+            recording = Recording(record, chosen, link) if record else None
+            outlets += [recording] if recording else []
+            outlets += [Remembering(memory, tracker)] if memory else []
+            if regaining and recording:
+                regaining.listeners.append(recording.gains)
 
-        def told(state: "Tracked", now: int) -> None:
-            show_state(state)
-            if regaining:
-                regaining.state(state, now)
+            def told(state: "Tracked", now: int) -> None:
+                show_state(state)
+                if regaining:
+                    regaining.state(state, now)
 
-        with shown_line(lambda: line_of(tracker.state())):
-            result = followed(tracker, listening, outlets, told, say)
+            with shown_line(lambda: line_of(tracker.state())):
+                result = followed(tracker, listening, outlets, told, say)
     if not listening.lost:
         say(f"ended: {listening.ended}")
     return result, tracker.flight(), listening.ended if listening.lost else ""

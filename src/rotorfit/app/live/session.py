@@ -1,7 +1,6 @@
 """A session: a link is heard, a tracker follows, and everything goes where it was asked to go."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rotorfit.core.card import Card
@@ -65,10 +64,12 @@ def followed(
     Returns:
         The states that hold alarms, the last one, and the regimes.
     """
-    last, now = tracker.state(), 0
+    now = 0
     notable: list[Tracked] = []
 
     def tell(state: Tracked) -> None:
+        if state.alarms:
+            notable.append(state)
         for outlet in outlets:
             outlet.state(state, now)
         told(state, now)
@@ -82,16 +83,15 @@ def followed(
                 if sample.stream == "said":
                     news(sample.text)
                 tracker.update(sample)
-                if tracker.state() is not last:
-                    last = tracker.state()
-                    notable += [last] if last.alarms else []
-                    tell(last)
+            for state in tracker.news():
+                tell(state)
             for outlet in outlets:
                 outlet.heard(heard.samples, now)
-        state, regimes = tracker.finish()
-        last = replace(state, alarms=())
-        tell(last)
+        last, regimes = tracker.finish()
+        for state in (*tracker.news(), last):
+            tell(state)
     finally:
+        tracker.close()
         for outlet in outlets:
             outlet.close()
     return Track((*notable, last), regimes)

@@ -1,0 +1,53 @@
+"""The process that `LooksBeside` starts: makes looks at a flight that grows elsewhere.
+
+    python -m rotorfit.tracking.looking
+
+Questions come by the standard input and answers go by the standard output, pickled. It ends when its input does.
+"""
+
+import os
+import sys
+import traceback
+from contextlib import suppress
+from types import TracebackType
+
+from rotorfit.tracking.flight_so_far import FlightSoFar
+from rotorfit.tracking.looks import Failed, packed, received, send
+from rotorfit.tracking.tracker import Following, looked_at
+
+NICE = 10
+"""It stands back by so much."""
+
+
+def main() -> None:
+    """Answers until nobody asks any more; a bug answers with its trace."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+
+    def failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        send(answers, Failed("".join(traceback.format_exception(kind, error, trace))))
+
+    sys.excepthook = failed
+    os.nice(NICE)
+    card, *promised = received(sys.stdin.buffer)
+    following, so_far, model = Following(*promised), FlightSoFar(card), None
+    with suppress(BrokenPipeError):  # whoever asked is gone
+        while not isinstance(question := received(sys.stdin.buffer), Failed):
+            what, news, standing = question
+            if what == "recall":
+                following.recall(news)
+                continue
+            so_far.take(news)
+            flight = so_far.flight()
+            if flight is None:
+                send(answers, None)
+            elif what == "look":
+                looked = looked_at(following, flight, so_far.now, standing)
+                send(answers, packed(looked, model))
+                model = looked.state.model
+            else:
+                send(answers, following.finish(flight, so_far.now))
+
+
+if __name__ == "__main__":
+    main()

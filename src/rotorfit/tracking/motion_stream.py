@@ -1,0 +1,95 @@
+"""The motion after each sample: the filters of the last look go on from where it left them.
+
+What a look does over the flight so far is done here pose by pose, by the same filter, with the coefficients that the
+look found. Until there is a newer look a command that comes late acts late, and a pose that jumps ends the filter.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorfit.core.tracked import AxisMotion, Motion
+from rotorfit.dynamics.motion_filter import GUSTS, LATER, LATER_ERROR, VELOCITY, WIND, WIND_ERROR
+from rotorfit.estimation.identifiability import NORMAL
+from rotorfit.tracking.air import PAIRS, Course
+from rotorfit.tracking.flight_so_far import Rows
+
+
+@dataclass
+class _Running:
+    """A filter that goes on, from where in the commands it counts, and its axes."""
+
+    course: Course
+    first: int
+
+
+class MotionStream:
+    """Goes on with the filters of looks.
+
+    Args:
+        commands: Of the flight so far.
+        poses: Of the flight so far.
+    """
+
+    def __init__(self, commands: Rows, poses: Rows) -> None:
+        self._commands, self._poses = commands, poses
+        self._running: list[_Running] = []
+        self._doubt: Mapping[str, float] = {}
+        self._seen = 0
+
+    def begin(self, courses: Sequence[Course], doubt: Mapping[str, float]) -> None:
+        """Goes on from a look.
+
+        Args:
+            courses: Its filters.
+            doubt: Axis name to the standard error of the wind that coefficients leave [m/s^2, rad/s^2]; none of axes of
+                which no wind is told.
+        """
+        self._running, self._doubt = [], doubt
+        for course in courses:
+            course.filter.k[:] = np.searchsorted(self._commands.time, course.in_force)
+            self._running.append(_Running(course, self._commands.first))
+        self._seen = self._poses.count
+        for one in self._running:
+            self._follow(one, int(np.searchsorted(self._poses.time, one.course.filter.time, side="right")))
+
+    def follow(self) -> None:
+        """Takes the poses that are new."""
+        new = self._poses.count - self._seen
+        if new:
+            self._seen = self._poses.count
+            for one in self._running:
+                self._follow(one, len(self._poses.time) - new)
+
+    def end(self) -> None:
+        """Nothing is told until the next look."""
+        self._running = []
+
+    def motion(self) -> Motion | None:
+        """At the last pose; None where nothing is told."""
+        axes: dict[str, AxisMotion] = {}
+        time = -np.inf
+        commands = self._commands.time, self._commands.values
+        for one in self._running:
+            pair = next(pair for pair in PAIRS if one.course.axes[0] in pair)
+            told, time = one.course.filter.told(*commands).tolist(), one.course.filter.time
+            for axis in one.course.axes:
+                if axis in self._doubt:
+                    axes[axis] = _axis(told[pair.index(axis)], self._doubt[axis])
+        return Motion(time, axes) if axes else None
+
+    def _follow(self, one: _Running, first: int) -> None:
+        if dropped := self._commands.first - one.first:
+            one.course.filter.k[:] = np.maximum(one.course.filter.k - dropped, 0)
+            one.first = self._commands.first
+        poses = self._poses
+        one.course.filter.follow(
+            poses.time[first:], poses.values[first:], poses.last[first:], self._commands.time, self._commands.values
+        )
+
+
+def _axis(told: Sequence[float], doubt: float) -> AxisMotion:
+    wind, later = told[WIND], told[LATER]
+    wide, off = NORMAL * float(np.hypot(told[WIND_ERROR], doubt)), NORMAL * told[LATER_ERROR]
+    return AxisMotion(told[VELOCITY], wind, (wind - wide, wind + wide), told[GUSTS], later, (later - off, later + off))
