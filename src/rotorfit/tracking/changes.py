@@ -333,6 +333,8 @@ def _jolted(scores: Scores) -> list[Contrast]:
     first = int(np.searchsorted(scores.time, now - LASTS))
     shapes = scores.jolts[first : first + int(np.searchsorted(scores.time, now - LASTS / 2)) - first]
     new = np.flatnonzero((scores.time > now - NEW - EARLIEST) & (scores.time <= now - EARLIEST))
+    if not shapes.any(axis=0).all() or not new.size:  # a gap in the poses
+        return []
     matched = np.array([_matched(scores.innovation, h, new) for h in shapes.T])
     gain = matched[:, 0] ** 2 / matched[:, 1]
     best = int(np.argmax(gain[0]))

@@ -289,7 +289,8 @@ def _listened(
                     regaining.state(state, now)
 
             with shown_line(lambda: line_of(tracker.state())):
-                result = followed(tracker, listening, outlets, told, say)
+                moving = [*views.moving, *([recording.motion] if recording else [])]
+                result = followed(tracker, listening, outlets, told, say, moving)
     if not listening.lost:
         say(f"ended: {listening.ended}")
     return result, tracker.flight(), listening.ended if listening.lost else ""

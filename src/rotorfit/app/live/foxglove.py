@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from rotorfit.app.live.outlets import ALARM, TRACKED
+from rotorfit.app.live.outlets import ALARM, MOTION, TRACKED
 from rotorfit.core.errors import LinkError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
-from rotorfit.core.tracked import Tracked
+from rotorfit.core.tracked import Motion, Tracked
 
 POSE, COMMAND = "/rotorfit/pose", "/rotorfit/command"
 
@@ -19,7 +19,7 @@ OBJECT = {"type": "object"}
 
 
 class FoxgloveOutlet:
-    """Serves poses, commands, states and alarms as JSON.
+    """Serves poses, commands, states, alarms and the motion after each pose as JSON.
 
     Args:
         port: To listen on; 0 for any that is free.
@@ -43,7 +43,7 @@ class FoxgloveOutlet:
             raise LinkError(f"--foxglove {port}: {error}; choose another port") from None
         self._channels = {
             topic: foxglove.Channel(topic, schema=OBJECT, message_encoding="json", context=context)
-            for topic in (POSE, COMMAND, TRACKED, ALARM)
+            for topic in (POSE, COMMAND, TRACKED, ALARM, MOTION)
         }
         self.port = int(self._server.port)
         say(f"Foxglove and PlotJuggler: ws://{HOST}:{self.port}")
@@ -64,6 +64,10 @@ class FoxgloveOutlet:
         for alarm in state.alarms:
             self._send(ALARM, alarm.to_mapping(), now)
         self._send(TRACKED, state.to_mapping(), now)
+
+    def motion(self, motion: Motion, now: int) -> None:
+        """Sends the motion after a pose."""
+        self._send(MOTION, motion.to_mapping(), now)
 
     def close(self) -> None:
         """Ends the server."""

@@ -4,7 +4,7 @@ import io
 import json
 import threading
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +13,7 @@ import numpy as np
 from rotorfit.core.card import Card
 from rotorfit.core.errors import LogError
 from rotorfit.core.log import Sample
-from rotorfit.core.tracked import Tracked
+from rotorfit.core.tracked import Motion, Tracked
 from rotorfit.core.writing import write_whole
 from rotorfit.flying.recorder import Recorder, card_as_recorded, record
 from rotorfit.tracking.growing_flight import ONE_CLOCK
@@ -21,6 +21,12 @@ from rotorfit.tracking.tracker import Tracker
 
 TRACKED, ALARM, GAINS = "/rotorfit/tracked", "/rotorfit/alarm", "/rotorfit/gains"
 """Topics of states, alarms and new gains, JSON as the lines of `rotorfit track --jsonl`."""
+
+MOTION = "/rotorfit/motion"
+"""Topic of the motion after each pose, JSON: the names of a state, and no coefficients."""
+
+Moving = Callable[[Motion, int], None]
+"""Takes the motion after a pose, and when that came [ns]."""
 
 REMEMBER_EVERY = 1.0
 """Time between two writings of what is remembered [s]."""
@@ -79,6 +85,11 @@ class Recording:
             self._recorder.told(ALARM, now, alarm.to_mapping())
             self._recorder.event(now, f"ALARM {', '.join(alarm.axes)}: {alarm.cause}: {alarm.why}")
         self._recorder.told(TRACKED, now, state.to_mapping())
+
+    def motion(self, motion: Motion, now: int) -> None:
+        """Writes the motion after a pose."""
+        if self._recorder is not None:
+            self._recorder.told(MOTION, now, motion.to_mapping())
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
         """Writes new gains."""

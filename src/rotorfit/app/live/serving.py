@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from rotorfit.app.live.outlets import Outlet
+from rotorfit.app.live.outlets import Moving, Outlet
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
 
@@ -22,6 +22,9 @@ class Views:
         publish: `ros1` or `ros2`, perhaps with a prefix; None for no topics.
         vehicle: What is followed, for people.
         say: Told where they are.
+
+    Attributes:
+        moving: Those that take the motion after each pose.
     """
 
     def __init__(
@@ -30,6 +33,7 @@ class Views:
         self._asked, self._vehicle, self._say = (page, foxglove, publish), vehicle, say
         self._outlets: list[Outlet] = []
         self._topics: RosTopics | None = None
+        self.moving: list[Moving] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> "Views":
@@ -42,7 +46,9 @@ class Views:
             if foxglove is not None:
                 from rotorfit.app.live.foxglove import FoxgloveOutlet
 
-                self._add(stack, FoxgloveOutlet(foxglove, self._say))
+                server = FoxgloveOutlet(foxglove, self._say)
+                self._add(stack, server)
+                self.moving.append(server.motion)
             if publish is not None:
                 from rotorfit.app.live.ros_topics import RosTopics
 

@@ -1,5 +1,6 @@
 """A session: a link is heard, a tracker follows, and everything goes where it was asked to go."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from rotorfit.flying.listening import Listening
 from rotorfit.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
-    from rotorfit.app.live.outlets import Outlet
+    from rotorfit.app.live.outlets import Moving, Outlet
 
 
 def card_for_link(text: str, card: str | None) -> Card:
@@ -51,6 +52,7 @@ def followed(
     outlets: Sequence["Outlet"],
     told: Callable[[Tracked, int], None],
     news: Callable[[str], None],
+    moving: Sequence["Moving"] = (),
 ) -> Track:
     """Follows a vehicle until the link ends.
 
@@ -60,11 +62,12 @@ def followed(
         outlets: Where all of it goes; they are closed at the end, whatever ends it.
         told: Called with each new state and the link's clock [ns].
         news: Called with what happens to the link.
+        moving: Called with the motion after each pose that counts.
 
     Returns:
         The states that hold alarms, the last one, and the regimes.
     """
-    now = 0
+    now, moved = 0, -math.inf
     notable: list[Tracked] = []
 
     def tell(state: Tracked) -> None:
@@ -83,6 +86,10 @@ def followed(
                 if sample.stream == "said":
                     news(sample.text)
                 tracker.update(sample)
+                if moving and sample.stream == "pose" and (motion := tracker.motion()) and motion.time > moved:
+                    moved = motion.time
+                    for mover in moving:
+                        mover(motion, sample.received)
             for state in tracker.news():
                 tell(state)
             for outlet in outlets:
