@@ -21,7 +21,7 @@ from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
 pytest.importorskip("foxglove", reason="pip install 'rotorfit[foxglove]'")
 
 PROTOCOLS = "foxglove.sdk.v1, foxglove.websocket.v1"
-TOPICS = {"/rotorfit/pose", "/rotorfit/command", "/rotorfit/tracked", "/rotorfit/alarm"}
+TOPICS = {f"/rotorfit/{name}" for name in ("pose", "command", "tracked", "alarm", "motion")}
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
 
 

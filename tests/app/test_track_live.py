@@ -62,6 +62,7 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert "simulated pilot" in result.stderr
     log = read(record)
     assert {"/rotorfit/command", "/rotorfit/pose"} <= log.tables.keys()
+    assert b"/rotorfit/motion" in record.read_bytes()
     assert "card" in log.attached
     assert CliRunner().invoke(main, ["fit", str(record)]).exit_code == 0
 

@@ -53,6 +53,14 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
     assert best.shift[moved] == pytest.approx(-1.0, abs=0.4)
 
 
+def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:
+    now = float(scores.time[-1])
+    kept = (scores.time < now - 4.0) | (scores.time > now - 0.5)
+    part = {name: getattr(scores, name)[kept] for name in ("time", "innovation", "tested", "free", "jolts")}
+
+    assert looked_for(replace(scores, **part)) == []
+
+
 @pytest.mark.parametrize(
     ("cause", "vehicle", "named", "axes"),
     [
