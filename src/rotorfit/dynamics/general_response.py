@@ -97,6 +97,19 @@ def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new:
 
 
 @inner()
+def settle(law: Array, z: Array, C: int, yaw: float) -> None:
+    """Fills the lagged parts of C columns as after long holding the command in force, at their world velocities."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    for j in range(C):
+        x, y = z[V + j], z[V + COLUMNS + j]
+        for a in range(2):
+            at = COLUMNS * a + j
+            z[Q + at] = z[W + at]
+            if law[a, ORDER] == 2:
+                z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
+
+
+@inner()
 def longest_step(law: Array) -> float:
     """Length of the steps into which a longer stretch is cut [s]."""
     longest = np.inf

@@ -14,9 +14,8 @@ from rotorfit.core.laws import DAMPING, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import STEP_GRAIN, axis_start, discretize, stationary
 from rotorfit.dynamics.disturbance_state import step_state, take_position
-from rotorfit.dynamics.general_response import advance, demands, longest_step
+from rotorfit.dynamics.general_response import advance, command_in_force, demands, longest_step, settle
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, STATE, P, T, V, lag_series
-from rotorfit.dynamics.predictor import in_force, settle
 
 SAMPLES = 30.0
 """Poses a second that the filter keeps [1/s]: as many as the likelihood's blocks. A pose between two of them is taken,
@@ -142,7 +141,7 @@ def _begin(
         at = COLUMNS * a
         z[:, P + at], z[:, V + at], z[:, T + at] = position[a], velocity[a], law[a, TRIM]
         axis_start(covariance[0, a], levels[a])
-    in_force(begin, law, command_time, own, k[0], u[0])
+    command_in_force(begin, 0, command_time.size, command_time, own, law, k[0], u[0])
     demands(law, what, whose, u[0], z[0])
     settle(law, z[0], 1, yaw)
     z[1], k[1], u[1], covariance[1] = z[0], k[0], u[0], covariance[0]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.laws import DAMPING, DELAY, ORDER, TRIM
+from rotorfit.core.laws import DELAY, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.filter_bank import (
     bank_tables,
@@ -21,8 +21,8 @@ from rotorfit.dynamics.filter_bank import (
     state_of_bank,
     take,
 )
-from rotorfit.dynamics.general_response import advance, demands, longest_step
-from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, W, lag_series
+from rotorfit.dynamics.general_response import advance, demands, longest_step, settle
+from rotorfit.dynamics.general_step import COLUMNS, MEAN, START, STATE, P, Q, T, V, lag_series
 
 _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0, 1])
 """Columns of the driven response: the motion, two unit trims, two unit start velocities."""
@@ -32,20 +32,7 @@ START_VELOCITY_VARIANCE = 10.0
 
 
 @inner()
-def settle(law: Array, z: Array, C: int, yaw: float) -> None:
-    """Fills the lagged parts of C columns as after long holding the command in force, at their world velocities."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    for j in range(C):
-        x, y = z[V + j], z[V + COLUMNS + j]
-        for a in range(2):
-            at = COLUMNS * a + j
-            z[Q + at] = z[W + at]
-            if law[a, ORDER] == 2:
-                z[Q + at] += z[T + at] - law[a, DAMPING] * (c * x + s * y if a == 0 else c * y - s * x)
-
-
-@inner()
-def in_force(t: float, law: Array, command_time: Array, command: Array, k: Any, u: Array) -> None:
+def _in_force(t: float, law: Array, command_time: Array, command: Array, k: Any, u: Array) -> None:
     """Fills which command of each axis acts at t and its value, both shape (2,)."""
     for j in range(2):
         k[j] = 0
@@ -165,7 +152,7 @@ def predict(
     z, free = np.zeros(STATE), np.zeros(STATE)
     work, series, longest = np.zeros((2, 3, 12)), lag_series(filter_law), longest_step(filter_law)
     prior, measured = np.empty(4), np.empty(5)
-    in_force(pose_time[0], law, command_time, command, k, u)
+    _in_force(pose_time[0], law, command_time, command, k, u)
     for a in range(2):
         own = COLUMNS * a
         z[V + own], z[T + own + 1 + a], z[V + own + 3 + a] = origin[a], 1.0, 1.0
@@ -245,7 +232,7 @@ def free_run(
     for a in range(2):
         own = COLUMNS * a
         z[P + own], z[V + own], z[T + own] = position[a], velocity[a], law[a, TRIM]
-    in_force(time[0], law, command_time, command, k, u)
+    _in_force(time[0], law, command_time, command, k, u)
     demands(law, what, whose, u, z)
     settle(law, z, 1, yaw[0])
     for i in range(time.size):
