@@ -41,10 +41,18 @@ def moved(state: np.ndarray, command: np.ndarray, noise: np.ndarray, dt: float) 
     out = np.empty((command.shape[0] // STEPS, 4))
     fade, rise = np.exp(-dt / MEMORY), GUST * np.sqrt(1 - np.exp(-2 * dt / MEMORY))
     for i in range(command.shape[0]):
+        c, s = np.cos(state[3, 0]), np.sin(state[3, 0])
+        vx, vy = state[0, 1], state[1, 1]
+        velocity = (c * vx + s * vy, c * vy - s * vx, state[2, 1], state[3, 1])  # of x and y along the heading
         for a in range(4):
-            pull = GAIN[a] * command[i, a] + TRIM[a] + state[a, 2]
             state[a, 0] += dt * state[a, 1]
-            state[a, 1] += dt * (pull - DAMPING[a] * state[a, 1])
+        ax = GAIN[0] * command[i, 0] + TRIM[0] - DAMPING[0] * velocity[0]
+        ay = GAIN[1] * command[i, 1] + TRIM[1] - DAMPING[1] * velocity[1]
+        state[0, 1] += dt * (c * ax - s * ay + state[0, 2])
+        state[1, 1] += dt * (s * ax + c * ay + state[1, 2])
+        for a in range(2, 4):
+            state[a, 1] += dt * (GAIN[a] * command[i, a] + TRIM[a] + state[a, 2] - DAMPING[a] * velocity[a])
+        for a in range(4):
             state[a, 2] = fade * state[a, 2] + rise * noise[i, a]
         if (i + 1) % STEPS == 0:
             out[i // STEPS] = state[:, 0]
@@ -52,7 +60,7 @@ def moved(state: np.ndarray, command: np.ndarray, noise: np.ndarray, dt: float) 
 
 
 def samples(hours: float, rate: float, seed: int = 1) -> Iterator[Sample]:
-    """The day, in order; the heading is held."""
+    """The day, in order."""
     rng, state = np.random.default_rng(seed), np.zeros((4, 3))
     count, dt = int(TURN * rate), 1 / rate / STEPS
     fine = (np.arange(count * STEPS) + 0.5) * dt
