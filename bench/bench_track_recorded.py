@@ -36,7 +36,10 @@ def landing(track: Track) -> list[float]:
         abs(last.axes[axis].values[name] - getattr(one, name)) / one.stderr[name]
         for axis, one in model.axes.items()
         for name in COEFFICIENTS
-        if last.axes[axis].values[name] is not None and getattr(one, name) is not None and one.stderr.get(name)
+        if axis in last.axes
+        and last.axes[axis].values[name] is not None
+        and getattr(one, name) is not None
+        and one.stderr.get(name)
     ]
 
 
