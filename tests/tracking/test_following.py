@@ -7,7 +7,8 @@ import pytest
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import Interval
 from rotorfit.tracking.following import Followed, read_backwards, refitted, renewed, said, stepped
-from rotorfit.tracking.replayed import until
+from rotorfit.tracking.replayed import growing, until
+from rotorfit.tracking.tracker import Following
 from tracked_flights import LAW, known
 
 pytestmark = pytest.mark.flights
@@ -90,3 +91,15 @@ def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
     assert low is not None
     assert high is not None
     assert low < now.values["input"] < high  # type: ignore[operator]
+
+
+def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A longer flight stands for hours: the estimate looks back over 12 s of 30."""
+    monkeypatch.setattr("rotorfit.tracking.tracker.LONGEST", 12.0)
+    monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 12.0)
+    following, told = Following(LAW), []
+    for part, now in growing(known()[0], following.next_look):
+        told.append((now, following.look(part, now).axes["z"].values["input"]))
+
+    late = [value for now, value in told if now > 20.0]
+    assert len(set(late)) >= 3

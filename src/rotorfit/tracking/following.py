@@ -28,6 +28,9 @@ from rotorfit.estimation.likelihood.parameters import Point
 REFIT = 1.5
 """Growth of the time that a fit saw after which the batch estimator looks again."""
 
+LONGEST = 300.0
+"""Time that an estimate looks back over [s]: of a longer regime the oldest part is left to itself."""
+
 SILENT = 1.2
 """The same as long as it has found nothing."""
 
@@ -156,16 +159,27 @@ def doubt_of(axis: Axis) -> dict[str, float]:
     return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
 
 
+def grown(seen: float, excited: float, growth: float) -> bool:
+    """Whether so much excited time is new that the estimate would move: a share of what it looks back over.
+
+    Args:
+        seen: Excited time when it last moved [s].
+        excited: Excited time now [s].
+        growth: Ratio of the two from which it would.
+    """
+    return excited - seen >= (growth - 1) * min(seen, LONGEST)
+
+
 def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
     """The estimate on the flight so far: a step or two of the climb, from where it stands, once that tells something.
 
     Args:
         followed: Before.
         flight: So far; its first segments are those that the estimate saw.
-        excited: Excited time of it [s].
+        excited: Excited time since the regime began [s].
     """
     new = renewed(followed, flight)
-    if not new.estimates or EARLY < excited < GROWN * followed.stepped:
+    if not new.estimates or (excited > EARLY and not grown(followed.stepped, excited, GROWN)):
         return new
     levels = (followed.steps + 1) % LEVELS_EVERY == 0
     if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y by one likelihood

@@ -32,12 +32,14 @@ from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, until_known
 from rotorfit.tracking.following import (
+    LONGEST,
     REFIT,
     SILENT,
     Followed,
     Said,
     doubt_of,
     followed_of,
+    grown,
     refitted,
     renewed,
     said,
@@ -52,9 +54,6 @@ from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
 EVERY = 1.0
 """Time between looks [s]."""
 
-LONGEST = 300.0
-"""Time that an estimate looks back over [s]: of a longer regime the oldest part is left to itself."""
-
 QUIET = 5.0
 """Time without a new command after which an axis holds [s]: by then it has answered the last."""
 
@@ -67,11 +66,21 @@ FALSE_ALARMS_PER_HOUR, MOST_FALSE_ALARMS = 0.1, 60.0
 
 @dataclass(frozen=True)
 class Group:
-    """Axes that are fitted together, since when, and what is known of them; None before the first fit."""
+    """Axes that are fitted together.
+
+    Attributes:
+        axes: Names.
+        since: When their regime began [s].
+        followed: What is known of them; None before the first fit.
+        excited: Excited time since then [s].
+        looked: Up to when it was counted [s].
+    """
 
     axes: tuple[str, ...]
     since: float
     followed: Followed | None = None
+    excited: float = 0.0
+    looked: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -358,10 +367,12 @@ class Following:
         part = _part(flight, max(since, now - LONGEST), now)
         if part is None or part.duration < LEAST_TIME:
             return group
-        before, excited = group.followed, _excited(part, axes, now)
+        excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
+        group, before = replace(group, excited=excited, looked=now), group.followed
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, followed=renewed(before, part))  # nothing new is told: the last values hold
-        if before is None or excited >= (REFIT if before.estimates else SILENT) * before.seen:
+        growth = REFIT if before and before.estimates else SILENT
+        if before is None or grown(before.seen, excited, growth):
             return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part, excited))
 
@@ -515,11 +526,12 @@ def _quiet(flight: Flight, axis: str, now: float) -> float:
     return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
 
 
-def _excited(flight: Flight, axes: Sequence[str], now: float) -> float:
-    """Time in which commands of some axes were new, or had not yet had their answer [s]."""
+def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
+    """Time between two instants in which commands of some axes were new, or had not yet had their answer [s]."""
     u = flight.command[:, [AXES.index(axis) for axis in axes]]
     new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
-    return float(np.minimum(np.diff(np.append(new, now)), QUIET).sum())
+    answered = np.minimum(np.append(new[1:], now), new + QUIET)
+    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
 
 
 def _part(flight: Flight, since: float, now: float) -> Flight | None:
