@@ -40,14 +40,17 @@ Cause = Literal[
 ]
 CAUSES: tuple[Cause, ...] = get_args(Cause)
 """Nothing; wind that rises; +15 % mass, and back by as much; a propeller at 90 %; 5 % less thrust within a minute; tilt
-10 to 15 deg or half as much speed again; 50 ms more; the pose's frame turned by 10 deg about the vertical through the
+10 to 15 deg or half as much speed again; 50 ms more; the pose's frame turned by 20 deg about the vertical through the
 origin; the body's heading in it alone; the pose frozen for `FROZEN`."""
 
-PAYLOAD, WEAK, SAG, SAG_TIME, SLOWER, TURNED, FROZEN = 1.15, 0.9, 0.05, 60.0, 0.05, np.radians(10.0), 10.0
+PAYLOAD, WEAK, SAG, SAG_TIME, SLOWER, TURNED, FROZEN = 1.15, 0.9, 0.05, 60.0, 0.05, np.radians(20.0), 10.0
 TILTS = (np.radians(10.0), np.radians(15.0))
 FASTER = 1.5
 RISE, RISEN_MEAN, RISEN_GUSTS = 10.0, 3.0, 4.0
 """Wind rises within so many seconds to a mean of 3 m/s, and to gusts four times as strong."""
+
+PUSHED, LET_GO = (0.5, 2.0), (0.5, 3.0)
+"""How long the pilot of `piloted_flight` pushes a stick, and lets go [s]."""
 
 RATE, PERIOD, BAND = 50.0, 60.0, (0.9, 5.0)
 """Commands a second; period [s] and band [rad/s] of the multisine."""
@@ -138,6 +141,34 @@ def changing_flight(seed: int, scenario: Scenario) -> ChangingFlight:
         flight, scenario, None if scenario.cause in ("none", "wind") else scenario.time, vehicle, after,
         (vehicle.linear(), after.linear()), room.true_wind[row], room.true_velocity[row], room,
     )  # fmt: skip
+
+
+def piloted_flight(seed: int, gusts: float, duration: float = 120.0, brakes: bool = True) -> Flight:
+    """A Bebop 2, faultless, flown by a pilot who pushes one or two sticks for a while and lets go.
+
+    Let go of forward and left together, its autopilot brakes, which no linear law does.
+
+    Args:
+        seed: Of everything random.
+        gusts: As in `Scenario` [m/s].
+        duration: [s].
+        brakes: Whether it does.
+    """
+    vehicle, conditions, start, _ = prepared(seed, Scenario("none", "bebop2", gusts=gusts, duration=duration))
+    vehicle = replace(vehicle, autopilot=replace(vehicle.autopilot, brakes_on_zero=brakes))
+    rng, period = np.random.default_rng((seed, 3)), 1.0 / RATE
+    sticks, t = np.zeros((round(duration * RATE), 4)), 0.0
+    heading = -1.0
+    while t < duration:
+        pushed, rests = rng.uniform(*PUSHED), rng.uniform(*LET_GO)
+        heading = -heading  # there and back again
+        asked = np.where(rng.random(4) < 0.6, heading * rng.uniform(0.3, 1.0, 4) * rng.choice([-1.0, 1.0], 4), 0.0)
+        first, last = (round(one / period) for one in (t, t + pushed))
+        sticks[first:last] = asked * AMPLITUDE * _most(vehicle)
+        t += pushed + rests
+    stamps = np.round(np.arange(len(sticks)) * 1e9 / RATE).astype(np.int64)
+    flown = fly_commands(vehicle, conditions, stamps, sticks, duration, seed, start)
+    return flight_from_log(log_of_room_flight(flown), card_from_mapping(vehicle.card(), "room"))
 
 
 def prepared(seed: int, scenario: Scenario) -> tuple[Vehicle, Conditions, Four, Plan]:

@@ -66,3 +66,11 @@ def alarms(cause: str, vehicle: str, seed: int = 1, at: float = 25.0, most: floa
         if found := following.look(part, now).alarms:
             return found
     return ()
+
+
+@functools.cache
+def of_a_pilot(seed: int, duration: float) -> Sequence[Alarm]:
+    """All alarms of a faultless flight whose vehicle brakes when its pilot lets go."""
+    flight = changing().piloted_flight(seed, 0.0, duration)
+    following = Following(LAW)
+    return tuple(a for part, now in growing(flight, following.next_look) for a in following.look(part, now).alarms)

@@ -104,7 +104,7 @@ def test_sines_never_rest_and_nothing_is_asked() -> None:
 
 def test_parts_begin_with_a_command_and_end_before_zero() -> None:
     flight = flown(1.5)
-    cut = commanded_parts(flight, "x", 0.2)
+    cut = commanded_parts(flight, ("x",), 0.2)
 
     assert 10 < len(cut.segments) < 30
     for part in cut.segments:

@@ -7,7 +7,7 @@ import pytest
 
 from rotorfit.tracking.changes import Scores, looked_for, looks, scores_of, since_when
 from rotorfit.tracking.following import refitted
-from tracked_flights import LAW, alarms, known
+from tracked_flights import LAW, alarms, known, of_a_pilot
 
 pytestmark = pytest.mark.flights
 
@@ -89,3 +89,7 @@ def test_a_change_of_the_room_is_found_and_named(cause: str, vehicle: str, named
 
 def test_wind_that_rises_is_no_changed_vehicle() -> None:
     assert alarms("wind", "bebop2", at=30.0) == ()
+
+
+def test_a_vehicle_that_brakes_where_its_pilot_lets_go_is_no_changed_vehicle() -> None:
+    assert of_a_pilot(700_000, 20.0) == ()

@@ -7,7 +7,7 @@ What any linear law could do instead (every coefficient, trim, start, and the co
 weight of its own) is taken off first, so a lag that the law leaves out does not pass for braking.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,13 +82,13 @@ def braking(estimate: Estimate) -> Braking | None:
 
 def _at_zero(rec: Record, k: int, time: Array) -> Mask:
     """Whether the command of axis k is zero, and stays so for a while about each of some times."""
-    zero = _zero(rec.command_time, rec.command[:, k])
+    zero = _zero(rec.command_time, rec.command[:, [k]])
     return np.asarray(zero[np.maximum(np.searchsorted(rec.command_time, time, side="right") - 1, 0)])
 
 
 def _zero(stamps: Array, command: Array) -> Mask:
-    """Which commands are zero, and stay so for a while, shape (M,)."""
-    zero = np.abs(command) <= ZERO * np.max(np.abs(command), initial=0.0)
+    """Which commands, shape (M, K), are zero on all axes, and stay so for a while, shape (M,)."""
+    zero = np.all(np.abs(command) <= ZERO * np.max(np.abs(command), axis=0, initial=0.0), axis=1)
     edges = np.flatnonzero(np.diff(zero.astype(np.int8))) + 1
     for first, last in zip([0, *edges], [*edges, zero.size], strict=True):
         end = stamps[last] if last < zero.size else stamps[-1]
@@ -162,8 +162,8 @@ def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array
     return position, velocity
 
 
-def commanded_parts(flight: Flight, axis: str, delay: float) -> Flight:
-    """The flight with those segments only in which an axis is commanded: where one law holds.
+def commanded_parts(flight: Flight, axes: Sequence[str], delay: float) -> Flight:
+    """The flight with those segments only in which one of some axes is commanded: where one law holds.
 
     Each begins so long before the command leaves zero that the likelihood, which needs the commands of the longest
     delay before it looks at a pose, sees the answer to that first command, and of the braking before it no more than
@@ -171,11 +171,11 @@ def commanded_parts(flight: Flight, axis: str, delay: float) -> Flight:
 
     Args:
         flight: Any.
-        axis: Which.
-        delay: About how late the axis answers [s].
+        axes: Names.
+        delay: About how late they answer [s].
     """
-    k = AXES.index(axis)
-    time, zero = flight.command_time, _zero(flight.command_time, flight.command[:, k])
+    column = [AXES.index(axis) for axis in axes]
+    time, zero = flight.command_time, _zero(flight.command_time, flight.command[:, column])
     parts: list[Segment] = []
     for whole in flight.segments:
         first, last = np.searchsorted(time, [whole.start, whole.end])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Mask
 from rotorfit.core.tracked import Cause
 from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.tracking.changes import Contrast, Scores
@@ -42,6 +42,7 @@ class Diagnosis:
         change: `AXIS.QUANTITY` to the 95 % interval: a ratio, or the difference of a delay or trim.
         confidence: Share among the causes.
         why: A sentence.
+        plain: Share of this cause with these axes.
     """
 
     cause: Cause
@@ -49,6 +50,7 @@ class Diagnosis:
     change: Mapping[str, tuple[float, float]]
     confidence: float
     why: str
+    plain: float
 
 
 def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
@@ -68,7 +70,8 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
         at += size
     shown = set(max(parts, key=lambda part: part[1].statistic)[0].names)
     concerned = [name in shown for name in names]
-    causes = [(cause, basis) for cause, basis in _causes(names) if basis[concerned].any()]
+    seen = precision.diagonal() > 0  # of what shows nothing nothing is said
+    causes = [(cause, basis) for cause, basis in _causes(names, seen) if basis[concerned].any()]
     fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in causes]
     costs = np.array([left + PRICE * np.linalg.matrix_rank(basis) for _, (left, _, _, basis) in fitted])
     share = np.exp(-0.5 * (costs - costs.min()))
@@ -79,7 +82,8 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     axes = tuple(dict.fromkeys(name.split(".")[0] for name in change))
     others = sorted(zip(share, fitted, strict=True), key=lambda pair: -pair[0])
     second = next(((s, c) for s, (c, _) in others if c != cause), None)
-    return Diagnosis(cause, axes, change, float(share[[c == cause for c, _ in fitted]].sum()), _why(cause, second))
+    confidence = float(share[[c == cause for c, _ in fitted]].sum())
+    return Diagnosis(cause, axes, change, confidence, _why(cause, second), float(share[best]))
 
 
 def _bent(scores: Scores, found: Contrast) -> Array:
@@ -96,14 +100,14 @@ def _bent(scores: Scores, found: Contrast) -> Array:
     return found.precision - found.precision @ np.linalg.solve(found.precision + np.diag(weight), found.precision)
 
 
-def _causes(names: Sequence[str]) -> list[tuple[Cause, Array]]:
-    """Each cause with a basis of the shifts that it gives, shape (P, k)."""
+def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
+    """Each cause with a basis of the shifts that it gives, shape (P, k), where they can be seen, shape (P,)."""
 
     def alike(*wanted: str) -> Array:
-        return np.array([[1.0 if name in wanted else 0.0] for name in names])
+        return (seen & np.isin(names, wanted)).astype(float)[:, None]
 
     def each(*wanted: str) -> Array:
-        return np.eye(len(names))[:, [i for i, name in enumerate(names) if name in wanted]]
+        return np.eye(len(names))[:, seen & np.isin(names, wanted)]
 
     gains, delays = ([n for n in names if n.endswith(f".{part}")] for part in ("input", "delay"))
     found: list[tuple[Cause, Array]] = [
@@ -115,7 +119,7 @@ def _causes(names: Sequence[str]) -> list[tuple[Cause, Array]]:
         ("limits", alike(*gains)),
         ("limits", alike("x.input", "y.input")),
         *(("limits", each(gain)) for gain in gains),
-        ("other", np.eye(len(names))),
+        ("other", each(*names)),
     ]
     axes = dict.fromkeys(name.split(".")[0] for name in names)
     found += [("other", each(*(name for name in names if name.startswith(f"{axis}.")))) for axis in axes]

@@ -24,6 +24,7 @@ from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.zero_command import commanded_parts
 
 REFIT = 1.5
 """Growth of the time that a fit saw after which the batch estimator looks again."""
@@ -191,12 +192,21 @@ def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
 
 
 def renewed(followed: Followed, flight: Flight) -> Followed:
-    """The estimate where it stands, on the flight so far.
+    """The estimate where it stands, on the flight so far: each axis on what its fit was made of.
 
     Args:
         followed: Before.
         flight: So far.
     """
+    known = _renewed_on(followed, flight)
+    whole = sum(part.duration for part in followed.fit.flights)
+    for axis, (test, time) in followed.fit.braking.items():
+        if axis in known and time < whole:  # at rest it brakes, and the law is of its answers to commands only
+            known[axis] = _renewed_on(followed, commanded_parts(flight, (axis,), test.delay))[axis]
+    return replace(followed, estimates=known)
+
+
+def _renewed_on(followed: Followed, flight: Flight) -> dict[str, Estimate]:
     new: dict[int, Estimate] = {}
     for one in followed.estimates.values():
         if id(one.optimum) not in new:
@@ -205,7 +215,7 @@ def renewed(followed: Followed, flight: Flight) -> Followed:
     if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
         pair = coupled_records(_records(flight, followed.group), list(estimates.values()))
         estimates = dict(zip(estimates, pair, strict=True))
-    return replace(followed, estimates=estimates)
+    return estimates
 
 
 def _seen_by(estimate: Estimate) -> tuple[str, ...]:

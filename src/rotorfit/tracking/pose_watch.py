@@ -15,11 +15,12 @@ from rotorfit.core.tracked import Alarm
 FASTEST = np.array([40.0, 40.0, 40.0, 20.0])
 """Speed between two poses beyond which the pose jumped, and the vehicle did not [m/s, rad/s]."""
 
-REACH = np.array([0.3, 0.3, 0.3, 0.5])
+REACH = np.array([0.3, 0.3, 0.3, 0.1])
 """And so much beyond that, at the least [m, rad]: no sensor is that noisy."""
 
-SUDDEN = np.array([60.0, 60.0, 60.0, 200.0])
-"""Acceleration beyond which a vehicle does not leave its velocity [m/s^2, rad/s^2]."""
+SUDDEN = np.array([60.0, 60.0, 60.0, 60.0])
+"""Acceleration beyond which a vehicle does not leave its velocity [m/s^2, rad/s^2]: about the vertical it has only the
+drag of its rotors to turn by."""
 
 NOISY = 12.0
 """So many times the usual step between what was expected and seen is no noise."""

@@ -27,9 +27,20 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
+from rotorfit.estimation.zero_command import commanded_parts
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import Contrast, Scores, at_once, calm, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.changes import (
+    SURE,
+    Contrast,
+    Scores,
+    at_once,
+    calm,
+    looked_for,
+    looked_together,
+    scores_of,
+    since_when,
+)
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, until_known
 from rotorfit.tracking.following import (
     LONGEST,
@@ -54,6 +65,12 @@ from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
 EVERY = 1.0
 """Time between looks [s]."""
 
+PLAIN = 0.99
+"""Share in the evidence of a cause, with the axes it changes, that needs no second look."""
+
+RESTLESS = 0.97
+"""Share of the time under commands from which on rest explains nothing."""
+
 QUIET = 5.0
 """Time without a new command after which an axis holds [s]: by then it has answered the last."""
 
@@ -74,6 +91,8 @@ class Group:
         followed: What is known of them; None before the first fit.
         excited: Excited time since then [s].
         looked: Up to when it was counted [s].
+        answers: Where only their answers to commands count, because at rest they obey another law: how late they come
+            [s]; None where all of the flight does.
     """
 
     axes: tuple[str, ...]
@@ -81,6 +100,15 @@ class Group:
     followed: Followed | None = None
     excited: float = 0.0
     looked: float = 0.0
+    answers: float | None = None
+
+    def part(self, flight: Flight, since: float, now: float) -> Flight | None:
+        """What counts of a flight between two times; None where nothing does."""
+        part = _part(flight, since, now)
+        if part is None or self.answers is None:
+            return part
+        part = commanded_parts(part, self.axes, self.answers)
+        return part if part.segments else None
 
 
 @dataclass(frozen=True)
@@ -313,7 +341,7 @@ class Following:
         self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if standing:
             self._seen = None
-        alarm = None if standing else self._change(now)
+        alarm = None if standing else self._change(flight, now)
         state = self._tracked(flight, now, (alarm,) if alarm else ())
         if self._earlier and state.model is not before and (unlike := self._another_vehicle(state, self._earlier)):
             return replace(state, alarms=(*state.alarms, unlike))
@@ -363,8 +391,8 @@ class Following:
         since = max(self._since[axis] for axis in axes)
         group = self._groups.get(axes, Group(axes, since))
         if group.since != since:
-            group = Group(axes, since)
-        part = _part(flight, max(since, now - LONGEST), now)
+            group = Group(axes, since, answers=group.answers)
+        part = group.part(flight, max(since, now - LONGEST), now)
         if part is None or part.duration < LEAST_TIME:
             return group
         excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
@@ -376,22 +404,27 @@ class Following:
             return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part, excited))
 
-    def _change(self, now: float) -> Alarm | None:
+    def _change(self, flight: Flight, now: float) -> Alarm | None:
         """The alarm of this look, and the regime that begins with it."""
         followed = [group.followed for group in self._groups.values() if group.followed]
         scored = {scores.names: scores for one in followed for scores in _scores(one)}
-        looked = {names: looked_for(scores) for names, scores in scored.items()}
-        seen, self._seen = self._seen, None
+        looked, count = looked_together(list(scored.values()))
+        (seen, self._seen), early = (self._seen, None), False
+        threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
         if seen is None:
-            threshold = self._false_alarms * EVERY / 3600.0 / max(sum(looks(scores) for scores in scored.values()), 1)
             found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
-            self._seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
-            return None  # a second more tells what it is
+            seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
+            self._seen, early = seen, True  # a second more tells what it is, where that is not plain
+            if seen is None or seen.contrast.p_value > SURE:
+                return None
         if seen.names not in scored:
             return None
         best, since = since_when(scored[seen.names], seen.contrast)
         if not calm(scored[seen.names], best.since, seen.contrast.p_value):
             return None  # the air, not the vehicle
+        if self._at_rest(flight, now, seen.names, threshold):
+            self._seen = None
+            return None  # another law at rest, which is the vehicle's own
         others = [
             (scores, there)
             for names, scores in scored.items()
@@ -399,6 +432,9 @@ class Following:
             if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
         ]
         named = diagnosis([(scored[seen.names], best), *others])
+        if early and named.plain < PLAIN:
+            return None
+        self._seen = None
         p_value = seen.contrast.p_value
         axes = tuple(axis for axis in AXES if axis in named.axes)
         alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
@@ -429,6 +465,29 @@ class Following:
         found = [one for one in every if one.p_value < threshold]
         self._unlike |= {one.name.partition(".")[0] for one in found}
         return another_vehicle(found, earlier, state.time) if found else None
+
+    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], threshold: float) -> bool:
+        """Whether what was seen comes of x and y at rest, where many vehicles brake or hold their place.
+
+        Fitted to their answers to commands, they show no change; from then on only these count.
+        """
+        for axes, group in self._groups.items():
+            if group.followed is None or group.answers is not None or set(axes) & {"z", "yaw"}:
+                continue
+            if not any(name.split(".")[0] in axes for name in names):
+                continue
+            late = [float(one.optimum.point.delay[one.place]) for one in group.followed.estimates.values()]
+            apart = replace(group, answers=min(late))
+            part = apart.part(flight, max(group.since, now - LONGEST), now)
+            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - group.since):
+                continue
+            followed = refitted(part, axes, self._structure, group.followed.seen)
+            if followed.estimates and not any(
+                one.p_value < threshold for scores in _scores(followed) for one in looked_for(scores)
+            ):
+                self._groups[axes] = replace(apart, followed=followed)
+                return True
+        return False
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
