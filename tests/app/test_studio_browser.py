@@ -327,7 +327,7 @@ def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext
 
     assert answer is not None
     assert answer.status == 401
-    expect(page.locator("body")).to_contain_text("open the address that the studio printed")
+    expect(page.locator("body")).to_contain_text("open the address that `rotorfit studio` printed")
 
 
 def test_a_vehicle_is_followed_on_the_page_and_becomes_a_log(context: BrowserContext, address: str) -> None:

@@ -32,7 +32,12 @@ def states_of(tracker: Tracker) -> list[Tracked]:
 def test_looks_beside_tell_what_looks_here_tell() -> None:
     here, beside = states_of(Tracker(CARD, LAW)), states_of(Tracker(CARD, LAW, live=True, paced=True))
 
-    assert [state.to_mapping() for state in beside] == [state.to_mapping() for state in here]
+    assert [state.time for state in beside] == [state.time for state in here]
+    for one, other in zip(beside, here, strict=True):
+        for axis, known in one.axes.items():
+            assert known.state == other.axes[axis].state
+            for name, value in known.values.items():  # a process that compiles rounds otherwise than one that loads
+                assert value == pytest.approx(other.axes[axis].values[name], rel=1e-4)
 
 
 def test_a_machine_that_is_behind_leaves_looks_out_and_goes_on_where_the_flight_is() -> None:
