@@ -117,6 +117,18 @@ def test_a_kill_at_any_moment_leaves_the_old_file_or_the_new_one(tmp_path: Path)
             assert int(path.read_text()[:7]) >= acknowledged[-1]
 
 
+def test_after_a_kill_between_two_renames_the_kept_file_is_a_file_of_its_own(tmp_path: Path) -> None:
+    path, kept = tmp_path / "file", tmp_path / "file~"
+    path.write_text("first")
+    kept.hardlink_to(path)  # what such a kill leaves
+    write_whole(path, "second")
+    write_whole(path, "third")
+
+    assert path.read_text() == "third"
+    assert kept.read_text() == "second"
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "file~"]
+
+
 def test_a_model_of_fewer_axes_says_what_it_replaces(tmp_path: Path) -> None:
     path, whole, other = tmp_path / "model.json", tmp_path / "whole.json", tmp_path / "z.json"
     save(model_of(), whole)

@@ -58,7 +58,10 @@ def _beside(place: Path, data: bytes) -> Path:
 
 def _copied(place: Path, earlier: Path) -> None:
     """A second name for a file, in place of what has that name; a copy where the disk knows no second names."""
+    if earlier.exists() and earlier.samefile(place):  # a kill came between two renames; one onto itself does nothing
+        return
     second = place.with_name(f".{place.name[:100]}.{os.getpid()}.old")
+    second.unlink(missing_ok=True)  # else the copy would go into a file that has another name, too
     with _gone_on_failure(second):
         try:
             os.link(place, second)
