@@ -36,8 +36,9 @@ def test_looks_beside_tell_what_looks_here_tell() -> None:
     for one, other in zip(beside, here, strict=True):
         for axis, known in one.axes.items():
             assert known.state == other.axes[axis].state
-            for name, value in known.values.items():  # a process that compiles rounds otherwise than one that loads
-                assert value == pytest.approx(other.axes[axis].values[name], rel=1e-4)
+            told = {name: value for name, value in known.values.items() if value is not None}
+            there = {name: value for name, value in other.axes[axis].values.items() if value is not None}
+            assert told == pytest.approx(there, rel=1e-4)  # what compiles rounds otherwise than what loads
 
 
 def test_a_machine_that_is_behind_leaves_looks_out_and_goes_on_where_the_flight_is() -> None:
