@@ -154,7 +154,6 @@ class Tracker:
             raise TypeError(f"a Card is wanted, not {type(card).__name__}: rotorfit.load_card loads one")
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
-        following = Following(structure, false_alarms_per_hour)
         self._growing = GrowingFlight(card, origin)
         earlier = Earlier(after) if isinstance(after, Model) else after
         if earlier:
@@ -442,7 +441,7 @@ class Following:
             self._since[axis] = self._changed[axis] = best.since
         self._bounds.append((best.since, alarm))
         self._groups = {
-            axes: Group(axes, best.since) if set(axes) & set(named.axes) else group
+            axes: Group(axes, best.since, answers=group.answers) if set(axes) & set(named.axes) else group
             for axes, group in self._groups.items()
         }
         return alarm
