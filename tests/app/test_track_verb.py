@@ -182,14 +182,15 @@ def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], 
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-um", "rotorfit", *words], stdout=pipe, stderr=pipe, text=True) as process:
         assert process.stdout is not None
-        process.stdout.readline()  # something is known
+        while " x    known" not in process.stdout.readline():  # in which second goes by rounding
+            assert process.poll() is None
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
 
     assert process.returncode == 1
     assert "ended by Ctrl-C at" in err
     assert err.strip().endswith("Aborted!")
-    assert " unit" in out  # which quantities have one by then goes by rounding
+    assert " unit" in out
     assert f"Model written to {model}." in out
     assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0
     assert page.exists()
