@@ -8,12 +8,12 @@ from leaving out each tenth of the flight in turn. Only the sign and the axis of
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, world_from_heading
 from rotorfit.core.results import Motion
+from rotorfit.dynamics.compiled import kernel
 from rotorfit.dynamics.kinematics import motion_from_flight
 
 DELAYS = np.arange(0.0, 0.41, 0.1)
@@ -135,26 +135,27 @@ def _thinned(motion: Motion, duration: float) -> Motion:
 def _smoothed(flight: Flight, time: Array, columns: list[int]) -> list[tuple[float, Array]]:
     """Lag [s] and smoothed commands at some times, shape (N, K), for each time constant and delay."""
     grid = np.arange(flight.command_time[0], flight.command_time[-1] + GRID, GRID)
-    held = flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
+    held = np.ascontiguousarray(
+        flight.command[np.searchsorted(flight.command_time, grid + 1e-9, side="right") - 1][:, columns]
+    )
+    smooth = np.empty_like(held)
     found = []
     for constant in CONSTANTS:
-        smooth = _first_order(held, GRID / constant)
+        _first_order(held, float(np.exp(-GRID / constant)), smooth)
         for delay in DELAYS.tolist():
             parts = [np.interp(time - delay, grid, series) for series in smooth.T]
             found.append((delay + constant, np.column_stack(parts)))
     return found
 
 
-@numba.njit(cache=True)
-def _first_order(held: Array, step: float) -> Array:
-    """First-order low-pass of held values, shape (N, K), from rest."""
-    keep, out = np.exp(-step), np.empty(held.shape)
+@kernel()
+def _first_order(held: Array, keep: float, out: Array) -> None:
+    """Fills the first-order low-pass of held values, both of shape (N, K), from rest."""
     for k in range(held.shape[1]):
         state = 0.0
         for i in range(held.shape[0]):
             state = keep * state + (1 - keep) * held[i, k]
             out[i, k] = state
-    return out
 
 
 def _along(motion: Motion, frame: str, k: int) -> Array:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-import numba
 import numpy as np
 
 from rotorfit.core.display import counted
@@ -11,6 +10,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, UNIT_SCALE, Array, Mask
 from rotorfit.core.results import Motion
 from rotorfit.diagnosis.recording import Recording
+from rotorfit.dynamics.compiled import kernel
 
 LEAP_SIGMAS = 10.0
 """Robust standard deviations of the steps beside the neighbouring motion beyond which a step may be a leap."""
@@ -69,14 +69,25 @@ def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array,
     return time[1:][leap], beyond[leap]
 
 
-@numba.njit(cache=True)
 def _running_median(values: Array, width: int) -> Array:
     """Medians of an odd number of neighbours, column by column: shape (N - width + 1, K) of (N, K)."""
     out = np.empty((values.shape[0] - width + 1, values.shape[1]))
+    _fill_medians(np.ascontiguousarray(values), np.empty(width), out)
+    return out
+
+
+@kernel()
+def _fill_medians(values: Array, sorted_: Array, out: Array) -> None:
+    """Fills the medians; `sorted_` (width,) is work space. By insertion: a call of a sort takes a second to compile."""
     for k in range(values.shape[1]):
         for i in range(out.shape[0]):
-            out[i, k] = np.sort(values[i : i + width, k])[width // 2]
-    return out
+            for n in range(sorted_.size):
+                new, at = values[i + n, k], n
+                while at > 0 and sorted_[at - 1] > new:
+                    sorted_[at] = sorted_[at - 1]
+                    at -= 1
+                sorted_[at] = new
+            out[i, k] = sorted_[sorted_.size // 2]
 
 
 def position_unit(motion: Motion) -> tuple[str, float] | None:

@@ -121,7 +121,7 @@ def step_tables(steps: Array, damping: float, overlap: float) -> Any:
     return F, Q
 
 
-@inner()
+@kernel()
 def fill_step_tables(steps: Array, damping: float, overlap: float, F: Array, Q: Array) -> None:
     """Fills those tables, (U, 3, 3) each."""
     for i in range(steps.size):
@@ -222,14 +222,14 @@ def predict_covariance(
     """
     if s != 0.0:
         _turn_covariance(P, m, c, s)
+    for b in range(3):  # one call for all: numba compiles once more for a number that is written out
+        _step_block(P, m, b, F, g, b % 2, (b + 1) // 2, k)
     for a in range(2):
-        _step_block(P, m, a, F, g, a, a, k)
         power = qx if a == 0 else qy
         for i in range(3):
             for j in range(i, 3):
                 P[m, a, i, j] += power * Q[g, a, k, i, j]
                 P[m, a, j, i] = P[m, a, i, j]
-    _step_block(P, m, 2, F, g, 0, 1, k)
     if s != 0.0:
         _turn_covariance(P, m, c, s)
 

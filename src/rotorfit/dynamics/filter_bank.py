@@ -29,10 +29,10 @@ import numpy as np
 from rotorfit.core.frames import Array, Mask
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import (
+    axis_start,
     discretize,
     fill_step_tables,
     predict_covariance,
-    start_covariance,
     update_covariance,
     update_rate,
 )
@@ -123,41 +123,42 @@ def bank_levels(levels: Array, adapt: bool) -> Array:
     return out
 
 
-@kernel()
-def start_bank(levels: Array, prior: Array) -> Any:
-    """A bank before the first stamp.
+def start_bank(levels: Array, prior: Array) -> Bank:
+    """A bank before the first stamp. Made by Python, as all arrays here: in a kernel each takes its time to compile.
 
     Args:
         levels: From `bank_levels`, shape (A, G, 2, 4).
         prior: Variances of two trims and two start velocities, shape (4,).
     """
-    G = levels.shape[1]
-    M = levels.shape[0] * G
-    covariance, spread = np.zeros((M, 3, 3, 3)), np.zeros((M, 4, 4))
-    squares, freedom, judged, probed = np.empty((M, 2)), np.empty((M, 2)), np.empty((PENDING, 2), np.bool_), np.empty(1)
-    for m in range(M):
-        start_covariance(covariance[m], levels[m // G, m % G])
-        for j in range(4):
-            spread[m, j, j] = prior[j]
-        for a in range(2):
-            squares[m, a] = freedom[m, a] = SCALE_FREEDOM
-    for i in range(PENDING):
-        judged[i, 0] = judged[i, 1] = True
-    probed[0] = -np.inf
+    A, G = levels.shape[:2]
+    M = A * G
+    covariance = np.zeros((M, 3, 3, 3))
+    for m, a in np.ndindex(M, 2):
+        axis_start(covariance[m, a], levels[m // G, m % G, a])
     return Bank(
-        covariance, np.zeros((M, 5, 6)), np.zeros((M, 4)), spread, squares, freedom, np.zeros((M, 2)), np.zeros((M, 2)),
-        np.zeros(2), np.zeros((PENDING, M, 6)), np.zeros((PENDING, M, 4)), np.zeros(PENDING), judged, probed,
-    )  # fmt: skip
+        covariance=covariance,
+        state=np.zeros((M, 5, 6)),
+        known=np.zeros((M, 4)),
+        spread=np.tile(np.diag(prior), (M, 1, 1)),
+        squares=np.full((M, 2), SCALE_FREEDOM),
+        freedom=np.full((M, 2), SCALE_FREEDOM),
+        likelihood=np.zeros((M, 2)),
+        error=np.zeros((M, 2)),
+        errors=np.zeros(2),
+        waiting=np.zeros((PENDING, M, 6)),
+        believed=np.zeros((PENDING, M, 4)),
+        due=np.zeros(PENDING),
+        judged=np.ones((PENDING, 2), np.bool_),
+        probed=np.full(1, -np.inf),
+    )
 
 
-@inner()
-def bank_tables(steps: Array, levels: Array) -> Any:
+def bank_tables(steps: Array, levels: Array) -> tuple[Array, Array]:
     """Transitions and unit covariances of every class, axis and distinct step: twice (A, 2, U, 3, 3)."""
     A = levels.shape[0]
-    F, Q = np.zeros((A, 2, steps.size, 3, 3)), np.zeros((A, 2, steps.size, 3, 3))
-    for g in range(A):
-        for a in range(2):
-            fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F[g, a], Q[g, a])
+    F, Q = np.zeros((2, A, 2, steps.size, 3, 3))
+    for g, a in np.ndindex(A, 2):
+        fill_step_tables(steps, levels[g, 0, a, 2], levels[g, 0, a, 3], F[g, a], Q[g, a])
     return F, Q
 
 
@@ -226,7 +227,7 @@ def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
 
 
 @inner(fastmath={"contract"})
-def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> None:
+def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array, gain: Array, e: Array, along: Array) -> None:
     """Takes a measurement of one axis into all members.
 
     Args:
@@ -236,12 +237,14 @@ def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array) -> Non
         rate: Whether a velocity was measured, else a position.
         measured: Along the axis: data less the driven response, then the response to two unit trims and two unit start
             velocities, shape (5,).
+        gain: Work space, shape (6,).
+        e: Work space, shape (5,).
+        along: Work space, shape (4,).
     """
     G = levels.shape[1]
     at = 3 * axis + (1 if rate else 0)
     covariance, state, known, spread = bank.covariance, bank.state, bank.known, bank.spread
     freedom, squares, likelihood = bank.freedom, bank.squares, bank.likelihood
-    gain, e, along = np.empty(6), np.empty(5), np.empty(4)
     for m in range(known.shape[0]):
         noise = levels[m // G, m % G, axis, 1]
         if rate:
@@ -306,11 +309,17 @@ def disturbance(state: Array, known: Array, m: int, i: int) -> float:
     return z  # type: ignore[no-any-return]
 
 
-@kernel()
-def weights(bank: Any) -> Array:
+def weights(bank: Bank) -> Array:
     """Weights of the members, of each axis, shape (M, 2)."""
+    out: Array = np.empty((len(bank.known), 2))
+    fill_weights(bank, out)
+    return out
+
+
+@kernel()
+def fill_weights(bank: Any, out: Array) -> None:
+    """Fills them, (M, 2)."""
     M = bank.known.shape[0]
-    out = np.empty((M, 2))
     for a in range(2):
         least = bank.error[0, a]
         for m in range(M):
@@ -330,7 +339,6 @@ def weights(bank: Any) -> Array:
             total += out[m, a]
         for m in range(M):
             out[m, a] /= total
-    return out
 
 
 STRAIGHT = 1e-6
@@ -392,7 +400,7 @@ def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartSt
     """The states at S starts.
 
     Args:
-        rows: Of `state_of_bank`, shape (S, `row_size(A)`).
+        rows: Of `sum_bank`, shape (S, `row_size(A)`).
         levels: Of the members, shape (A, G, 2, 4).
         damping: b, shape (2,) [1/s].
     """
@@ -404,14 +412,42 @@ def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartSt
     return StartState(share, mean, covariance, power, noise, levels[:, 0, :, 2:], damping)
 
 
-@kernel()
 def row_size(A: int) -> int:
     """Numbers of a row: share, mean, covariance and power of A classes, and the noise."""
     return 2 * A * (1 + 6 + 36 + 1) + 2
 
 
+class Sum(NamedTuple):
+    """What the M members of a bank know together, and work space. Filled in place.
+
+    Attributes:
+        known: Trims and start velocities as each axis has them, shape (2, 4).
+        add: What they add to the world position and velocity, shape (4,).
+        parts: The disturbance, in shares of the classes that add up, shape (A, 1, 6).
+        weight: Of the members, of each axis, shape (M, 2).
+        effect: Work space: of a unit trim or start velocity on the six numbers of a state, shape (4, 6).
+        half: Work space, shape (4, 6).
+        means: Work space: mean states of the members, shape (M, 6).
+    """
+
+    known: Array
+    add: Array
+    parts: Array
+    weight: Array
+    effect: Array
+    half: Array
+    means: Array
+
+
+def empty_sum(levels: Array) -> Sum:
+    """Where `sum_bank` puts its result, for members with levels (A, G, 2, 4)."""
+    A, G = levels.shape[:2]
+    work = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((A * G, 6))
+    return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6)), np.zeros((A * G, 2)), *work)
+
+
 @inner()
-def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, row: Array) -> Any:
+def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, rows: Array, row: int) -> None:
     """What the members of a bank know together, each axis of the heading frame by its own weights.
 
     Args:
@@ -420,22 +456,23 @@ def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, r
         driven: State of the motion, of two unit trims and of two unit start velocities; see `general_step.P`.
         c: Cosine of the heading.
         s: Its sine.
-        row: Filled for `start_state_from_rows`, shape (`row_size(A)`,).
-
-    Returns:
-        Trims and start velocities as each axis has them (2, 4); what they add to the world position and velocity (4,);
-        and the disturbance, in shares of the classes that add up (A, 1, 6).
+        both: A `Sum`, filled.
+        rows: For `start_state_from_rows`, zeros, shape (S, `row_size(A)`); one of them is filled.
+        row: Which.
     """
     A, G = levels.shape[0], levels.shape[1]
     M = A * G
-    weight = weights(bank)
-    known, add, z = np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6))
-    effect, half, means, off = np.zeros((4, 6)), np.empty((4, 6)), np.zeros((M, 6)), np.empty(6)
-    first = (0, 2 * A, 14 * A, 86 * A, 88 * A)  # of share, mean, covariance, power and noise in the row
-    for i in range(row.size):
-        row[i] = 0.0
+    known, add, z, weight, effect, half, means = both
+    state, believed, spread, covariance = bank.state, bank.known, bank.spread, bank.covariance
+    squares, freedom = bank.squares, bank.freedom
+    fill_weights(bank, weight)
+    # the row holds share, mean, covariance, power and noise, from these places on
+    second, third, fourth, fifth = 2 * A, 14 * A, 86 * A, 88 * A
+    for i in range(4):
+        add[i] = 0.0
     for a in range(2):
-        for j in range(4):  # of a unit trim or start velocity on position, velocity and trim
+        for j in range(4):
+            known[a, j] = 0.0
             for i in range(2):
                 at = (P if i == 0 else V) + 1 + j
                 x, y = driven[at], driven[at + COLUMNS]
@@ -443,50 +480,51 @@ def state_of_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, r
             effect[j, 2] = 1.0 if j == a else 0.0
         for m in range(M):
             w, g = weight[m, a], m // G
-            row[first[0] + 2 * g + a] += w
+            rows[row, 2 * g + a] += w
             for j in range(4):
-                known[a, j] += w * bank.known[m, j]
+                known[a, j] += w * believed[m, j]
             for i in range(6):
                 if i < 3:
                     means[m, i] = 0.0
                     for j in range(4):
-                        means[m, i] += bank.known[m, j] * effect[j, i]
+                        means[m, i] += believed[m, j] * effect[j, i]
                 else:
-                    means[m, i] = disturbance(bank.state, bank.known, m, 3 * a + i - 3)
-                row[first[1] + 12 * g + 6 * a + i] += w * means[m, i]
+                    means[m, i] = disturbance(state, believed, m, 3 * a + i - 3)
+                rows[row, second + 12 * g + 6 * a + i] += w * means[m, i]
         for i in range(2):
             along = 0.0
             for g in range(A):
-                along += row[first[1] + 12 * g + 6 * a + i]
+                along += rows[row, second + 12 * g + 6 * a + i]
             add[2 * i] += along * (c if a == 0 else -s)
             add[2 * i + 1] += along * (s if a == 0 else c)
         for g in range(A):
-            share = max(row[first[0] + 2 * g + a], 1e-300)
+            share = max(rows[row, 2 * g + a], 1e-300)
             for i in range(6):
+                at = second + 12 * g + 6 * a + i
                 if i >= 3:
-                    z[g, 0, 3 * a + i - 3] = row[first[1] + 12 * g + 6 * a + i]
-                row[first[1] + 12 * g + 6 * a + i] /= share
+                    z[g, 0, 3 * a + i - 3] = rows[row, at]
+                rows[row, at] /= share
         for m in range(M):
-            w, g, scale = weight[m, a], m // G, bank.squares[m, a] / bank.freedom[m, a]
-            part = w / max(row[first[0] + 2 * g + a], 1e-300)
+            w, g, scale = weight[m, a], m // G, squares[m, a] / freedom[m, a]
+            part = w / max(rows[row, 2 * g + a], 1e-300)
             for j in range(4):
                 for i in range(3):  # ... and on the disturbance
-                    effect[j, 3 + i] = -bank.state[m, 1 + j, 3 * a + i]
+                    effect[j, 3 + i] = -state[m, 1 + j, 3 * a + i]
+            mean = second + 12 * g + 6 * a
             for i in range(6):
-                off[i] = means[m, i] - row[first[1] + 12 * g + 6 * a + i]
                 for j in range(4):
                     half[j, i] = 0.0
                     for n in range(4):
-                        half[j, i] += bank.spread[m, j, n] * effect[n, i]
-            at = first[2] + 72 * g + 36 * a
+                        half[j, i] += spread[m, j, n] * effect[n, i]
+            at = third + 72 * g + 36 * a
             for i in range(6):
+                off = means[m, i] - rows[row, mean + i]
                 for j in range(6):
-                    spread = 0.0
+                    total = 0.0
                     for n in range(4):
-                        spread += effect[n, i] * half[n, j]
+                        total += effect[n, i] * half[n, j]
                     if i >= 3 and j >= 3:
-                        spread += bank.covariance[m, a, i - 3, j - 3]
-                    row[at + 6 * i + j] += part * (scale * spread + off[i] * off[j])
-            row[first[3] + 2 * g + a] += part * scale * levels[g, m % G, a, 0]
-            row[first[4] + a] += w * scale * levels[g, m % G, a, 1]
-    return known, add, z
+                        total += covariance[m, a, i - 3, j - 3]
+                    rows[row, at + 6 * i + j] += part * (scale * total + off * (means[m, j] - rows[row, mean + j]))
+            rows[row, fourth + 2 * g + a] += part * scale * levels[g, m % G, a, 0]
+            rows[row, fifth + a] += w * scale * levels[g, m % G, a, 1]

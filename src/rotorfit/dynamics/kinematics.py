@@ -93,9 +93,13 @@ def local_polynomial(
     before = np.searchsorted(time, at + NANOSECOND, side="right") - 1
     reach = [at - half_width - NANOSECOND, at + half_width + NANOSECOND]
     low, high = np.searchsorted(time, reach[0]), np.searchsorted(time, reach[1], side="right")
-    first, last, width, centred = _windows(time, at, half_width, least, start, stop, before, low, high)
+    first, last = np.zeros((2, at.size), np.int64)
+    width, centred = np.full(at.size, np.nan), np.zeros(at.size, np.bool_)
+    _windows(time, at, half_width, least, start, stop, before, low, high, first, last, width, centred)
     columns = np.array(value.T, dtype=np.float64, order="C")
-    result = _project(time, columns, at, first, last, width, degree)
+    result = np.empty((3, at.size, len(columns)))
+    longest = int((last - first).max(initial=1))
+    _project(time, columns, at, first, last, width, degree, np.empty((3, longest)), np.empty((2, 3)), result)
     return Derivatives(result[0], result[1], result[2], half_width=width, count=last - first, centred=centred)
 
 
@@ -118,17 +122,18 @@ def _windows(
     before: Indices,
     low: Indices,
     high: Indices,
-) -> tuple[Indices, Indices, Array, Mask]:
-    """First sample, one past the last, half-width used, and `centred` of each window, each of shape (M,).
+    first: Indices,
+    last: Indices,
+    width: Array,
+    centred: Mask,
+) -> None:
+    """Fills first sample, one past the last, half-width used, and `centred` of each window, each of shape (M,).
 
     `before` is the last sample up to each stamp, `low` the first and `high` one past the last within the half-width.
+    What is filled comes empty: zeros, and NaN for the width.
     """
-    m = at.size
-    first, last = np.zeros(m, np.int64), np.zeros(m, np.int64)
-    width, centred = np.empty(m), np.zeros(m, np.bool_)
-    for i in range(m):
+    for i in range(at.size):
         t = at[i]
-        width[i] = np.nan
         if before[i] < 0:
             continue
         lower, upper = start[before[i]], stop[before[i]]
@@ -146,22 +151,28 @@ def _windows(
                 hi += 1
         first[i], last[i], width[i] = lo, hi, w
         centred[i] = time[lower] <= t - w + NANOSECOND and time[upper - 1] >= t + w - NANOSECOND
-    return first, last, width, centred
 
 
 @kernel(fastmath={"reassoc", "contract", "nsz"})
-def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indices, width: Array, degree: int) -> Array:
-    """Value and two derivatives at each stamp by projection on orthogonal polynomials, shape (3, M, K).
+def _project(
+    time: Array,
+    columns: Array,
+    at: Array,
+    first: Indices,
+    last: Indices,
+    width: Array,
+    degree: int,
+    work: Array,
+    at_zero: Array,
+    result: Array,
+) -> None:
+    """Fills value and two derivatives at each stamp by projection on orthogonal polynomials, shape (3, M, K).
 
     The recurrence p[k+1] = (s - a) p[k] - b p[k-1] runs on the samples and, with its derivatives, at the stamp (s = 0).
+    In the work space, as long as the longest window, lie s, p[k] and p[k-1]; in `at_zero` (2, 3) the latter two at 0.
     """
-    m, k_columns = at.size, columns.shape[0]
-    result, longest = np.empty((3, m, k_columns)), 1
-    for i in range(m):
-        longest = max(longest, last[i] - first[i])
-    s, p, p_old = np.empty(longest), np.empty(longest), np.empty(longest)
-    at_zero, at_zero_old = np.empty(3), np.empty(3)
-    for i in range(m):
+    k_columns = columns.shape[0]
+    for i in range(at.size):
         lo, n = first[i], last[i] - first[i]
         if n == 0:
             for k_column in range(k_columns):
@@ -170,11 +181,12 @@ def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indic
             continue
         scale = 1.0 / width[i]
         for j in range(n):
-            s[j] = (time[lo + j] - at[i]) * scale
-            p[j] = 1.0
-            p_old[j] = 0.0
+            work[0, j] = (time[lo + j] - at[i]) * scale
+            work[1, j] = 1.0
+            work[2, j] = 0.0
         for d in range(3):
-            at_zero[d], at_zero_old[d] = (1.0 if d == 0 else 0.0), 0.0
+            at_zero[0, d] = 1.0 if d == 0 else 0.0
+            at_zero[1, d] = 0.0
         norm_old = 1.0
         # Taking one sample off keeps a flight far from the origin as accurate as one at it.
         middle = lo + n // 2
@@ -184,28 +196,28 @@ def _project(time: Array, columns: Array, at: Array, first: Indices, last: Indic
         for k in range(degree + 1):
             norm, moment = 0.0, 0.0
             for j in range(n):
-                square = p[j] * p[j]
+                square = work[1, j] * work[1, j]
                 norm += square
-                moment += s[j] * square
+                moment += work[0, j] * square
             for k_column in range(k_columns):
                 y0, total = columns[k_column, middle], 0.0
                 for j in range(n):
-                    total += p[j] * (columns[k_column, lo + j] - y0)
+                    total += work[1, j] * (columns[k_column, lo + j] - y0)
                 for d in range(3):
-                    result[d, i, k_column] += total / norm * at_zero[d]
+                    result[d, i, k_column] += total / norm * at_zero[0, d]
             a, b = moment / norm, norm / norm_old if k else 0.0
             for j in range(n):
-                p_next = (s[j] - a) * p[j] - b * p_old[j]
-                p_old[j] = p[j]
-                p[j] = p_next
+                p_next = (work[0, j] - a) * work[1, j] - b * work[2, j]
+                work[2, j] = work[1, j]
+                work[1, j] = p_next
             for d in range(2, -1, -1):
-                following = -a * at_zero[d] - b * at_zero_old[d] + (d * at_zero[d - 1] if d else 0.0)
-                at_zero_old[d], at_zero[d] = at_zero[d], following
+                following = -a * at_zero[0, d] - b * at_zero[1, d] + (d * at_zero[0, d - 1] if d else 0.0)
+                at_zero[1, d] = at_zero[0, d]
+                at_zero[0, d] = following
             norm_old = norm
         for k_column in range(k_columns):
             result[1, i, k_column] *= scale
             result[2, i, k_column] *= scale * scale
-    return result
 
 
 DEGREE = 5

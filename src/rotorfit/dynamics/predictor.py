@@ -7,18 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DELAY, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.filter_bank import (
     bank_tables,
+    empty_sum,
     fade,
     judge,
     move,
     probe,
     row_size,
     start_bank,
-    state_of_bank,
+    sum_bank,
     take,
 )
 from rotorfit.dynamics.general_response import advance, demands, longest_step, settle
@@ -51,25 +52,24 @@ def _run_free(
     yaw: float,
     future_yaw: Array,
     law: Array,
-    k: Any,
-    u: Array,
-    z: Array,
+    free: Any,
     parts: Array,
     F: Array,
     step: Any,
     out: Array,
+    row: int,
 ) -> None:
-    """Predicts the poses after `before` up to `last` from the driven state z and the disturbance.
+    """Predicts the poses after `before` up to `last` from the driven state and the disturbance, into out[row].
 
     Its parts (A, 1, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
     """
+    z, k, u, what, whose, S = free
     t, psi = pose_time[before], yaw
-    what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
-    S, series, longest = np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+    series, longest = lag_series(law), longest_step(law)
     z[T], z[T + COLUMNS] = law[0, TRIM], law[1, TRIM]
     demands(law, what, whose, u, z)
     for m in range(before + 1, last):
-        t_next, psi_next = pose_time[m], future_yaw[m - before - 1]
+        t_next, psi_next = pose_time[m], future_yaw[row, m - before - 1]
         advance(
             t, t_next, psi, psi_next, k, command_time.size, command_time, command, law, series, longest, what, whose,
             z, u, S,
@@ -77,25 +77,25 @@ def _run_free(
         half = 0.5 * (psi_next - psi)
         c, s = np.cos(half), np.sin(half)
         for g in range(parts.shape[0]):
-            fade(parts, g, 0, F, g, step[m], c, s)
-        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out, m - before - 1)
+            for j in range(parts.shape[1]):
+                fade(parts, g, j, F, g, step[m], c, s)
+        _add(parts, z, np.cos(psi_next), np.sin(psi_next), out, row, m - before - 1)
         t, psi = t_next, psi_next
 
 
 @inner()
-def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int) -> None:
-    """Fills world position and velocity, out[row]: of the driven state and the parts of the disturbance together."""
+def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int, place: int) -> None:
+    """Fills world position and velocity, out[row, place]: of the driven state and of the disturbance together."""
     for j in range(2):
         forward = left = 0.0
         for g in range(parts.shape[0]):
             forward += parts[g, 0, j]
             left += parts[g, 0, 3 + j]
         at = P if j == 0 else V
-        out[row, 2 * j] = z[at] + c * forward - s * left
-        out[row, 2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
+        out[row, place, 2 * j] = z[at] + c * forward - s * left
+        out[row, place, 2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
 
 
-@kernel(fastmath={"contract"})
 def predict(
     command_time: Array,
     command: Array,
@@ -145,28 +145,50 @@ def predict(
         and velocity at the last pose before each start, shape (S, 4); and rows for `start_state_from_rows`.
     """
     S, E = future_yaw.shape
-    out, begin, states = np.empty((S, E, 4)), np.empty((S, 4)), np.empty((S, row_size(levels.shape[0])))
-    k, u, what, whose = np.zeros(2, np.int64), np.zeros(2), np.zeros(5, np.int64), np.zeros(5, np.int64)
-    for j in range(5):
-        what[j], whose[j] = _WHAT[j], _WHOSE[j]
-    z, free = np.zeros(STATE), np.zeros(STATE)
-    work, series, longest = np.zeros((2, 3, 12)), lag_series(filter_law), longest_step(filter_law)
-    prior, measured = np.empty(4), np.empty(5)
+    out, begin, states = np.full((S, E, 4), np.nan), np.empty((S, 1, 4)), np.zeros((S, row_size(len(levels))))
+    prior = np.concatenate([trim_variance, np.full(2, START_VELOCITY_VARIANCE)])
+    tracking, free = _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1])
+    work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
+    _predict(
+        command_time, command, pose_time, pose, yaw, step, law, law.copy(), filter_law, origin, levels, first, last,
+        future_yaw, velocity, tracked, alone, *bank_tables(steps, levels), start_bank(levels, prior), empty_sum(levels),
+        tracking, free, work, out, begin, states,
+    )  # fmt: skip
+    return out, begin[:, 0], states
+
+
+def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indices, Indices, Array]:
+    """Driven columns of two axes: their state, the commands in force (which, and their values), what and whose."""
+    return np.zeros(STATE), np.zeros(2, np.int64), np.zeros(2), what.copy(), whose.copy(), np.zeros((2, 3, 12))
+
+
+@kernel(fastmath={"contract"})
+def _predict(
+    command_time: Array, command: Array, pose_time: Array, pose: Array, yaw: Array, step: Any, law: Array,
+    known_law: Array, filter_law: Array, origin: Array, levels: Array, first: Any, last: Any, future_yaw: Array,
+    velocity: Array, tracked: Any, alone: Any, F: Array, D: Array, bank: Any, both: Any, tracking: Any, free: Any,
+    work: Any, out: Array, begin: Array, states: Array,
+) -> None:  # fmt: skip
+    """The loop over the poses; `known_law` and what follows `alone` is work space, or filled."""
+    z, k, u, what, whose, S = tracking
+    gain, e, along, measured = work
+    known, add, parts = both.known, both.add, both.parts
+    run, run_k, run_u = free[0], free[1], free[2]
+    series, longest = lag_series(filter_law), longest_step(filter_law)
     _in_force(pose_time[0], law, command_time, command, k, u)
     for a in range(2):
         own = COLUMNS * a
-        z[V + own], z[T + own + 1 + a], z[V + own + 3 + a] = origin[a], 1.0, 1.0
-        prior[a], prior[2 + a] = trim_variance[a], START_VELOCITY_VARIANCE
+        z[V + own] = origin[a]
+        z[T + own + 1 + a] = 1.0
+        z[V + own + 3 + a] = 1.0
     demands(filter_law, what, whose, u, z)
     settle(filter_law, z, 5, yaw[0])
-    F, D = bank_tables(steps, levels)
-    bank = start_bank(levels, prior)
-    s = 0
+    s = first.size - first.size  # an integer that the compiler does not know: of one it does, all is compiled twice
     for i in range(pose_time.size):
         if i:
             advance(
                 pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
-                filter_law, series, longest, what, whose, z, u, work,
+                filter_law, series, longest, what, whose, z, u, S,
             )  # fmt: skip
             move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
@@ -182,29 +204,27 @@ def predict(
                     x, y = pose[i, 0] - pose[0, 0] - x, pose[i, 1] - pose[0, 1] - y
                 measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
             judge(bank, a, alone[a], measured, pose_time[i])
-            take(bank, levels, a, alone[a], measured)
+            take(bank, levels, a, alone[a], measured, gain, e, along)
         probe(bank, pose_time[i])
-        while s < S and first[s] == i + 1:
-            known, add, parts = state_of_bank(bank, levels, z, c, sn, states[s])
-            known_law = law.copy()
+        while s < first.size and first[s] == i + 1:
+            sum_bank(bank, levels, z, c, sn, both, states, s)
             for a in range(2):
                 own = COLUMNS * a
-                free[P + own] = pose[0, a] + z[P + own] + add[a]
-                free[V + own] = z[V + own] + add[2 + a]
-                free[Q + own] = z[Q + own]
+                run[P + own] = pose[0, a] + z[P + own] + add[a]
+                run[V + own] = z[V + own] + add[2 + a]
+                run[Q + own] = z[Q + own]
                 for j in range(4):
-                    free[Q + own] += known[a, j] * z[Q + own + 1 + j]
+                    run[Q + own] += known[a, j] * z[Q + own + 1 + j]
                 known_law[a, TRIM] = known[a, a]
-            _add(parts, free, c, sn, begin, s)
-            for m in range(max(last[s] - first[s], 0), E):
-                for j in range(4):
-                    out[s, m, j] = np.nan
+                run_k[a] = k[a]
+                run_u[a] = u[a]
+            for j in range(begin.shape[1]):
+                _add(parts, run, c, sn, begin, s, j)
             _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw[s], known_law, k.copy(), u.copy(),
-                free, parts, F, step, out[s],
+                command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, free, parts, F, step,
+                out, s,
             )  # fmt: skip
             s += 1
-    return out, begin, states
 
 
 @kernel()
