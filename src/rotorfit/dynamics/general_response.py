@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, KICKS, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_step import (
@@ -187,20 +187,19 @@ def command_in_force(
         u[j] = command[k[j], j]
 
 
-@kernel()
 def motion_response(
     starts: Array,
-    pose_range: Any,
-    command_range: Any,
+    pose_range: Indices,
+    command_range: Indices,
     pose_time: Array,
-    block: Any,
+    block: Indices,
     command_time: Array,
     command: Array,
     weight: Array,
     yaw: Array,
     law: Array,
-    what: Any,
-    whose: Any,
+    what: Indices,
+    whose: Indices,
     velocity: Array,
 ) -> Array:
     """Block means of the position under the general law, and its sensitivities.
@@ -223,11 +222,24 @@ def motion_response(
     Returns:
         Shape (B, C, K), world components where K is 2.
     """
+    K = len(law)
+    out: Array = np.zeros((weight.size, what.size, K))
+    _motion_response(
+        starts, pose_range, command_range, pose_time, block, command_time, command, weight, yaw, law, what, whose,
+        velocity, lag_series(law), np.zeros(STATE), np.zeros(K), np.zeros((K, 3, 12)), np.zeros(K, np.int64), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel()
+def _motion_response(
+    starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
+    command: Array, weight: Array, yaw: Array, law: Array, what: Any, whose: Any, velocity: Array, series: Array,
+    z: Array, u: Array, S: Array, k: Any, out: Array,
+) -> None:  # fmt: skip
+    """The loop; what follows `series` is work space, zeros."""
     C, K = what.size, law.shape[0]
-    out = np.zeros((weight.size, C, K))
-    z = np.zeros(STATE)
-    u, S, k = np.zeros(K), np.zeros((K, 3, 12)), np.zeros(K, np.int64)
-    series, longest = lag_series(law), longest_step(law)
+    longest = longest_step(law)
     lagged = max(law[0, ORDER], law[K - 1, ORDER]) > 0
     for s in range(starts.size):
         first, last = command_range[s, 0], command_range[s, 1]
@@ -260,7 +272,6 @@ def motion_response(
             for a in range(K):
                 for j in range(C):
                     out[block[i], j, a] += w * z[P + COLUMNS * a + j]
-    return out
 
 
 @inner()

@@ -27,7 +27,7 @@ from rotorfit.core.laws import (
     SHARE,
     SPEED,
 )
-from rotorfit.dynamics.compiled import inner
+from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.response import transition
 
 MEAN, START, NOTHING = -1, -2, -3
@@ -74,19 +74,24 @@ def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> floa
     return other if place == CROSS_INPUT else 0.0
 
 
-@inner()
 def lag_series(law: Array) -> Array:
     """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
 
     The answer's integral and its second integral; each with its derivative by B. All else follows, see `linear_step`.
     """
-    K = law.shape[0]
-    out = np.zeros((K, 2, 2, _TERMS))
-    for a in range(K):
+    out: Array = np.zeros((len(law), 2, 2, _TERMS))
+    if np.any(law[:, ORDER]):
+        _fill_lag_series(law, np.zeros((2, _TERMS)), out)
+    return out
+
+
+@kernel()
+def _fill_lag_series(law: Array, raw: Array, out: Array) -> None:
+    """Fills them; `raw` is work space, zeros."""
+    for a in range(law.shape[0]):
         if law[a, ORDER] == 0:
             continue
         A, B = _lag_rates(law, a)
-        raw = np.zeros((2, _TERMS))
         raw[0, 0], raw[0, 1] = 1.0, -A
         for i in range(2, _TERMS):
             raw[0, i] = -A * raw[0, i - 1] - B * raw[0, i - 2]
@@ -95,7 +100,6 @@ def lag_series(law: Array) -> Array:
             for i in range(_TERMS):
                 for d in range(2):
                     out[a, order, d, i] = raw[d, i] * _INVERSE_FACTORIAL[i + order + 2]
-    return out
 
 
 @inner()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Indices
 from rotorfit.core.laws import DAMPING, DELAY, GAIN, LAG, ORDER, TRIM, ZERO
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.general_response import WARM_UP, longest_step
@@ -17,13 +17,12 @@ from rotorfit.dynamics.general_step import lag_series
 from rotorfit.dynamics.response import transition
 
 
-@kernel()
 def lagged_axis_response(
     starts: Array,
-    pose_range: Any,
-    command_range: Any,
+    pose_range: Indices,
+    command_range: Indices,
     pose_time: Array,
-    block: Any,
+    block: Indices,
     command_time: Array,
     command: Array,
     weight: Array,
@@ -48,10 +47,23 @@ def lagged_axis_response(
         Shape (B, 8, 1): the position, and its derivatives by g, b, tau, T, Z, c and the velocity at the start of the
         block's own segment.
     """
+    out: Array = np.zeros((weight.size, 8, 1))
+    _lagged_axis_response(
+        starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight, law,
+        np.ascontiguousarray(velocity), lag_series(law)[0], out,
+    )  # fmt: skip
+    return out
+
+
+@kernel()
+def _lagged_axis_response(
+    starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
+    command: Array, weight: Array, law: Array, velocity: Array, series: Array, out: Array,
+) -> None:  # fmt: skip
+    """The loop; `out` is zeros."""
     gain, trim, damping, delay = law[0, GAIN], law[0, TRIM], law[0, DAMPING], law[0, DELAY]
     rate, second, lead = 1.0 / law[0, LAG], law[0, ORDER] == 2, law[0, ZERO] / law[0, LAG]
-    series, longest = lag_series(law)[0], longest_step(law)
-    out = np.zeros((weight.size, 8, 1))
+    longest = longest_step(law)
     for s in range(starts.size):
         t, begin = starts[s] - WARM_UP, starts[s]
         k, last = command_range[s, 0], command_range[s, 1]
@@ -170,7 +182,6 @@ def lagged_axis_response(
             out[b, 6, 0] += w_block * cp
             out[b, 7, 0] += w_block * sp
             i += 1
-    return out
 
 
 @inner(inline="always")

@@ -52,6 +52,7 @@ def _run_free(
     yaw: float,
     future_yaw: Array,
     law: Array,
+    series: Array,
     free: Any,
     parts: Array,
     F: Array,
@@ -65,7 +66,7 @@ def _run_free(
     """
     z, k, u, what, whose, S = free
     t, psi = pose_time[before], yaw
-    series, longest = lag_series(law), longest_step(law)
+    longest = longest_step(law)
     z[T], z[T + COLUMNS] = law[0, TRIM], law[1, TRIM]
     demands(law, what, whose, u, z)
     for m in range(before + 1, last):
@@ -150,9 +151,9 @@ def predict(
     tracking, free = _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1])
     work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
     _predict(
-        command_time, command, pose_time, pose, yaw, step, law, law.copy(), filter_law, origin, levels, first, last,
-        future_yaw, velocity, tracked, alone, *bank_tables(steps, levels), start_bank(levels, prior), empty_sum(levels),
-        tracking, free, work, out, begin, states,
+        command_time, command, pose_time, pose, yaw, step, law, lag_series(law), filter_law, lag_series(filter_law),
+        origin, levels, first, last, future_yaw, velocity, tracked, alone, law.copy(), *bank_tables(steps, levels),
+        start_bank(levels, prior), empty_sum(levels), tracking, free, work, out, begin, states,
     )  # fmt: skip
     return out, begin[:, 0], states
 
@@ -165,16 +166,16 @@ def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indi
 @kernel(fastmath={"contract"})
 def _predict(
     command_time: Array, command: Array, pose_time: Array, pose: Array, yaw: Array, step: Any, law: Array,
-    known_law: Array, filter_law: Array, origin: Array, levels: Array, first: Any, last: Any, future_yaw: Array,
-    velocity: Array, tracked: Any, alone: Any, F: Array, D: Array, bank: Any, both: Any, tracking: Any, free: Any,
-    work: Any, out: Array, begin: Array, states: Array,
+    series: Array, filter_law: Array, filter_series: Array, origin: Array, levels: Array, first: Any, last: Any,
+    future_yaw: Array, velocity: Array, tracked: Any, alone: Any, known_law: Array, F: Array, D: Array, bank: Any,
+    both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
 ) -> None:  # fmt: skip
-    """The loop over the poses; `known_law` and what follows `alone` is work space, or filled."""
+    """The loop over the poses; what follows `alone` is work space, or filled."""
     z, k, u, what, whose, S = tracking
     gain, e, along, measured = work
     known, add, parts = both.known, both.add, both.parts
     run, run_k, run_u = free[0], free[1], free[2]
-    series, longest = lag_series(filter_law), longest_step(filter_law)
+    longest = longest_step(filter_law)
     _in_force(pose_time[0], law, command_time, command, k, u)
     for a in range(2):
         own = COLUMNS * a
@@ -182,13 +183,13 @@ def _predict(
         z[T + own + 1 + a] = 1.0
         z[V + own + 3 + a] = 1.0
     demands(filter_law, what, whose, u, z)
-    settle(filter_law, z, 5, yaw[0])
+    settle(filter_law, z, what.size, yaw[0])
     s = first.size - first.size  # an integer that the compiler does not know: of one it does, all is compiled twice
     for i in range(pose_time.size):
         if i:
             advance(
                 pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
-                filter_law, series, longest, what, whose, z, u, S,
+                filter_law, filter_series, longest, what, whose, z, u, S,
             )  # fmt: skip
             move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
         c, sn = np.cos(yaw[i]), np.sin(yaw[i])
@@ -221,13 +222,12 @@ def _predict(
             for j in range(begin.shape[1]):
                 _add(parts, run, c, sn, begin, s, j)
             _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, free, parts, F, step,
-                out, s,
+                command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, F,
+                step, out, s,
             )  # fmt: skip
             s += 1
 
 
-@kernel()
 def free_run(
     command_time: Array, command: Array, law: Array, position: Array, velocity: Array, time: Array, yaw: Array
 ) -> Array:
@@ -246,15 +246,29 @@ def free_run(
     Returns:
         Position and velocity, shape (N, 4).
     """
-    out, k, u = np.empty((time.size, 4)), np.zeros(2, np.int64), np.zeros(2)
-    what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
-    z, S, series, longest = np.zeros(STATE), np.zeros((2, 3, 12)), lag_series(law), longest_step(law)
+    out: Array = np.empty((len(time), 4))
+    position, velocity, time, yaw = (np.ascontiguousarray(one) for one in (position, velocity, time, yaw))
+    _free_run(
+        command_time, np.ascontiguousarray(command), law, lag_series(law), position, velocity, time, yaw,
+        _columns(_WHAT[:1], _WHOSE[:1]), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel()
+def _free_run(
+    command_time: Array, command: Array, law: Array, series: Array, position: Array, velocity: Array, time: Array,
+    yaw: Array, free: Any, out: Array,
+) -> None:  # fmt: skip
+    """The loop; `free` is work space."""
+    z, k, u, what, whose, S = free
+    longest = longest_step(law)
     for a in range(2):
         own = COLUMNS * a
         z[P + own], z[V + own], z[T + own] = position[a], velocity[a], law[a, TRIM]
     _in_force(time[0], law, command_time, command, k, u)
     demands(law, what, whose, u, z)
-    settle(law, z, 1, yaw[0])
+    settle(law, z, what.size, yaw[0])
     for i in range(time.size):
         before = max(i - 1, 0)
         advance(
@@ -263,4 +277,3 @@ def free_run(
         )  # fmt: skip
         for a in range(2):
             out[i, a], out[i, 2 + a] = z[P + COLUMNS * a], z[V + COLUMNS * a]
-    return out

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Indices
 from rotorfit.dynamics.compiled import kernel
 
 
@@ -46,13 +46,12 @@ def transition(b: float, dt: float) -> Any:
     return f, k, h, df, dk, dh
 
 
-@kernel(fastmath={"contract"})
 def axis_response(
     starts: Array,
-    pose_range: Any,
-    command_range: Any,
+    pose_range: Indices,
+    command_range: Indices,
     pose_time: Array,
-    block: Any,
+    block: Indices,
     command_time: Array,
     command: Array,
     weight: Array,
@@ -85,7 +84,20 @@ def axis_response(
 
     Source: paper, eq. (4), with u(t - tau) and a constant added.
     """
-    out = np.zeros((weight.size, 5, 1))
+    out: Array = np.zeros((weight.size, 5, 1))
+    _axis_response(
+        starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight,
+        float(gain), float(trim), float(damping), float(delay), np.ascontiguousarray(velocity), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel(fastmath={"contract"})
+def _axis_response(
+    starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
+    command: Array, weight: Array, gain: float, trim: float, damping: float, delay: float, velocity: Array, out: Array,
+) -> None:  # fmt: skip
+    """The loop; `out` is zeros."""
     for s in range(starts.size):
         t = starts[s]
         k, last = command_range[s, 0], command_range[s, 1]
@@ -121,16 +133,14 @@ def axis_response(
             out[block[i], 2, 0] += w * bp
             out[block[i], 3, 0] += w * tp
             out[block[i], 4, 0] += w * sp
-    return out
 
 
-@kernel(fastmath={"contract"})
 def plane_response(
     starts: Array,
-    pose_range: Any,
-    command_range: Any,
+    pose_range: Indices,
+    command_range: Indices,
     pose_time: Array,
-    block: Any,
+    block: Indices,
     command_time: Array,
     command: Array,
     weight: Array,
@@ -165,15 +175,28 @@ def plane_response(
 
     Source: paper, eq. (5), with u(t - tau) and a constant added; exact for a heading that is constant between events.
     """
-    out = np.zeros((weight.size, 10, 2))
-    p = np.zeros((10, 2))
-    v = np.zeros((10, 2))
-    drive = np.zeros((10, 2))
-    k = np.zeros(2, np.int64)
+    out: Array = np.zeros((weight.size, 10, 2))
+    p, v, drive = np.zeros((3, 10, 2))
+    yaw, gain, trim, damping, delay = (np.ascontiguousarray(one) for one in (yaw, gain, trim, damping, delay))
+    _plane_response(
+        starts, pose_range, command_range, pose_time, block, command_time, np.ascontiguousarray(command), weight, yaw,
+        gain, trim, damping, delay, np.ascontiguousarray(velocity), p, v, drive, np.zeros(2, np.int64), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel(fastmath={"contract"})
+def _plane_response(
+    starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
+    command: Array, weight: Array, yaw: Array, gain: Array, trim: Array, damping: Array, delay: Array, velocity: Array,
+    p: Array, v: Array, drive: Array, k: Any, out: Array,
+) -> None:  # fmt: skip
+    """The loop; what follows `velocity` is work space, zeros."""
     for s in range(starts.size):
         t = starts[s]
-        p[:] = 0.0
-        v[:] = 0.0
+        for j in range(10):
+            for i in range(2):
+                p[j, i] = v[j, i] = 0.0
         v[8, 0] = v[9, 1] = 1.0
         last = command_range[s, 1]
         for j in range(2):
@@ -246,4 +269,3 @@ def plane_response(
             for j in range(10):
                 out[block[i], j, 0] += w * p[j, 0]
                 out[block[i], j, 1] += w * p[j, 1]
-    return out

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, discretize, stationary
 
@@ -22,19 +22,17 @@ LANES = 4
 
 
 @inner()
-def _tables(steps: Array, levels: Array) -> Array:
+def _fill_tables(steps: Array, levels: Array, F: Array, Q: Array, out: Array) -> None:
     """Of every distinct step: F01, F02, F11, F12, F21, F22 and q Q00, Q01, Q02, Q11, Q12, Q22 of each filter.
 
     Args:
         steps: Shape (U,) [s].
         levels: q, r, alpha, kappa of M filters of one axis, shape (M, 4).
-
-    Returns:
-        Shape (U, G, 12 LANES), G groups of filters side by side.
+        F: Work space, shape (3, 3).
+        Q: Work space, shape (3, 3).
+        out: Filled, shape (U, G, 12 LANES), G groups of filters side by side.
     """
-    M = levels.shape[0]
-    G = (M + LANES - 1) // LANES
-    out, F, Q = np.empty((steps.size, G, 12 * LANES)), np.empty((3, 3)), np.empty((3, 3))
+    M, G = levels.shape[0], out.shape[1]
     for u in range(steps.size):
         for n in range(G * LANES):
             m, g, at = min(n, M - 1), n // LANES, n % LANES
@@ -52,7 +50,6 @@ def _tables(steps: Array, levels: Array) -> Array:
                 for j in range(i, 3):
                     out[u, g, place] = q * Q[i, j]
                     place += LANES
-    return out
 
 
 @inner()
@@ -67,8 +64,8 @@ def _start(row: Array, first: int, levels: Array, g: int) -> None:
         row[LANES * (first + 5) + at] = rate
 
 
-# One axis: places 0 to 5 hold the upper triangle of the covariance, 6 to 17 what `_tables` gives of the step, 18 the
-# noise, 19 to 21 the gain, 22 the innovation variance.
+# One axis: places 0 to 5 hold the upper triangle of the covariance, 6 to 17 what `_fill_tables` gives of the step, 18
+# the noise, 19 to 21 the gain, 22 the innovation variance.
 
 
 @inner(fastmath={"contract"})
@@ -117,7 +114,7 @@ def _pass_axis(
         last: One past the last.
         step: Shape (B,).
         fresh: Shape (B,).
-        table: Of `_tables`.
+        table: Of `_fill_tables`.
         g: Which group.
         at: Which lane.
         gain: Of the filter, and one over the standard deviation of the innovation, shape (B, 4).
@@ -141,10 +138,14 @@ def _pass_axis(
             z[j], z[32 + j], z[64 + j] = expected + g0 * e, f11 * s + f12 * d + g1 * e, f21 * s + f22 * d + g2 * e
 
 
-@kernel(fastmath={"contract"})
+def _groups(levels: Array) -> int:
+    """Groups of filters side by side, of M of them with levels (M, ...)."""
+    return -(-len(levels) // LANES)
+
+
 def whiten_axis(
-    steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, few: int, lanes: int = LANES
-) -> Any:
+    steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
+) -> tuple[Array, Array, Array]:
     """Passes columns of one axis through the gains of M filters; fastest where C and `few` are multiples of `LANES`.
 
     Args:
@@ -155,22 +156,38 @@ def whiten_axis(
         columns: Data and sensitivities, shape (B, C).
         levels: q, r, alpha, kappa of each filter, shape (M, 4).
         few: The first filter takes all columns, the others the first so many.
-        lanes: `LANES`, as a number that the compiler does not know: it would unroll what is to be one instruction.
 
     Returns:
         Innovations over their standard deviation of the first filter, (B, C), and of the others, (M - 1, B, few); and
         the innovation variances, (M, B).
     """
-    B, C = columns.shape
-    M = levels.shape[0]
+    (B, C), M = columns.shape, len(levels)
     out, others, variances = np.empty((B, C)), np.empty((M - 1, B, few)), np.empty((M, B))
-    table, w, gains, z = _tables(steps, levels), np.zeros(23 * LANES), np.empty((M, B, 4)), np.empty(3 * WIDTH)
+    _whiten_axis(
+        steps, step, count, fresh, np.ascontiguousarray(columns), np.ascontiguousarray(levels), LANES, np.empty((3, 3)),
+        np.empty((3, 3)), np.empty((steps.size, _groups(levels), 12 * LANES)), np.zeros(23 * LANES),
+        np.empty((M, B, 4)), np.empty(3 * WIDTH), out, others, variances,
+    )  # fmt: skip
+    return out, others, variances
+
+
+@kernel(fastmath={"contract"})
+def _whiten_axis(
+    steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, lanes: int, F: Array, Q: Array,
+    table: Array, w: Array, gains: Array, z: Array, out: Array, others: Array, variances: Array,
+) -> None:  # fmt: skip
+    """The loop; `lanes` is `LANES`, as a number that the compiler does not know, or it unrolls what is one instruction.
+
+    Work space is made by Python, here and elsewhere: a kernel that makes arrays takes twice as long to compile.
+    """
+    B, C, M, few = columns.shape[0], columns.shape[1], levels.shape[0], others.shape[2]
+    _fill_tables(steps, levels, F, Q, table)
     for g in range(table.shape[1]):
         for m in range(LANES):
             w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1]
         for i in range(B):
             if fresh[i]:
-                _start(w, 0, levels, g)
+                _start(w, g - g, levels, g)  # a zero that is no literal: of a literal it is compiled once more
                 _measure(w, 1.0 / count[i], lanes)
             else:
                 for n in range(12 * LANES):
@@ -187,12 +204,11 @@ def whiten_axis(
         for first in range(0, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
             _pass_axis(first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z, to)
-    return out, others, variances
 
 
 # x and y: places 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
-# y, 21 to 32 and 33 to 44 what `_tables` gives of the step, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains of a
-# position of x and of y, 59 and 60 the innovation variances.
+# y, 21 to 32 and 33 to 44 what `_fill_tables` gives of the step, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains
+# of a position of x and of y, 59 and 60 the innovation variances.
 
 
 @inner(fastmath={"contract"})
@@ -331,7 +347,7 @@ def _pass_plane(
         step: Shape (B,).
         fresh: Shape (B,).
         turn: Cosine and sine of half the turn that leads to each block, shape (B, 2).
-        tx: Of `_tables` for x.
+        tx: Of `_fill_tables` for x.
         ty: For y.
         g: Which group.
         at: Which lane.
@@ -366,18 +382,9 @@ def _pass_plane(
             z[96 + j], z[128 + j], z[160 + j] = q + g3 * e + h3 * f, u + g4 * e + h4 * f, b + g5 * e + h5 * f
 
 
-@kernel(fastmath={"contract"})
 def whiten_plane(
-    steps: Array,
-    step: Any,
-    count: Array,
-    fresh: Any,
-    yaw: Array,
-    columns: Array,
-    levels: Array,
-    few: int,
-    lanes: int = LANES,
-) -> Any:
+    steps: Array, step: Indices, count: Array, fresh: Mask, yaw: Array, columns: Array, levels: Array, few: int
+) -> tuple[Array, Array, Array]:
     """Passes horizontal columns through M six-state filters that turn with the heading.
 
     Args:
@@ -389,18 +396,33 @@ def whiten_plane(
         columns: Data and sensitivities in the world frame, shape (B, 2, C).
         levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
         few: The first filter takes all columns, the others the first so many.
-        lanes: As in `whiten_axis`.
 
     Returns:
         Innovations over their standard deviation, forward then left, of the first filter, (B, 2, C), and of the others,
         (M - 1, B, 2, few); and the innovation variances, (M, B, 2).
     """
-    B, _, C = columns.shape
-    M = levels.shape[0]
+    (B, _, C), M = columns.shape, len(levels)
     out, others, variances = np.empty((B, 2, C)), np.empty((M - 1, B, 2, few)), np.empty((M, B, 2))
-    tx, ty = _tables(steps, levels[:, 0]), _tables(steps, levels[:, 1])
-    w, gains, z = np.zeros(61 * LANES), np.empty((M, B, 14)), np.empty(6 * WIDTH)
-    along, turn = np.empty((B, 2, C)), np.empty((B, 2))
+    _whiten_plane(
+        steps, step, count, fresh, yaw, np.ascontiguousarray(columns), np.ascontiguousarray(levels.transpose(1, 0, 2)),
+        LANES, np.empty((3, 3)), np.empty((3, 3)), np.empty((2, steps.size, _groups(levels), 12 * LANES)),
+        np.zeros(61 * LANES), np.empty((M, B, 14)), np.empty(6 * WIDTH), np.empty((B, 2, C)), np.empty((B, 2)),
+        out, others, variances,
+    )  # fmt: skip
+    return out, others, variances
+
+
+@kernel(fastmath={"contract"})
+def _whiten_plane(
+    steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, columns: Array, levels: Array, lanes: int, F: Array,
+    Q: Array, tables: Array, w: Array, gains: Array, z: Array, along: Array, turn: Array, out: Array, others: Array,
+    variances: Array,
+) -> None:  # fmt: skip
+    """The loop, as `_whiten_axis`; `levels` has shape (2, M, 4)."""
+    B, C, M, few = columns.shape[0], columns.shape[2], levels.shape[1], others.shape[3]
+    for a in range(2):
+        _fill_tables(steps, levels[a], F, Q, tables[a])
+    tx, ty = tables[0], tables[1]
     for i in range(B):
         half = 0.0 if fresh[i] else 0.5 * (yaw[i] - yaw[i - 1])
         turn[i, 0], turn[i, 1] = np.cos(half), np.sin(half)
@@ -411,13 +433,13 @@ def whiten_plane(
     for g in range(tx.shape[1]):
         for a in range(2):
             for m in range(LANES):
-                w[(45 + a) * LANES + m] = levels[min(g * LANES + m, M - 1), a, 1]
+                w[(45 + a) * LANES + m] = levels[a, min(g * LANES + m, M - 1), 1]
         for i in range(B):
             if fresh[i]:
                 for n in range(21 * LANES):
                     w[n] = 0.0
                 for a in range(2):
-                    _start(w, 6 * a, levels[:, a], g)
+                    _start(w, 6 * a, levels[a], g)
             else:
                 for n in range(12 * LANES):
                     w[21 * LANES + n] = tx[step[i], g, n]
@@ -440,4 +462,3 @@ def whiten_plane(
         for first in range(0, n, WIDTH):
             last, to = min(first + WIDTH, n), out if m == 0 else others[m - 1]
             _pass_plane(first, last, step, fresh, turn, tx, ty, m // LANES, m % LANES, gains[m], along, z, to)
-    return out, others, variances

@@ -151,7 +151,7 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
         others = np.array(rows[1:]).reshape(len(rows) - 1, *columns.shape[:2], few)
         return rows[0], others, np.array([variance for _, variance in passed])
     if len(rec.axes) == 2:
-        return whiten_plane(*common, rec.block_yaw, columns, values, few)  # type: ignore[no-any-return]
+        return whiten_plane(*common, rec.block_yaw, columns, values, few)
     first, others, variance = whiten_axis(*common, columns[:, 0], values[:, 0], few)
     return first[:, None], others[:, :, None], variance[:, :, None]
 
