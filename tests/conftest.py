@@ -14,3 +14,11 @@ def real_flights() -> Path:
     if not REAL_FLIGHTS.is_dir():
         pytest.skip(f"real flights are not there: {os.path.relpath(REAL_FLIGHTS)}")
     return REAL_FLIGHTS
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compiles once what nearly all tests need, before the processes that share them out each do it for themselves."""
+    if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
+        from rotorfit.app.first_use import compile_beforehand
+
+        compile_beforehand()

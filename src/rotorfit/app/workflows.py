@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from rotorfit.app.first_use import compile_beforehand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
@@ -167,6 +168,7 @@ def fit_logs(
     prior: bool = False,
 ) -> Fit:
     """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
+    compile_beforehand(progress)
     chosen = load_card(card) if isinstance(card, str) else card
     flights = [_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)]
     result = with_delay_profiles(fit(flights, method, axes, progress, structure, prior))
@@ -214,6 +216,7 @@ def validate_logs(
 
     An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
     """
+    compile_beforehand(progress)
     own = card_from_mapping(model.card.raw, "the model's card")
     flights = tuple(without_held_axes(load_flights(logs, card, own, progress), beside))
     return validate(model, flights, horizons, progress), flights

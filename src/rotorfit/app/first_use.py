@@ -1,0 +1,194 @@
+"""What a fit needs compiled, compiled side by side in processes of its own: once after an installation.
+
+numba compiles what is called, when it is called, one after the other, and keeps it on the disk. Here each part calls
+what it is named after on a flight of four seconds; the parts are spread over the processors, and what they have left on
+the disk is then loaded. Who calls the kernels in another way has them compiled there: this saves time and nothing else.
+"""
+
+import gc
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
+
+from rotorfit.core.progress import Progress
+
+if TYPE_CHECKING:
+    from rotorfit.core.flight_data import Flight
+
+TEXT = "compiling the estimator, once after an installation"
+
+PATIENCE = 120.0
+"""Time after which what is not compiled yet is left to the fit itself [s]."""
+
+_LOOK = 0.1
+
+
+def compile_beforehand(progress: Progress | None = None) -> None:
+    """Compiles what fit and validate need, where this installation has not done so yet.
+
+    Args:
+        progress: Called with a fraction and a text.
+    """
+    mark = _mark()
+    if mark.exists() or "NUMBA_DISABLE_JIT" in os.environ:
+        return
+    begun, running = perf_counter(), []
+    try:
+        for names in spread({name: seconds for name, (seconds, _) in PARTS.items()}, _processors()):
+            words = [sys.executable, "-m", "rotorfit.app.first_use", *names]
+            running.append(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        while any(one.poll() is None for one in running) and perf_counter() - begun < PATIENCE:
+            if progress:
+                progress(0.0, f"{TEXT}: {perf_counter() - begun:.0f} s")
+            sleep(_LOOK)
+    except OSError:  # no process may be started: the fit compiles what it calls
+        return
+    finally:
+        for one in running:
+            if one.poll() is None:
+                one.kill()
+            one.wait()
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+    except OSError:
+        return
+
+
+def spread(costs: Mapping[str, float], processes: int) -> list[list[str]]:
+    """Spreads parts over processes, the dearest first, each to the one that has the least to do."""
+    shares: list[list[str]] = [[] for _ in range(min(processes, len(costs)))]
+    for name in sorted(costs, key=lambda name: -costs[name]):
+        min(shares, key=lambda share: sum(costs[one] for one in share)).append(name)
+    return shares
+
+
+def _processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _mark() -> Path:
+    """A file beside the compiled code, there where it is of these sources, this numba and this Python."""
+    import numba
+
+    from rotorfit.dynamics import kinematics
+
+    sources = sorted(Path(kinematics.__file__).parent.glob("*.py"))
+    of = [(path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in sources]
+    versions = numba.__version__, sys.implementation.cache_tag
+    token = hashlib.sha256(repr((of, versions)).encode()).hexdigest()[:16]
+    return Path(str(kinematics._project.stats.cache_path)) / f"rotorfit-{token}.compiled"
+
+
+def _prediction() -> None:
+    """The prediction from many starts, and that without a disturbance."""
+    import numpy as np
+
+    from rotorfit.core.frames import AXES
+    from rotorfit.dynamics.protocol import AxisDynamics, free_run_prediction, predict_flight
+
+    flight = _flight()
+    dynamics = {axis: AxisDynamics(4.0, 1.0, 0.1, (0.1, 1e-6, 2.5, 0.6), 1e-6) for axis in AXES}
+    for part in predict_flight(flight, dynamics, 0.5):
+        free_run_prediction(flight, part, np.ones(4), np.ones(4))
+
+
+def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
+    """The likelihood of one axis, or of x and y, under a law."""
+
+    def part() -> None:
+        from rotorfit.core.laws import START_LEVELS, STRUCTURES
+        from rotorfit.estimation.likelihood.blocks import record
+        from rotorfit.estimation.likelihood.likelihood import response, score
+        from rotorfit.estimation.likelihood.optima import start_point
+        from rotorfit.estimation.likelihood.richer_laws import starts
+
+        rec = record(_flight(), axes)
+        assert rec is not None
+        point = start_point([rec], 0.1, 1.0, START_LEVELS[None].repeat(len(axes), axis=0))
+        if law == "first_order_delay":
+            score([rec], point)
+        else:
+            point = starts([rec], point, 0, STRUCTURES[law])[0]
+            response(rec, point, 0, point.start)
+
+    return part
+
+
+def _checks() -> None:
+    """What is looked at before a fit."""
+    from rotorfit.diagnosis.command_response import answers_of
+    from rotorfit.diagnosis.pose_checks import leaps
+
+    flight = _flight()
+    leaps(flight.pose_time, flight.position, 0.1, 1.0)
+    answers_of(flight)
+
+
+PARTS: Mapping[str, tuple[float, Callable[[], None]]] = {
+    "prediction": (8.0, _prediction),
+    "general law": (1.0, _likelihood(("x", "y"), "second_order")),
+    "plane": (5.0, _likelihood(("x", "y"), "first_order_delay")),
+    "axis": (2.5, _likelihood(("z",), "first_order_delay")),
+    "lag": (1.3, _likelihood(("z",), "second_order")),
+    "checks": (1.0, _checks),
+}
+"""What is compiled, about how long it takes [s], and what calls it."""
+
+
+def _flight() -> "Flight":
+    """Four seconds in which every axis is commanded and the vehicle turns."""
+    import numpy as np
+
+    from rotorfit.core.flight_data import Flight, Segment
+    from rotorfit.core.frames import AXES
+    from rotorfit.files.cards import builtin_cards
+
+    commands, poses = np.arange(0.0, 6.0, 0.05), np.arange(0.0, 6.0, 0.02)
+    waves = np.sin(np.outer(poses, [1.0, 1.3, 1.7, 2.1]))
+    return Flight(
+        path="", sha256="", card=next(iter(builtin_cards().values())), span=(0.0, 6.0), axes=AXES,
+        command_time=commands, command=np.sin(np.outer(commands, [1.1, 1.4, 1.8, 2.2])), pose_time=poses,
+        position=np.ascontiguousarray(waves[:, :3]), yaw=waves[:, 3].copy(), segments=(Segment(0.0, 6.0),),
+    )  # fmt: skip
+
+
+def main(names: Sequence[str]) -> None:
+    """Compiles some parts, in a process that does nothing else."""
+    gc.disable()  # compiling makes a great many small objects that live: searching them for rings is a tenth of it
+    _compare_options_quickly()
+    for name in names:
+        PARTS[name][1]()
+
+
+def _compare_options_quickly() -> None:
+    """Compares sets of compiler options by what was set in them.
+
+    numba asks tens of thousands of times whether two sets are the same (they are a part of the key under which it
+    keeps what it has resolved) and lists two dozen properties of each: a fifth of compiling. Only here, where nobody
+    else's code is compiled.
+    """
+    from numba.core.targetconfig import TargetConfig
+
+    def same(one: Any, other: Any) -> bool:
+        if type(one) is not type(other):
+            return False
+        first, second = one._values, other._values
+        if first == second:
+            return True
+        options = one.options.items()
+        return all(first.get(name, known.default) == second.get(name, known.default) for name, known in options)
+
+    kind: Any = TargetConfig
+    kind.__eq__ = same
+    kind.__hash__ = lambda one: hash(type(one))  # its own is of the names of the options: the same for all
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,115 @@
+"""What is compiled beforehand: once, in processes of its own; and a fit compiles nothing else."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from flights import flown, steps
+from rotorfit.app import first_use
+from rotorfit.app.first_use import PARTS, compile_beforehand, spread
+from rotorfit.dynamics import (
+    general_response,
+    general_step,
+    kinematics,
+    lagged_response,
+    predictor,
+    response,
+    whitening,
+)
+from rotorfit.estimation.fitting import fit
+from rotorfit.simulation.paper_vehicle import Truth
+
+
+class Process:
+    """One that has ended as soon as it is looked at."""
+
+    started: list[list[str]]
+
+    def __init__(self, words: list[str], **_: Any) -> None:
+        self.started.append(words[3:])
+
+    def poll(self) -> int:
+        return 0
+
+    def wait(self) -> int:
+        return 0
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[list[str]]:
+    """Names of the parts of each process that would be started, where nothing is compiled yet."""
+    monkeypatch.setattr(Process, "started", [], raising=False)
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    monkeypatch.setattr(first_use, "_mark", lambda: tmp_path / "folder" / "mark")
+    return Process.started
+
+
+def test_all_parts_are_compiled_once(started: list[list[str]]) -> None:
+    compile_beforehand()
+
+    assert sorted(name for names in started for name in names) == sorted(PARTS)
+    started.clear()
+    compile_beforehand()
+    assert not started
+
+
+def test_where_nothing_can_be_written_the_fit_goes_on(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(first_use, "_mark", lambda: tmp_path / "file" / "mark")
+
+    compile_beforehand()
+
+    assert started
+
+
+def test_where_no_process_can_be_started_the_fit_goes_on(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: Any, **__: Any) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(subprocess, "Popen", refused)
+
+    compile_beforehand()
+
+    assert not started
+
+
+def test_what_is_compiled_for_long_is_told(started: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = iter([None, None, 0] + [0] * 100)
+    monkeypatch.setattr(Process, "poll", lambda _: next(ends))
+    monkeypatch.setattr(first_use, "_processors", lambda: 1)
+    told: list[str] = []
+
+    compile_beforehand(lambda _, text: told.append(text))
+
+    assert started
+    assert told
+    assert all(first_use.TEXT in text for text in told)
+
+
+@pytest.mark.parametrize("processes", [1, 2, 4, 99])
+def test_parts_are_spread_over_the_processors(processes: int) -> None:
+    shares = spread({"a": 8.0, "b": 5.0, "c": 3.0, "d": 1.0}, processes)
+
+    assert sorted(name for share in shares for name in share) == ["a", "b", "c", "d"]
+    assert len(shares) == min(processes, 4)
+    if processes == 2:
+        assert shares == [["a", "d"], ["b", "c"]]
+
+
+def test_a_fit_compiles_nothing_else() -> None:
+    modules = general_response, general_step, kinematics, lagged_response, predictor, response, whitening
+    kernels = [one for module in modules for one in vars(module).values() if isinstance(one, Dispatcher)]
+    for _, part in PARTS.values():
+        part()
+    before = {kernel.__name__: len(kernel.signatures) for kernel in kernels}
+
+    fit((flown(Truth(), steps(), 15.0),))
+
+    assert {kernel.__name__: len(kernel.signatures) for kernel in kernels} == before
