@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 from flights import flown, steps
 from rotorfit.app import first_use
-from rotorfit.app.first_use import PARTS, compile_beforehand, spread
+from rotorfit.app.first_use import PARTS, VALIDATION, compile_beforehand, spread
 from rotorfit.dynamics import (
     general_response,
     general_step,
@@ -29,7 +29,7 @@ class Process:
     started: list[list[str]]
 
     def __init__(self, words: list[str], **_: Any) -> None:
-        self.started.append(words[3:])
+        self.started.append(words[4:])
 
     def poll(self) -> int:
         return 0
@@ -43,7 +43,7 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[list[str]]:
     """Names of the parts of each process that would be started, where nothing is compiled yet."""
     monkeypatch.setattr(Process, "started", [], raising=False)
     monkeypatch.setattr(subprocess, "Popen", Process)
-    monkeypatch.setattr(first_use, "_mark", lambda: tmp_path / "folder" / "mark")
+    monkeypatch.setattr(first_use, "_mark", lambda part: tmp_path / "folder" / part)
     return Process.started
 
 
@@ -56,11 +56,20 @@ def test_all_parts_are_compiled_once(started: list[list[str]]) -> None:
     assert not started
 
 
+def test_what_was_asked_for_is_compiled_and_later_only_the_rest(started: list[list[str]]) -> None:
+    compile_beforehand(wanted=VALIDATION)
+
+    assert sorted(name for names in started for name in names) == sorted(VALIDATION)
+    started.clear()
+    compile_beforehand()
+    assert sorted(name for names in started for name in names) == sorted(set(PARTS) - set(VALIDATION))
+
+
 def test_where_nothing_can_be_written_the_fit_goes_on(
     started: list[list[str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     (tmp_path / "file").touch()
-    monkeypatch.setattr(first_use, "_mark", lambda: tmp_path / "file" / "mark")
+    monkeypatch.setattr(first_use, "_mark", lambda part: tmp_path / "file" / part)
 
     compile_beforehand()
 

@@ -28,19 +28,20 @@ PATIENCE = 120.0
 _LOOK = 0.1
 
 
-def compile_beforehand(progress: Progress | None = None) -> None:
+def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] | None = None) -> None:
     """Compiles what fit and validate need, where this installation has not done so yet.
 
     Args:
         progress: Called with a fraction and a text.
+        wanted: Names of `PARTS`; None for all.
     """
-    mark = _mark()
-    if mark.exists() or "NUMBA_DISABLE_JIT" in os.environ:
+    marks = {name: mark for name in wanted or PARTS if not (mark := _mark(name)).exists()}
+    if not marks or "NUMBA_DISABLE_JIT" in os.environ:
         return
     begun, running = perf_counter(), []
     try:
-        for names in spread({name: seconds for name, (seconds, _) in PARTS.items()}, _processors()):
-            words = [sys.executable, "-m", "rotorfit.app.first_use", *names]
+        for names in spread({name: PARTS[name][0] for name in marks}, _processors()):
+            words = [sys.executable, "-P", "-m", "rotorfit.app.first_use", *names]
             running.append(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
         while any(one.poll() is None for one in running) and perf_counter() - begun < PATIENCE:
             if progress:
@@ -54,8 +55,9 @@ def compile_beforehand(progress: Progress | None = None) -> None:
                 one.kill()
             one.wait()
     try:
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        mark.touch()
+        for mark in marks.values():
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            mark.touch()
     except OSError:
         return
 
@@ -73,8 +75,8 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _mark() -> Path:
-    """A file beside the compiled code, there where it is of these sources, this numba and this Python."""
+def _mark(part: str) -> Path:
+    """A file beside the compiled code, there where a part is compiled of these sources by this numba and Python."""
     import numba
 
     from rotorfit.dynamics import kinematics
@@ -83,7 +85,7 @@ def _mark() -> Path:
     of = [(path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in sources]
     versions = numba.__version__, sys.implementation.cache_tag
     token = hashlib.sha256(repr((of, versions)).encode()).hexdigest()[:16]
-    return Path(str(kinematics._project.stats.cache_path)) / f"rotorfit-{token}.compiled"
+    return Path(str(kinematics._project.stats.cache_path)) / f"rotorfit-{token}-{part.replace(' ', '-')}.compiled"
 
 
 def _prediction() -> None:
@@ -140,6 +142,9 @@ PARTS: Mapping[str, tuple[float, Callable[[], None]]] = {
     "checks": (1.0, _checks),
 }
 """What is compiled, about how long it takes [s], and what calls it."""
+
+VALIDATION = "prediction", "axis", "lag", "checks"
+"""What a validation calls of it."""
 
 
 def _flight() -> "Flight":

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from rotorfit.app.first_use import compile_beforehand
+from rotorfit.app.first_use import VALIDATION, compile_beforehand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.case import UNPROVEN, Case, same_motion
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
@@ -216,7 +216,7 @@ def validate_logs(
 
     An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
     """
-    compile_beforehand(progress)
+    compile_beforehand(progress, VALIDATION)
     own = card_from_mapping(model.card.raw, "the model's card")
     flights = tuple(without_held_axes(load_flights(logs, card, own, progress), beside))
     return validate(model, flights, horizons, progress), flights

@@ -35,6 +35,7 @@ class MotionFilter:
 
     Attributes:
         law: Numbers of the general law of both axes, trims with them, shape (2, LAW_SIZE).
+        series: Of `lag_series`.
         levels: q, r, alpha, kappa of both, shape (2, 4).
         known: Whether each axis is followed; one that is not only keeps the other company, shape (2,).
         turns: Whether they are x and y, which the heading turns.
@@ -48,6 +49,7 @@ class MotionFilter:
     """
 
     law: Array
+    series: Array
     levels: Array
     known: Mask
     turns: bool
@@ -83,8 +85,8 @@ class MotionFilter:
             Of each pose and axis n, s, s', and driven position and velocity, shape (N, 2, 5).
         """
         return _follow(
-            time, position, yaw, command_time, command, self.law, self.levels, self.known, self.turns, self.z, self.k,
-            self.u, self.mean, self.covariance, self.clock, self.grid,
+            time, position, yaw, command_time, command, self.law, self.series, self.levels, self.known, self.turns,
+            self.z, self.k, self.u, self.mean, self.covariance, self.clock, self.grid,
         )  # fmt: skip
 
     def told(self, command_time: Array, command: Array) -> Array:
@@ -99,8 +101,8 @@ class MotionFilter:
             command: As for `follow`.
         """
         return _told(
-            command_time, command, self.law, self.levels, self.known, self.turns, self.z[1], self.k[1], self.u[1],
-            self.mean[1], self.covariance[1], self.clock[1],
+            command_time, command, self.law, self.series, self.levels, self.known, self.turns, self.z[1], self.k[1],
+            self.u[1], self.mean[1], self.covariance[1], self.clock[1],
         )  # fmt: skip
 
 
@@ -126,7 +128,7 @@ def motion_filter(
     mean, covariance = np.zeros((2, 2, 3)), np.zeros((2, 2, 3, 3))
     _begin(begin, position, velocity, heading, command_time, command, law, levels, turns, z, k, u, covariance)
     clock, grid = np.tile([begin, heading, 0.0], (2, 1)), np.zeros(2)
-    return MotionFilter(law, levels, known, turns, z, k, u, mean, covariance, clock, grid)
+    return MotionFilter(law, lag_series(law), levels, known, turns, z, k, u, mean, covariance, clock, grid)
 
 
 @kernel()
@@ -149,21 +151,22 @@ def _begin(
 
 @inner()
 def _moved(
-    t: float, until: float, psi: float, yaw: float, command_time: Array, command: Array, law: Array, z: Array, k: Any,
-    u: Array,
+    t: float, until: float, psi: float, yaw: float, command_time: Array, command: Array, law: Array, series: Array,
+    z: Array, k: Any, u: Array,
 ) -> None:  # fmt: skip
     """Moves the driven state."""
     what, whose, S = np.full(1, MEAN), np.zeros(1, np.int64), np.zeros((2, 3, 12))
     advance(
-        t, until, psi, yaw, k, command_time.size, command_time, command, law, lag_series(law), longest_step(law), what,
-        whose, z, u, S,
+        t, until, psi, yaw, k, command_time.size, command_time, command, law, series, longest_step(law), what, whose, z,
+        u, S,
     )  # fmt: skip
 
 
 @kernel()
 def _follow(
-    time: Array, position: Array, yaw: Array, command_time: Array, command: Array, law: Array, levels: Array,
-    known: Any, turns: bool, z: Array, k: Any, u: Array, mean: Array, covariance: Array, clock: Array, grid: Array,
+    time: Array, position: Array, yaw: Array, command_time: Array, command: Array, law: Array, series: Array,
+    levels: Array, known: Any, turns: bool, z: Array, k: Any, u: Array, mean: Array, covariance: Array, clock: Array,
+    grid: Array,
 ) -> Array:  # fmt: skip
     """See `MotionFilter.follow`."""
     own = command[:, :2] if turns else command[:, 2:]
@@ -171,7 +174,7 @@ def _follow(
     for i in range(time.size):
         t, heading, begun = time[i], yaw[i] if turns else 0.0, clock[0, 2] > 0.0
         z[1], k[1], u[1], mean[1], covariance[1] = z[0], k[0], u[0], mean[0], covariance[0]
-        _moved(clock[0, 0], t, clock[0, 1], heading, command_time, own, law, z[1], k[1], u[1])
+        _moved(clock[0, 0], t, clock[0, 1], heading, command_time, own, law, series, z[1], k[1], u[1])
         dt = np.rint((t - clock[0, 0]) / STEP_GRAIN) * STEP_GRAIN
         for a in range(2):
             at, m = COLUMNS * a, mean[1, a]
@@ -198,13 +201,14 @@ def _follow(
 
 @kernel()
 def _told(
-    command_time: Array, command: Array, law: Array, levels: Array, known: Any, turns: bool, z: Array, k: Any, u: Array,
-    mean: Array, covariance: Array, clock: Array,
+    command_time: Array, command: Array, law: Array, series: Array, levels: Array, known: Any, turns: bool, z: Array,
+    k: Any, u: Array, mean: Array, covariance: Array, clock: Array,
 ) -> Array:  # fmt: skip
     """See `MotionFilter.told`."""
     own = command[:, :2] if turns else command[:, 2:]
     later, out = z.copy(), np.full((2, 6), np.nan)
-    _moved(clock[0], clock[0] + AHEAD, clock[1], clock[1], command_time, own, law, later, k.copy(), u.copy())
+    until = clock[0] + AHEAD
+    _moved(clock[0], until, clock[1], clock[1], command_time, own, law, series, later, k.copy(), u.copy())
     F, D, M = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     both = turns and known[0] and known[1]
     c, s = (np.cos(clock[1]), np.sin(clock[1])) if both else (1.0, 0.0)
