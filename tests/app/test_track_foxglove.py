@@ -9,6 +9,7 @@ import json
 import os
 import socket
 import struct
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
@@ -16,12 +17,12 @@ from typing import Any
 import pytest
 
 from rotorfit.core.log import Sample
-from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
+from rotorfit.core.tracked import Alarm, Motion, Tracked, TrackedAxis
 
 pytest.importorskip("foxglove", reason="pip install 'rotorfit[foxglove]'")
 
 PROTOCOLS = "foxglove.sdk.v1, foxglove.websocket.v1"
-TOPICS = {f"/rotorfit/{name}" for name in ("pose", "command", "tracked", "alarm", "motion")}
+TOPICS = {f"/rotorfit/{name}" for name in ("pose", "command", "tracked", "alarm", "gains", "motion")}
 ALARM = Alarm(3.0, ("x",), "payload", (1.0, 2.0), {"x.input": (0.8, 0.9)}, 0.9, 1e-9, "because")
 
 
@@ -70,7 +71,7 @@ class Client:
         self.socket.close()
 
 
-def test_a_client_reads_poses_commands_states_and_alarms() -> None:
+def test_a_client_reads_all_that_is_told() -> None:
     from rotorfit.app.live.foxglove import FoxgloveOutlet
 
     said: list[str] = []
@@ -89,24 +90,32 @@ def test_a_client_reads_poses_commands_states_and_alarms() -> None:
             state = Tracked(2.0, {"x": TrackedAxis()}, (ALARM,))
             pose = Sample("pose", 5, 6, (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))
             command = Sample("command", 5, 6, (0.1, 0.2, 0.3, 0.4))
-            client.socket.settimeout(0.5)
-            for _ in range(20):  # a subscription takes a moment
-                outlet.heard([pose, command], 7)
-                outlet.state(state, 7)
-                try:
-                    while heard.keys() < TOPICS:
-                        kind, data = next(frames)
-                        if kind == 2 and data[0] == 1:
-                            _, number, stamp = struct.unpack("<BIQ", data[:13])
-                            heard[topics[number]] = stamp, json.loads(data[13:])
-                except TimeoutError:
-                    frames = client.frames()
-                    continue
-                break
+            stopped = threading.Event()
+
+            def told() -> None:
+                while not stopped.wait(0.05):  # a subscription takes a moment, and what came before it is not heard
+                    outlet.heard([pose, command], 7)
+                    outlet.state(state, 7)
+                    outlet.gains({"type": "gains", "axes": {"x": {}}}, 7)
+                    outlet.motion(Motion(2.0, {}), 7)
+
+            teller = threading.Thread(target=told)
+            teller.start()
+            try:
+                while heard.keys() < TOPICS:
+                    kind, data = next(frames)
+                    if kind == 2 and data[0] == 1:
+                        _, number, stamp = struct.unpack("<BIQ", data[:13])
+                        heard[topics[number]] = stamp, json.loads(data[13:])
+            finally:
+                stopped.set()
+                teller.join()
 
         assert heard["/rotorfit/pose"][1]["z"] == 3.0
         assert heard["/rotorfit/command"] == (6, {"x": 0.1, "y": 0.2, "z": 0.3, "yaw": 0.4})
         assert heard["/rotorfit/tracked"] == (7, json.loads(json.dumps(state.to_mapping())))
         assert heard["/rotorfit/alarm"][1]["cause"] == "payload"
+        assert heard["/rotorfit/gains"] == (7, {"type": "gains", "axes": {"x": {}}})
+        assert heard["/rotorfit/motion"][1]["time"] == 2.0
     finally:
         outlet.close()

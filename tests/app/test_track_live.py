@@ -113,10 +113,11 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
     assert first >= last - 1.0  # the flight that is remembered may be ahead of the last look that was told
 
 
-def test_the_page_shows_states_and_alarms_to_who_has_the_key_alone() -> None:
+def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:
     said: list[str] = []
     page = LivePage(0, said.append)
     try:
+        page.gains({"type": "gains", "axes": {"x": {}}}, 0)
         page.state(Tracked(2.0, {"x": TrackedAxis()}, (ALARM,)), 0)
         address = urlsplit(said[0].split()[-1])
         port = address.port or 0
@@ -142,6 +143,7 @@ def test_the_page_shows_states_and_alarms_to_who_has_the_key_alone() -> None:
         assert asked("/events", Cookie=cookie, **{"Sec-Fetch-Site": "cross-site"})[0] == 403
         status, body, _ = asked("/events", Cookie=cookie)
         assert status == 200
+        assert '"type": "gains"' in body
         assert '"cause": "payload"' in body
         assert '"type": "state"' in body
     finally:

@@ -147,8 +147,6 @@ def track(
     lost = stopped = ""
     vehicle = str(link or log)
     with Views(page, foxglove, publish, vehicle, lambda text: click.echo(text, err=True)) as views:
-        if regaining:
-            regaining.listeners.append(views.gains)
         if link is not None:
             result, flight, lost = _listened(
                 link, card, seconds, patience, record, memory, pace or 1.0, structure, false_alarms, jsonl, views,
@@ -225,6 +223,8 @@ def _replayed(
         if note.code.startswith("card_"):
             click.echo(f"{log}: {note.text}", err=True)
     begun, show_state = time.monotonic(), _shown(jsonl)
+    if regaining:
+        regaining.listeners.append(views.gains)
     with operator_abort() as abort:
 
         def told(state: "Tracked") -> None:
@@ -280,8 +280,8 @@ def _listened(
             recording = Recording(record, chosen, link) if record else None
             outlets += [recording] if recording else []
             outlets += [Remembering(memory, tracker)] if memory else []
-            if regaining and recording:
-                regaining.listeners.append(recording.gains)
+            if regaining:
+                regaining.listeners += [outlet.gains for outlet in outlets]
 
             def told(state: "Tracked", now: int) -> None:
                 show_state(state)

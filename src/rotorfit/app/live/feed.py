@@ -39,7 +39,7 @@ class Feed:
         self._count = 0
 
     def add(self, mapping: dict[str, Any]) -> None:
-        """A state or an alarm, as `rotorfit track --jsonl` prints it."""
+        """A state, an alarm or new gains, as `rotorfit track --jsonl` prints it."""
         self._count += 1
         self._lines.append((self._count, json.dumps(mapping, allow_nan=False)))
 

@@ -1,11 +1,11 @@
 """A Foxglove WebSocket server, which Foxglove and PlotJuggler (3.17 and later) read. Needs foxglove-sdk."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
-from rotorfit.app.live.outlets import ALARM, MOTION, TRACKED
+from rotorfit.app.live.outlets import ALARM, GAINS, MOTION, TRACKED
 from rotorfit.core.errors import LinkError
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
@@ -19,7 +19,7 @@ OBJECT = {"type": "object"}
 
 
 class FoxgloveOutlet:
-    """Serves poses, commands, states, alarms and the motion after each pose as JSON.
+    """Serves poses, commands, states, alarms, new gains and the motion after each pose as JSON.
 
     Args:
         port: To listen on; 0 for any that is free.
@@ -43,7 +43,7 @@ class FoxgloveOutlet:
             raise LinkError(f"--foxglove {port}: {error}; choose another port") from None
         self._channels = {
             topic: foxglove.Channel(topic, schema=OBJECT, message_encoding="json", context=context)
-            for topic in (POSE, COMMAND, TRACKED, ALARM, MOTION)
+            for topic in (POSE, COMMAND, TRACKED, ALARM, GAINS, MOTION)
         }
         self.port = int(self._server.port)
         say(f"Foxglove and PlotJuggler: ws://{HOST}:{self.port}")
@@ -65,6 +65,10 @@ class FoxgloveOutlet:
             self._send(ALARM, alarm.to_mapping(), now)
         self._send(TRACKED, state.to_mapping(), now)
 
+    def gains(self, message: Mapping[str, Any], now: int) -> None:
+        """Sends new gains."""
+        self._send(GAINS, message, now)
+
     def motion(self, motion: Motion, now: int) -> None:
         """Sends the motion after a pose."""
         self._send(MOTION, motion.to_mapping(), now)
@@ -73,5 +77,5 @@ class FoxgloveOutlet:
         """Ends the server."""
         self._server.stop()
 
-    def _send(self, topic: str, mapping: dict[str, Any], stamp: int) -> None:
-        self._channels[topic].log(mapping, log_time=stamp)
+    def _send(self, topic: str, mapping: Mapping[str, Any], stamp: int) -> None:
+        self._channels[topic].log(dict(mapping), log_time=stamp)

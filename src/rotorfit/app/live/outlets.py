@@ -41,6 +41,9 @@ class Outlet(Protocol):
     def state(self, state: Tracked, now: int) -> None:
         """A new state, with its alarms, and the link's clock [ns]."""
 
+    def gains(self, message: Mapping[str, Any], now: int) -> None:
+        """New gains, and the link's clock [ns]."""
+
     def close(self) -> None:
         """The end."""
 
@@ -133,6 +136,9 @@ class Remembering:
 
     def state(self, _state: Tracked, _now: int) -> None:
         """Nothing: the samples say it all."""
+
+    def gains(self, _message: Mapping[str, Any], _now: int) -> None:
+        """Nothing: they are not what is learnt."""
 
     def close(self) -> None:
         """Writes the last.

@@ -1,7 +1,8 @@
 """The live page of `rotorfit track --page`: states as they come, on 127.0.0.1, behind the studio's gate."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
@@ -47,6 +48,10 @@ class LivePage:
         for alarm in state.alarms:
             self._feed.add(alarm.to_mapping())
         self._feed.add(state.to_mapping())
+
+    def gains(self, message: Mapping[str, Any], _now: int) -> None:
+        """Shows new gains."""
+        self._feed.add(dict(message))
 
     def close(self) -> None:
         """Ends the server; open pages say so."""

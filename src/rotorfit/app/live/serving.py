@@ -3,14 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rotorfit.app.live.outlets import Moving, Outlet
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
-
-if TYPE_CHECKING:
-    from rotorfit.app.live.ros_topics import RosTopics
 
 
 class Views:
@@ -32,7 +29,6 @@ class Views:
     ) -> None:
         self._asked, self._vehicle, self._say = (page, foxglove, publish), vehicle, say
         self._outlets: list[Outlet] = []
-        self._topics: RosTopics | None = None
         self.moving: list[Moving] = []
         self._stack = ExitStack()
 
@@ -52,8 +48,7 @@ class Views:
             if publish is not None:
                 from rotorfit.app.live.ros_topics import RosTopics
 
-                self._topics = RosTopics(publish, self._vehicle)
-                self._add(stack, self._topics)
+                self._add(stack, RosTopics(publish, self._vehicle))
             self._stack = stack.pop_all()
         return self
 
@@ -77,9 +72,9 @@ class Views:
             outlet.state(state, now)
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
-        """Hands new gains on, to topics alone."""
-        if self._topics:
-            self._topics.gains(message, now)
+        """Hands new gains on."""
+        for outlet in self._outlets:
+            outlet.gains(message, now)
 
     def close(self) -> None:
         """Nothing: they last until the result has been shown."""

@@ -106,14 +106,29 @@ function taken(state) {
   place("regime").textContent = state.regime ? `vehicle ${state.regime + 1} of this flight` : "";
 }
 
+function noted(box) {
+  place("notes").prepend(box);
+  while (place("notes").children.length > 20) place("notes").lastChild.remove();
+}
+
 function alarmed(alarm) {
   alarms.push(alarm.since[0]);
   const box = made("div", "alarm"), head = made("div");
   head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, told at ${alarm.time.toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => `${name.replace(".", " ")} ${/delay|trim/.test(name) ? "by" : "times"} ${figure(low)} to ${figure(high)}`);
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
-  place("alarms").prepend(box);
-  while (place("alarms").children.length > 20) place("alarms").lastChild.remove();
+  noted(box);
+}
+
+function regained(message) {
+  const box = made("div", "gains"), head = made("div"), names = Object.keys(message.axes);
+  head.append(made("b", "", "new gains"), ` for ${names.join(", ")}, at ${message.time.toFixed(1)} s${message.file ? `, in ${message.file}` : ""}`);
+  box.append(head);
+  for (const name of names) {
+    const {bandwidth, stiffness, rate_gain} = message.axes[name];
+    box.append(made("p", "", `${name}: bandwidth ${figure(bandwidth)} rad/s, stiffness ${figure(stiffness)}, rate ${figure(rate_gain)}: ${message.why[name]}.`));
+  }
+  noted(box);
 }
 
 let due = false;
@@ -136,7 +151,7 @@ source.onmessage = event => {
   const line = JSON.parse(event.data);
   last = Date.now();
   linked("", false);
-  if (line.type === "alarm") alarmed(line); else if (line.type === "state") taken(line);
+  ({alarm: alarmed, gains: regained, state: taken})[line.type]?.(line);
   draw();
 };
 source.addEventListener("over", () => { linked("ended", true); source.close(); });
