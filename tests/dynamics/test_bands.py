@@ -7,7 +7,7 @@ import pytest
 from test_bank import CALM, GUSTY, dynamics_of, flight_in
 
 from rotorfit.core.frames import AXES
-from rotorfit.dynamics.error_bands import DRAWN, Bands, _learned, band_scores, error_bands
+from rotorfit.dynamics.error_bands import DRAWN, Bands, _learned, band_scores, error_bands, stated
 from rotorfit.dynamics.protocol import predict_flight
 
 
@@ -58,7 +58,7 @@ def test_the_width_is_that_of_students_t() -> None:
 
 def test_scores_name_both_shares_and_too_few_predictions_give_none() -> None:
     parts = predict_flight(flight_in(CALM), dynamics_of(CALM), 5.0)
-    scores = band_scores(parts, (1.0, 5.0))
+    scores = band_scores({h: [stated(part, h) for part in parts] for h in (1.0, 5.0)})
 
     assert list(scores) == list(AXES)
     for axis in AXES:
@@ -66,5 +66,5 @@ def test_scores_name_both_shares_and_too_few_predictions_give_none() -> None:
         assert [c.nominal for c in score.velocity] == [c.nominal for c in score.position] == [0.5, 0.95]
         assert score.velocity[0].width < score.velocity[1].width
         assert score.n > scores[axis]["5"].n > 50
-    few = band_scores([replace(part, start=part.start + 100.0) for part in parts], (1.0,))["x"]["1"]
+    few = band_scores({1.0: [stated(replace(part, start=part.start + 100.0), 1.0) for part in parts]})["x"]["1"]
     assert few.velocity == few.position == ()

@@ -17,8 +17,12 @@ from rotorfit.dynamics.protocol import (
     free_run_prediction,
     hold_velocity,
     horizon_errors,
+    joined,
+    judged,
     predict_flight,
+    predictions,
     score_predictions,
+    scores_of,
 )
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
@@ -78,6 +82,25 @@ def test_a_start_knows_the_poses_up_to_it_and_the_next_is_the_first_predicted() 
     assert (part.time[part.first - 1] <= part.start).all()
     assert (part.time[part.first] > part.start).all()
     assert (part.time[part.last - 1] <= part.start + 1.0 + 1e-9).all()
+
+
+def test_pieces_are_the_whole() -> None:
+    """And their errors together are those of the whole: what a long flight is judged by."""
+    flight, horizons = flight_of(), (0.5, 1.0)
+    whole = only(predict_flight(flight, KNOWN, 1.0))
+    pieces = list(predictions(flight, KNOWN, 1.0, most=7))
+
+    assert len(pieces) == -(-whole.start.size // 7)
+    for name in ("start", "first", "last", "begin"):
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
+    np.testing.assert_array_equal(np.concatenate([p.predicted for p in pieces]), whole.predicted)
+    one, other = (scores_of(joined([judged(p, p.predicted, horizons) for p in parts], horizons)) for parts in (
+        [whole], pieces
+    ))  # fmt: skip
+    for axis in AXES:
+        assert other[axis].fit_percent == pytest.approx(one[axis].fit_percent, rel=1e-12)
+        for key, score in one[axis].horizons.items():
+            assert vars(other[axis].horizons[key]) == pytest.approx(vars(score), rel=1e-12)
 
 
 # Causality

@@ -11,7 +11,7 @@ from flights import STILL, flown, steps
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.laws import FIRST_ORDER_DELAY, law_of
 from rotorfit.dynamics.disturbance import distinct_steps
-from rotorfit.dynamics.predictor import free_run, predict
+from rotorfit.dynamics.predictor import Forecast, free_run
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
 Array = np.ndarray
@@ -38,7 +38,7 @@ def predicted(
     index = np.minimum(first[:, None] + np.arange((last - first).max()), t.size - 1)
     gain, damping = np.array(gamma)[::2][list(pair)], np.array(gamma)[1::2][list(pair)]
     law = np.array([law_of(FIRST_ORDER_DELAY, *each, delay, {}) for each in zip(gain, damping, strict=True)])
-    out, begin, _ = predict(
+    forecast = Forecast(
         flight.command_time,
         np.ascontiguousarray(flight.command[:, list(pair)]),
         t,
@@ -50,13 +50,11 @@ def predicted(
         np.zeros(2),
         levels[None, None],
         np.full(2, trim_variance),
-        first,
-        last,
-        np.ascontiguousarray(yaw[index]),
         np.empty((0, 2)),
         np.ones((t.size, 2), bool),
         np.zeros(2, bool),
     )
+    out, begin, _ = forecast.starts(first, last, np.ascontiguousarray(yaw[index]))
     return out, begin, first, last
 
 

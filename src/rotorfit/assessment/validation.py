@@ -1,14 +1,15 @@
 """Model + other flights -> Validation: prediction errors beside naive baselines, and what the residuals say."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.whiteness import REACH, findings_of_residuals, residual_tests
+from rotorfit.core.error_bands import BandScore
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
@@ -17,19 +18,20 @@ from rotorfit.core.model import COEFFICIENTS, Model, Predictor, predictor_of
 from rotorfit.core.progress import Progress
 from rotorfit.core.residuals import Innovations, ResidualTests
 from rotorfit.core.results import HORIZONS, AxisScore, FlightScores, Horizon, StartErrors, Validation
-from rotorfit.dynamics.error_bands import band_scores
+from rotorfit.dynamics.error_bands import Stated, band_scores, stated
 from rotorfit.dynamics.protocol import (
     AxisDynamics,
-    Predictions,
+    Errors,
     free_run_prediction,
     hold_velocity,
-    predict_flight,
-    score_predictions,
-    start_errors,
+    joined,
+    judged,
+    predictions,
+    scores_of,
 )
 from rotorfit.estimation.grouping import without_held_axes
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.fisher_scoring import maximise
+from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import response, whiten
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
@@ -99,14 +101,16 @@ def validate(
     errors: dict[str, list[Mapping[str, StartErrors]]] = {name: [] for name in scores}
     tests, bands = [], []
     for number, flight in enumerate(flights):
-        if progress:
-            progress(number / len(flights), flight.path)
-        parts = predict_flight(flight, dynamics_from_model(model, flight), max(horizons))
-        for name, (score, by_horizon) in _score_flight(model, flight, parts, horizons).items():
+
+        def told(share: float, number: int = number, path: str = flight.path) -> None:
+            if progress:
+                progress((number + share) / len(flights), path)
+
+        scored, held = _score_flight(model, flight, horizons, told)
+        for name, (score, by_horizon) in scored.items():
             scores[name].append(score)
             errors[name].append(by_horizon)
-        known = band_scores(parts, horizons)
-        bands.append({axis: known[axis] for axis in AXES if model.axes[axis].predictor})
+        bands.append({axis: held[axis] for axis in AXES if model.axes[axis].predictor})
         tests.append(residual_tests_of_flight(model, flight))
     responses = response_test(model, flights)
     counted = tuple(() if each.fitted else each.moved for each in scores["model"])
@@ -149,33 +153,48 @@ def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, Axis
 
 
 def _score_flight(
-    model: Model, flight: Flight, parts: Sequence[Predictions], horizons: Sequence[float]
-) -> dict[str, tuple[FlightScores, dict[str, StartErrors]]]:
-    """Scores of the model's predictions and of both baselines on one flight, and the errors behind them."""
-    paper = paper_dynamics(model, flight)
+    model: Model, flight: Flight, horizons: Sequence[float], told: Callable[[float], None]
+) -> tuple[dict[str, tuple[FlightScores, dict[str, StartErrors]]], dict[str, dict[str, BandScore]]]:
+    """Scores of the model's predictions and of all baselines on one flight, with the errors behind them; the bands.
+
+    The predictions of half an hour are hundreds of megabytes: they are judged and dropped, piece by piece.
+
+    Args:
+        model: The model.
+        flight: The flight.
+        horizons: [s].
+        told: Called with the share that is done.
+    """
     coefficients = np.array([np.nan if g is None else g for g in model.paper])
+    coasting = np.nan_to_num(coefficients.reshape(4, 2).T)
+    errors: dict[str, list[Errors]] = {name: [] for name in ("model", *BASELINES)}
+    bands: dict[float, list[Stated]] = {horizon: [] for horizon in horizons}
+    (begin, end), longest = flight.span, max(horizons)
+    told(0.0)
+    for part in predictions(flight, dynamics_from_model(model, flight), longest):
+        errors["model"].append(judged(part, part.predicted, horizons))
+        errors["hold"].append(judged(part, hold_velocity(part), horizons))
+        errors["coast"].append(judged(part, free_run_prediction(flight, part, *coasting), horizons))
+        for horizon, each in bands.items():
+            each.append(stated(part, horizon))
+        told(0.5 * (part.start[-1] - begin) / (end - begin))
+    paper = paper_dynamics(model, flight)
+    for part in predictions(flight, paper, longest):
+        errors["paper"].append(judged(part, part.predicted, horizons))
+        told(0.5 + 0.3 * (part.start[-1] - begin) / (end - begin))
+
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
-
-    def scored(
-        parts: Sequence[Predictions], predicted: Sequence[Array], wanted: Array, yaw: bool
-    ) -> tuple[FlightScores, dict[str, StartErrors]]:
-        axes = score_predictions(parts, predicted, horizons)
-        empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
-        scores = {a: axes[a] if wanted[k] else empty for k, a in enumerate(AXES)}
-        errors = {f"{h:g}": _known_errors(start_errors(parts, predicted, h), wanted) for h in horizons}
-        heading, fitted = "predicted" if yaw else "measured", _was_fitted(model, flight)
-        return FlightScores(flight.path, flight.span, scores, heading, fitted, flight.moved), errors
-
-    told, turning = np.isfinite(coefficients[::2]), bool(known[AXES.index("yaw")])
-    out = {"model": scored(parts, [part.predicted for part in parts], known, turning)}
-    # one after the other: the predictions of half an hour are hundreds of megabytes each
-    out["hold"] = scored(parts, [hold_velocity(part) for part in parts], np.ones(4, bool), turning)
-    regressed = predict_flight(flight, paper, max(horizons))
-    out["paper"] = scored(regressed, [part.predicted for part in regressed], told, "yaw" in paper)
-    del regressed
-    coasted = [free_run_prediction(flight, part, *np.nan_to_num(coefficients.reshape(4, 2).T)) for part in parts]
-    out["coast"] = scored(parts, coasted, told, turning)
-    return out
+    wanted = dict.fromkeys(errors, np.isfinite(coefficients[::2])) | {"model": known, "hold": np.ones(4, bool)}
+    turning = dict.fromkeys(errors, bool(known[AXES.index("yaw")])) | {"paper": "yaw" in paper}
+    empty = AxisScore({f"{h:g}": Horizon(None, None, 0) for h in horizons}, None)
+    out = {}
+    for name, pieces in errors.items():
+        every = joined(pieces, horizons)
+        axes = {a: score if wanted[name][k] else empty for k, (a, score) in enumerate(scores_of(every).items())}
+        heading: Literal["predicted", "measured"] = "predicted" if turning[name] else "measured"
+        scores = FlightScores(flight.path, flight.span, axes, heading, _was_fitted(model, flight), flight.moved)
+        out[name] = scores, {f"{h:g}": _known_errors(each, wanted[name]) for h, each in every.starts.items()}
+    return out, band_scores(bands)
 
 
 def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
@@ -186,15 +205,18 @@ def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
 
 def residual_tests_of_flight(model: Model, flight: Flight) -> dict[str, ResidualTests]:
     """Tests of the innovations of the axes that a flight commands and the model knows."""
-    at_fitted = residuals(model, flight)
     found: dict[str, ResidualTests] = {}
-    for axis, own in residuals(model, flight, own_levels=True).items():
-        if axis in flight.moved:
-            fitted = _was_fitted(model, flight)
+    fitted = _was_fitted(model, flight)
+    for rec in _records(model, flight):
+        own, at_fitted = _explained(model, rec, own_levels=True), _explained(model, rec, own_levels=False)
+        for axis, each in _residuals_of(model, flight, rec, own).items():
+            if axis not in flight.moved:
+                continue
             covariance = np.zeros((3, 3)) if fitted else coefficient_covariance(model, axis)
             training = sum(s.span[1] - s.span[0] for s in model.flights if axis in s.axes)
             share = flight.duration / training if training > 0 and not fitted else 0.0
-            tests = residual_tests(own.innovations, at_fitted[axis].innovation, covariance, share)
+            innovation = at_fitted.score.innovations[0][:, rec.axes.index(axis)]
+            tests = residual_tests(each.innovations, innovation, covariance, share)
             found |= {axis: tests} if tests else {}
     return found
 
@@ -282,6 +304,14 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
         flight: Any flight of the vehicle.
         own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
     """
+    out: dict[str, Residuals] = {}
+    for rec in _records(model, flight):
+        out |= _residuals_of(model, flight, rec, _explained(model, rec, own_levels))
+    return out
+
+
+def _records(model: Model, flight: Flight) -> Iterator[Record]:
+    """The flight for each group of axes with a predictor: x and y together where the vehicle turns."""
     if not flight.velocity_only:  # beside poses a velocity says nothing of its own about the model
         flight = replace(flight, velocity=None)
     known = [axis for axis in AXES if model.axes[axis].predictor]
@@ -289,35 +319,37 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
     rec = record(flight, plane) if any(axis in known for axis in plane) else None
     together = rec is not None and not rec.held and all(model.axes[axis].noise for axis in plane)
     groups = [plane, *((axis,) for axis in known if axis not in plane)] if together else [(axis,) for axis in known]
-    out: dict[str, Residuals] = {}
     for group in groups:
-        out |= _group_residuals(model, flight, group, own_levels)
-    return out
+        rec = rec if together and group == plane else record(flight, group)
+        if rec and all(set(LEVELS_OF[rec.measured]) <= set(model.axes[axis].noise) for axis in group):
+            yield rec
 
 
-def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_levels: bool) -> dict[str, Residuals]:
-    """Of one axis, or of x and y where the vehicle turns."""
-    rec = record(flight, group)
-    if rec is None:
-        return {}
-    points = [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in group]
-    names = LEVELS_OF[rec.measured]
-    if not all(set(names) <= set(model.axes[axis].noise) for axis in group):
-        return {}
-    levels = np.log([[model.axes[axis].noise[level] for level in names] for axis in group])
+def _points(model: Model, rec: Record) -> list[Predictor]:
+    return [model.axes[axis].predictor or Predictor(0.0, 1.0, 0.0) for axis in rec.axes]
+
+
+def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
+    """The model's coefficients with the flight's own trim and start, and its own levels where these are asked for."""
+    points = _points(model, rec)
+    levels = np.log([[model.axes[axis].noise[level] for level in LEVELS_OF[rec.measured]] for axis in rec.axes])
     start = replace(
         start_point([rec], 0.0, 1.0, levels),
         gain=np.array([point.input for point in points]),
         log_damping=np.log([max(point.damping, 1e-3) for point in points]),
         delay=np.array([point.delay for point in points]),
     )
-    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in group], points)
+    start = _with_structures(start, [structure_named(model.axes[axis].structure) for axis in rec.axes], points)
     free = np.zeros(start.flat().size, bool)
     free[start.coefficients : None if own_levels else start.n] = True
-    best = maximise([rec], start, free)
+    return maximise([rec], start, free)
+
+
+def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> dict[str, Residuals]:
+    """Of one axis, or of x and y where the vehicle turns."""
     explained, sensitivity = response(rec, best.point, 0, best.point.start)
     rows = whiten(rec, sensitivity, best.point.levels)[0]
-    if len(group) == 2:
+    if len(rec.axes) == 2:
         explained = heading_from_world(explained, rec.block_yaw)
     return {
         axis: Residuals(
@@ -328,7 +360,7 @@ def _group_residuals(model: Model, flight: Flight, group: tuple[str, ...], own_l
             _past(flight, AXES.index(axis), rec.block_time),
             _sensitivity(rec, rows[:, :, k], k),
         )
-        for k, axis in enumerate(group)
+        for k, axis in enumerate(rec.axes)
         if model.axes[axis].predictor
     }
 

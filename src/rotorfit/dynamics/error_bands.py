@@ -9,8 +9,9 @@ Source: A. Gelman et al., Bayesian Data Analysis (2013), ch. 2.6, for the scaled
 I. Gibbs, E. Candes, NeurIPS 34 (2021), for bands that follow their own past errors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,24 +53,46 @@ class Bands:
     deviation: Array
     freedom: Array
 
-    def half_width(self, nominal: float) -> Array:
-        """Half the width of the bands that are to hold a share of the errors, shape (S, 2, 4)."""
+    def half_width(self, nominal: float, of: Any = ...) -> Array:
+        """Half the width of the bands that are to hold a share of the errors, shape (S, 2, 4), or of some of them."""
         from scipy.special import stdtrit
 
-        return np.asarray(stdtrit(self.freedom, 0.5 + nominal / 2) * self.deviation)
+        return np.asarray(stdtrit(self.freedom[of], 0.5 + nominal / 2) * self.deviation[of])
+
+
+class Stated(NamedTuple):
+    """What bands are made of, at one horizon, S starts.
+
+    Attributes:
+        start: Shape (S,) [s].
+        error: As in `Bands`.
+        variance: What the filters predict for what will be measured, shape (S, 2, 4).
+    """
+
+    start: Array
+    error: Array
+    variance: Array
+
+
+def stated(part: Predictions, horizon: float) -> Stated:
+    """Errors, and what the filters predicted for them, of some predictions with their states."""
+    return Stated(part.start, end_errors(part, part.predicted, horizon), _variance(part, horizon))
 
 
 def error_bands(parts: Sequence[Predictions], horizon: float) -> Bands:
     """Bands of all predictions of a flight at one horizon.
 
     Args:
-        parts: Segment by segment, with their states.
+        parts: In the order of their starts, with their states.
         horizon: [s].
     """
-    start = np.concatenate([part.start for part in parts] or [np.empty(0)])
-    none = [np.empty((0, 2, 4))]
-    error = np.concatenate([end_errors(part, part.predicted, horizon) for part in parts] or none)
-    variance = np.concatenate([_variance(part, horizon) for part in parts] or none)
+    return bands_of([stated(part, horizon) for part in parts], horizon)
+
+
+def bands_of(pieces: Sequence[Stated], horizon: float) -> Bands:
+    """The same of what was stated, piece by piece."""
+    none = Stated(np.empty(0), np.empty((0, 2, 4)), np.empty((0, 2, 4)))
+    start, error, variance = (np.concatenate(column) for column in zip(none, *pieces, strict=True))
     factor, freedom = _learned(start, error**2 / variance, horizon)
     return Bands(start, error, np.sqrt(variance * factor), freedom)
 
@@ -100,25 +123,35 @@ def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]
     """Factor on the variance and degrees of freedom at every start, from errors that were seen by then; (S, 2, 4).
 
     Args:
-        start: Shape (S,) [s].
+        start: Increasing, shape (S,) [s].
         square: Squared errors over their predicted variances, shape (S, 2, 4); NaN where there is none.
         horizon: [s]; predictions that overlap share their errors.
     """
     factor, freedom = np.ones(square.shape), np.full(square.shape, DRAWN)
     known, seen = np.nan_to_num(square), np.isfinite(square)
     share = min(1.0, START_EVERY / horizon)
+    count, total = np.zeros(square.shape[1:]), np.zeros(square.shape[1:])  # both forgotten up to the start before
+    past = np.searchsorted(start + horizon + REFERENCE_HALF_WIDTH, start, side="right")
     for s in range(start.size):
-        past = start + horizon + REFERENCE_HALF_WIDTH <= start[s]
-        weight = (np.exp((start[past] - start[s]) / MEMORY))[:, None, None]
-        n = share * np.sum(weight * seen[past], axis=0)
-        factor[s] = (DRAWN + share * np.sum(weight * known[past], axis=0)) / (DRAWN + n)
+        before = max(s - 1, 0)
+        kept = np.exp((start[before] - start[s]) / MEMORY)
+        count, total = kept * count, kept * total
+        for i in range(past[before] if s else 0, past[s]):
+            weight = np.exp((start[i] - start[s]) / MEMORY)
+            count, total = count + weight * seen[i], total + weight * known[i]
+        n = share * count
+        factor[s] = (DRAWN + share * total) / (DRAWN + n)
         freedom[s] = np.minimum(DRAWN + n, MOST_FREEDOM)
     return factor, freedom
 
 
-def band_scores(parts: Sequence[Predictions], horizons: Sequence[float]) -> dict[str, dict[str, BandScore]]:
-    """How often the bands of a flight held: axis name to horizon [s] as `%g` to the score."""
-    found = {f"{h:g}": error_bands(parts, h) for h in horizons}
+def band_scores(pieces: Mapping[float, Sequence[Stated]]) -> dict[str, dict[str, BandScore]]:
+    """How often the bands of a flight held: axis name to horizon [s] as `%g` to the score.
+
+    Args:
+        pieces: Horizon [s] to what was stated, in the order of the starts.
+    """
+    found = {f"{horizon:g}": bands_of(each, horizon) for horizon, each in pieces.items()}
     return {axis: {key: _score(bands, k) for key, bands in found.items()} for k, axis in enumerate(AXES)}
 
 
@@ -133,6 +166,6 @@ def _coverage(bands: Bands, what: int, k: int) -> tuple[Coverage, ...]:
         return ()
     error, out = np.abs(bands.error[good, what, k]), []
     for nominal in NOMINAL:
-        half = bands.half_width(nominal)[good, what, k]
+        half = bands.half_width(nominal, (good, what, k))
         out.append(Coverage(nominal, float(np.mean(error <= half)), float(np.mean(half))))
     return tuple(out)

@@ -97,27 +97,8 @@ def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int, place
         out[row, place, 2 * j + 1] = z[at + COLUMNS] + s * forward + c * left
 
 
-def predict(
-    command_time: Array,
-    command: Array,
-    pose_time: Array,
-    pose: Array,
-    yaw: Array,
-    steps: Array,
-    step: Any,
-    law: Array,
-    filter_law: Array,
-    origin: Array,
-    levels: Array,
-    trim_variance: Array,
-    first: Any,
-    last: Any,
-    future_yaw: Array,
-    velocity: Array,
-    tracked: Any,
-    alone: Any,
-) -> Any:
-    """Predicts one segment from many starts.
+class Forecast:
+    """Two axes of one segment, filtered as far as starts were asked for.
 
     Args:
         command_time: Shape (M,) [s].
@@ -134,28 +115,58 @@ def predict(
             add to it and to the trim is estimated linearly.
         levels: q, r, alpha, kappa of the members of the bank, class by class, shape (A, G, 2, 4).
         trim_variance: Prior variance of the trim, shape (2,).
-        first: Index of the first pose after each start, shape (S,).
-        last: One past the last pose to predict from each start, shape (S,).
-        future_yaw: Heading at the predicted poses, shape (S, E) [rad].
         velocity: World velocities at the stamps, shape (N, 2), looked at where nothing else is measured of an axis.
         tracked: Whether what tracks each axis was measured at a stamp, shape (N, 2).
         alone: Whether velocities track the axis, shape (2,); its level r is then that of a velocity.
-
-    Returns:
-        Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; the filter's position
-        and velocity at the last pose before each start, shape (S, 4); and rows for `start_state_from_rows`.
     """
-    S, E = future_yaw.shape
-    out, begin, states = np.full((S, E, 4), np.nan), np.empty((S, 1, 4)), np.zeros((S, row_size(len(levels))))
-    prior = np.concatenate([trim_variance, np.full(2, START_VELOCITY_VARIANCE)])
-    tracking, free = _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1])
-    work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
-    _predict(
-        command_time, command, pose_time, pose, yaw, step, law, lag_series(law), filter_law, lag_series(filter_law),
-        origin, levels, first, last, future_yaw, velocity, tracked, alone, law.copy(), *bank_tables(steps, levels),
-        start_bank(levels, prior), empty_sum(levels), tracking, free, work, out, begin, states,
-    )  # fmt: skip
-    return out, begin[:, 0], states
+
+    def __init__(
+        self,
+        command_time: Array,
+        command: Array,
+        pose_time: Array,
+        pose: Array,
+        yaw: Array,
+        steps: Array,
+        step: Any,
+        law: Array,
+        filter_law: Array,
+        origin: Array,
+        levels: Array,
+        trim_variance: Array,
+        velocity: Array,
+        tracked: Any,
+        alone: Any,
+    ) -> None:
+        prior = np.concatenate([trim_variance, np.full(2, START_VELOCITY_VARIANCE)])
+        self._classes = len(levels)
+        self._given = (
+            command_time, command, pose_time, pose, yaw, step, law, lag_series(law), filter_law,
+            lag_series(filter_law), origin, levels, velocity, tracked, alone,
+        )  # fmt: skip
+        work = np.empty(6), np.empty(5), np.empty(4), np.empty(5)
+        self._kept = (
+            np.zeros(1, np.int64), law.copy(), *bank_tables(steps, levels), start_bank(levels, prior),
+            empty_sum(levels), _columns(_WHAT, _WHOSE), _columns(_WHAT[:1], _WHOSE[:1]), work,
+        )  # fmt: skip
+
+    def starts(self, first: Indices, last: Indices, future_yaw: Array) -> tuple[Array, Array, Array]:
+        """Predicts from the next starts.
+
+        Args:
+            first: Index of the first pose after each start, increasing from call to call, shape (S,).
+            last: One past the last pose to predict from each start, shape (S,).
+            future_yaw: Heading at the predicted poses, shape (S, E) [rad].
+
+        Returns:
+            Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; the filter's
+            position and velocity at the last pose before each start, shape (S, 4); and rows for
+            `start_state_from_rows`.
+        """
+        S, E = future_yaw.shape
+        out, begin, states = np.full((S, E, 4), np.nan), np.empty((S, 1, 4)), np.zeros((S, row_size(self._classes)))
+        _predict(*self._given, first, last, future_yaw, *self._kept, out, begin, states)
+        return out, begin[:, 0], states
 
 
 def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indices, Indices, Array]:
@@ -166,66 +177,72 @@ def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indi
 @kernel(fastmath={"contract"})
 def _predict(
     command_time: Array, command: Array, pose_time: Array, pose: Array, yaw: Array, step: Any, law: Array,
-    series: Array, filter_law: Array, filter_series: Array, origin: Array, levels: Array, first: Any, last: Any,
-    future_yaw: Array, velocity: Array, tracked: Any, alone: Any, known_law: Array, F: Array, D: Array, bank: Any,
-    both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
+    series: Array, filter_law: Array, filter_series: Array, origin: Array, levels: Array, velocity: Array, tracked: Any,
+    alone: Any, first: Any, last: Any, future_yaw: Array, filtered: Any, known_law: Array, F: Array, D: Array,
+    bank: Any, both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
 ) -> None:  # fmt: skip
-    """The loop over the poses; what follows `alone` is work space, or filled."""
+    """The loop over the starts, and over the poses up to each; `filtered` (1,) counts these, from call to call.
+
+    What follows `future_yaw` is work space, kept from call to call, or filled.
+    """
     z, k, u, what, whose, S = tracking
     gain, e, along, measured = work
     known, add, parts = both.known, both.add, both.parts
     run, run_k, run_u = free[0], free[1], free[2]
     longest = longest_step(filter_law)
-    _in_force(pose_time[0], law, command_time, command, k, u)
-    for a in range(2):
-        own = COLUMNS * a
-        z[V + own] = origin[a]
-        z[T + own + 1 + a] = 1.0
-        z[V + own + 3 + a] = 1.0
-    demands(filter_law, what, whose, u, z)
-    settle(filter_law, z, what.size, yaw[0])
-    s = first.size - first.size  # an integer that the compiler does not know: of one it does, all is compiled twice
-    for i in range(pose_time.size):
-        if i:
-            advance(
-                pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
-                filter_law, filter_series, longest, what, whose, z, u, S,
-            )  # fmt: skip
-            move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
-        c, sn = np.cos(yaw[i]), np.sin(yaw[i])
+    if not filtered[0]:
+        _in_force(pose_time[0], law, command_time, command, k, u)
         for a in range(2):
-            if not tracked[i, a]:
-                continue
-            for j in range(5):
-                at = (V if alone[a] else P) + j
-                x, y = z[at], z[at + COLUMNS]
-                if j == 0 and alone[a]:
-                    x, y = velocity[i, 0] - x, velocity[i, 1] - y
-                elif j == 0:
-                    x, y = pose[i, 0] - pose[0, 0] - x, pose[i, 1] - pose[0, 1] - y
-                measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
-            judge(bank, a, alone[a], measured, pose_time[i])
-            take(bank, levels, a, alone[a], measured, gain, e, along)
-        probe(bank, pose_time[i])
-        while s < first.size and first[s] == i + 1:
-            sum_bank(bank, levels, z, c, sn, both, states, s)
+            own = COLUMNS * a
+            z[V + own] = origin[a]
+            z[T + own + 1 + a] = 1.0
+            z[V + own + 3 + a] = 1.0
+        demands(filter_law, what, whose, u, z)
+        settle(filter_law, z, what.size, yaw[0])
+    for s in range(first.size):
+        while filtered[0] < first[s]:
+            i = filtered[0]
+            filtered[0] += 1
+            if i:
+                advance(
+                    pose_time[i - 1], pose_time[i], yaw[i - 1], yaw[i], k, command_time.size, command_time, command,
+                    filter_law, filter_series, longest, what, whose, z, u, S,
+                )  # fmt: skip
+                move(bank, levels, F, D, step[i], yaw[i] - yaw[i - 1], pose_time[i] - pose_time[i - 1])
+            c, sn = np.cos(yaw[i]), np.sin(yaw[i])
             for a in range(2):
-                own = COLUMNS * a
-                run[P + own] = pose[0, a] + z[P + own] + add[a]
-                run[V + own] = z[V + own] + add[2 + a]
-                run[Q + own] = z[Q + own]
-                for j in range(4):
-                    run[Q + own] += known[a, j] * z[Q + own + 1 + j]
-                known_law[a, TRIM] = known[a, a]
-                run_k[a] = k[a]
-                run_u[a] = u[a]
-            for j in range(begin.shape[1]):
-                _add(parts, run, c, sn, begin, s, j)
-            _run_free(
-                command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, F,
-                step, out, s,
-            )  # fmt: skip
-            s += 1
+                if not tracked[i, a]:
+                    continue
+                for j in range(5):
+                    at = (V if alone[a] else P) + j
+                    x, y = z[at], z[at + COLUMNS]
+                    if j == 0 and alone[a]:
+                        x, y = velocity[i, 0] - x, velocity[i, 1] - y
+                    elif j == 0:
+                        x, y = pose[i, 0] - pose[0, 0] - x, pose[i, 1] - pose[0, 1] - y
+                    measured[j] = c * x + sn * y if a == 0 else c * y - sn * x
+                judge(bank, a, alone[a], measured, pose_time[i])
+                take(bank, levels, a, alone[a], measured, gain, e, along)
+            probe(bank, pose_time[i])
+        i = filtered[0] - 1
+        c, sn = np.cos(yaw[i]), np.sin(yaw[i])
+        sum_bank(bank, levels, z, c, sn, both, states, s)
+        for a in range(2):
+            own = COLUMNS * a
+            run[P + own] = pose[0, a] + z[P + own] + add[a]
+            run[V + own] = z[V + own] + add[2 + a]
+            run[Q + own] = z[Q + own]
+            for j in range(4):
+                run[Q + own] += known[a, j] * z[Q + own + 1 + j]
+            known_law[a, TRIM] = known[a, a]
+            run_k[a] = k[a]
+            run_u[a] = u[a]
+        for j in range(begin.shape[1]):
+            _add(parts, run, c, sn, begin, s, j)
+        _run_free(
+            command_time, command, pose_time, i, last[s], yaw[i], future_yaw, known_law, series, free, parts, F,
+            step, out, s,
+        )  # fmt: skip
 
 
 def free_run(

@@ -4,7 +4,7 @@ Each segment of a flight first gives 2 s to the causal filter; starts follow eve
 from the filter on data up to that instant; from there only the commands are known.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from rotorfit.core.results import AxisScore, Horizon, StartErrors
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.filter_bank import StartState, bank_levels, start_state_from_rows
 from rotorfit.dynamics.kinematics import seen_in
-from rotorfit.dynamics.predictor import free_run, predict
+from rotorfit.dynamics.predictor import Forecast, free_run
 
 SETTLING = 2.0
 """Time that a segment gives to the filter before the first start [s]."""
@@ -73,7 +73,7 @@ UNMODELLED = AxisDynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 2.5, 0.64), 1e-6)
 
 @dataclass(frozen=True)
 class Predictions:
-    """All predictions in one segment. N poses, S starts, E predicted poses at the most.
+    """Predictions from starts of one segment. N poses, S starts, E predicted poses at the most.
 
     Attributes:
         time: Stamps of the poses, shape (N,) [s].
@@ -85,6 +85,8 @@ class Predictions:
         predicted: World position and velocity, (S, E, 2, 4); NaN beyond `last`.
         begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
         heading: Heading that the horizontal prediction used, shape (S, E).
+        period: Median step of the poses [s].
+        holes: How many of the holes that nothing is scored across lie before each pose, shape (N,).
         alone: Axes of which only the velocity is measured: their positions prove nothing.
         states: At the starts, of x and y, and of z and yaw; None where neither was wanted.
     """
@@ -98,6 +100,8 @@ class Predictions:
     predicted: Array
     begin: Array
     heading: Array
+    period: float
+    holes: Indices
     alone: tuple[str, ...] = ()
     states: tuple[StartState | None, StartState | None] = (None, None)
 
@@ -114,21 +118,58 @@ def predict_flight(
         axes: Those that are wanted; the others' predictions are left NaN.
         adapt: Whether the filter learns the levels of this flight from its past; else those of the dynamics stay.
     """
-    parts = (_predict_segment(flight, segment, dynamics, longest, axes, adapt) for segment in flight.segments)
-    return tuple(part for part in parts if part is not None)
+    return tuple(predictions(flight, dynamics, longest, axes, adapt, most=None))
 
 
-def _predict_segment(
+STARTS = 128
+"""Starts of a piece: at 120 Hz and 5 s ahead its predictions take 5 MB; those of half an hour would take 140 MB."""
+
+
+def predictions(
+    flight: Flight,
+    dynamics: Mapping[str, AxisDynamics],
+    longest: float,
+    axes: Sequence[str] = AXES,
+    adapt: bool = True,
+    most: int | None = STARTS,
+) -> Iterator[Predictions]:
+    """The same as `predict_flight`, in pieces of at most so many starts: a long flight takes no more memory for them.
+
+    Args:
+        flight: Commands and poses.
+        dynamics: As for `predict_flight`.
+        longest: Horizon up to which to predict [s].
+        axes: Those that are wanted.
+        adapt: As for `predict_flight`.
+        most: Starts of a piece; None for all of a segment.
+    """
+    for segment in flight.segments:
+        yield from _segment_predictions(flight, segment, dynamics, longest, axes, adapt, most)
+
+
+Pair = Callable[[Indices, Indices, Array], tuple[Array, Array, StartState | None]]
+"""Predicts two axes from some starts: index of the first pose and one past the last (S,), heading on the way (S, E).
+
+Returns position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4), and
+the state there; NaN and None where neither is wanted."""
+
+
+def _nothing(_first: Indices, _last: Indices, future: Array) -> tuple[Array, Array, None]:
+    return np.full((*future.shape, 4), np.nan), np.full((len(future), 4), np.nan), None
+
+
+def _segment_predictions(
     flight: Flight,
     segment: Segment,
     dynamics: Mapping[str, AxisDynamics],
     longest: float,
     wanted: Sequence[str],
     adapt: bool,
-) -> Predictions | None:
+    most: int | None,
+) -> Iterator[Predictions]:
     """Predicts from every start of one segment; z and yaw first, since x and y need the heading that yaw predicts.
 
-    None where the segment has no start with a pose before and behind it. The poses of the longest delay at its
+    Nothing where the segment has no start with a pose before and behind it. The poses of the longest delay at its
     beginning are left out: what was commanded before it still acts there.
     """
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
@@ -141,73 +182,75 @@ def _predict_segment(
     useful = (first > 0) & (last > first)
     start, first, last = start[useful], first[useful], last[useful]
     if not start.size:
-        return None
+        return
     used = (flight.command_time >= segment.start - EDGE) & (flight.command_time <= segment.end + EDGE)
-    reach = np.arange(int((last - first).max()))
-    index = np.minimum(first[:, None] + reach, t.size - 1)
+    steps = distinct_steps(t)
 
-    def run(pair: Sequence[int], yaw: Array, future: Array) -> tuple[Array, Array, StartState | None]:
-        """Filters two axes through the segment and predicts them from every start.
-
-        Args:
-            pair: Places of the two in `AXES`: x and y, which the heading turns into each other, or z and yaw.
-            yaw: Heading at the poses, which the filter sees, shape (N,) [rad]; 0 for z and yaw.
-            future: Heading on the way of each prediction, shape (S, E) [rad]: measured or predicted, never both.
-
-        Returns:
-            Position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4),
-            and the state there; NaN and None where neither is wanted.
-        """
-        chosen = [axes[i] for i in pair]
+    def pair_of(pair: Sequence[int], yaw: Array) -> Pair:
+        """Two axes by their places in `AXES`: x and y, which the heading (N,) turns, or z and yaw under one of zero."""
         if not any(AXES[i] in wanted for i in pair):
-            return np.full((*index.shape, 4), np.nan), np.full((start.size, 4), np.nan), None
+            return _nothing
+        chosen = [axes[i] for i in pair]
         levels = np.array([axis.levels for axis in chosen]) + seen.rounding[pair, None] * [0.0, 1.0, 0.0, 0.0]
         members = bank_levels(levels, adapt)
         law = np.array([axis.law for axis in chosen])
         filter_law = law.copy()
         filter_law[:, DAMPING] = np.maximum(law[:, DAMPING], LEAST_FILTER_DAMPING)
         velocity, tracked, alone = seen.velocity_of(pair)
-        out, begin, rows = predict(
+        forecast = Forecast(
             flight.command_time[used],
             np.ascontiguousarray(flight.command[used][:, pair]),
             t,
             np.ascontiguousarray(pose[:, pair]),
             yaw,
-            *distinct_steps(t),
+            *steps,
             law,
             filter_law,
             _origin(chosen, t, pose[:, pair]),
             members,
             np.array([axis.trim_variance for axis in chosen]),
-            first,
-            last,
-            future,
             velocity,
             tracked,
             alone,
         )
-        return out, begin, start_state_from_rows(rows, members, np.array([axis.damping for axis in chosen]))
+        damping = np.array([axis.damping for axis in chosen])
 
-    side, side_begin, side_state = run([2, 3], np.zeros(t.size), np.zeros(index.shape))
-    heading = np.nan_to_num(side[:, :, 1]) if "yaw" in dynamics and "yaw" in wanted else pose[:, 3][index]
-    plane, plane_begin, plane_state = run([0, 1], np.ascontiguousarray(pose[:, 3]), np.ascontiguousarray(heading))
-    return Predictions(
-        time=t,
-        pose=pose,
-        reference=seen.reference,
-        start=start,
-        first=first,
-        last=last,
-        predicted=np.stack(
-            [np.concatenate([plane[..., k : k + 2], side[..., k : k + 2]], axis=-1) for k in (0, 2)], axis=2
-        ),
-        begin=np.stack(
-            [np.concatenate([plane_begin[:, k : k + 2], side_begin[:, k : k + 2]], axis=-1) for k in (0, 2)], axis=1
-        ),
-        heading=heading,
-        alone=flight.velocity_only,
-        states=(plane_state, side_state),
-    )
+        def run(first: Indices, last: Indices, future: Array) -> tuple[Array, Array, StartState]:
+            out, at_start, rows = forecast.starts(first, last, future)
+            return out, at_start, start_state_from_rows(rows, members, damping)
+
+        return run
+
+    side, plane = pair_of([2, 3], np.zeros(t.size)), pair_of([0, 1], np.ascontiguousarray(pose[:, 3]))
+    turns = "yaw" in dynamics and "yaw" in wanted
+    reach = np.arange(int((last - first).max()))
+    period, holes = float(np.median(np.diff(t))), np.append(0, np.cumsum(np.diff(t) > LONGEST_GAP))
+    for low in range(0, start.size, most or start.size):
+        some = slice(low, low + (most or start.size))
+        index = np.minimum(first[some, None] + reach, t.size - 1)
+        beside, beside_begin, beside_state = side(first[some], last[some], np.zeros(index.shape))
+        heading = np.ascontiguousarray(np.nan_to_num(beside[:, :, 1]) if turns else pose[:, 3][index])
+        ahead, ahead_begin, ahead_state = plane(first[some], last[some], heading)
+        yield Predictions(
+            time=t,
+            pose=pose,
+            reference=seen.reference,
+            start=start[some],
+            first=first[some],
+            last=last[some],
+            predicted=np.stack(
+                [np.concatenate([ahead[..., k : k + 2], beside[..., k : k + 2]], axis=-1) for k in (0, 2)], axis=2
+            ),
+            begin=np.stack(
+                [np.concatenate([ahead_begin[:, k : k + 2], beside_begin[:, k : k + 2]], axis=-1) for k in (0, 2)],
+                axis=1,
+            ),
+            heading=heading,
+            period=period,
+            holes=holes,
+            alone=flight.velocity_only,
+            states=(ahead_state, beside_state),
+        )
 
 
 def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
@@ -258,6 +301,104 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
     return out
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Errors of the predictions from some starts, x and y in the measured heading: small beside the predictions.
+
+    Attributes:
+        starts: Horizon [s] to the squared errors, start by start.
+        steps: How many velocities of the predictions up to `FIT_HORIZON` are judged, shape (4,); theirs are the rest.
+        squares: Sum of their squared errors, shape (4,).
+        mean: Mean of what was measured there, shape (4,).
+        spread: Sum of its squared deviations from that, shape (4,).
+    """
+
+    starts: Mapping[float, StartErrors]
+    steps: Array
+    squares: Array
+    mean: Array
+    spread: Array
+
+
+def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Errors:
+    """Errors at some horizons.
+
+    Args:
+        part: What was measured.
+        predicted: What was predicted there, (S, E, 2, 4).
+        horizons: [s].
+    """
+    reach = np.arange(predicted.shape[1])
+    at = np.minimum(part.first[:, None] + reach, part.time.size - 1)
+    error = predicted[:, :, 1] - part.reference[at]
+    _turn(error, part.pose[at, 3])
+    good, end = _complete(part, FIT_HORIZON)
+    near = good[:, None] & (reach < (end - part.first)[:, None])
+    measured = part.reference[at[near]]
+    _turn(measured, part.pose[at[near], 3])
+    moments = [_moments(*pair) for pair in zip(error[near].T, measured.T, strict=True)]
+    known = np.isfinite(error)
+    squares = np.cumsum(np.where(known, error, 0.0) ** 2, axis=1)
+    steps = np.cumsum(known, axis=1, dtype=np.int32)
+    starts = {}
+    for horizon in horizons:
+        good, end = _complete(part, horizon)
+        run, last = np.flatnonzero(good), end[good] - 1
+        upto = last - part.first[good]
+        off = predicted[run, upto, 0] - part.pose[last]
+        _turn(off, part.pose[last, 3])
+        off[:, np.isin(AXES, part.alone)] = np.nan
+        starts[horizon] = StartErrors(part.start[good], squares[run, upto], steps[run, upto].astype(float), off**2)
+    return Errors(starts, *np.transpose(moments))
+
+
+def _turn(vector: Array, yaw: Array) -> None:
+    """Turns x and y of world vectors (..., 4) into headings (...), in place."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = vector[..., 0].copy(), vector[..., 1].copy()
+    vector[..., 0], vector[..., 1] = c * x + s * y, c * y - s * x
+
+
+def _moments(error: Array, measured: Array) -> tuple[float, float, float, float]:
+    """Number of known errors, sum of their squares, mean and squared deviations of what was measured there."""
+    known = np.isfinite(error)
+    error, measured = error[known], measured[known]
+    mean = float(measured.mean()) if measured.size else 0.0
+    return measured.size, float(error @ error), mean, float(np.sum((measured - mean) ** 2))
+
+
+def joined(pieces: Sequence[Errors], horizons: Sequence[float]) -> Errors:
+    """Those of several pieces as one.
+
+    Args:
+        pieces: Of the same horizons.
+        horizons: These [s].
+
+    Source: T. F. Chan, G. H. Golub, R. J. LeVeque, Am. Stat. 37 (1983), pp. 242-247, for the deviations.
+    """
+    none = np.empty(0), *(np.empty((0, 4)) for _ in range(3))
+    starts = {}
+    for horizon in horizons:
+        mine = [(e.start, e.velocity, e.steps, e.position) for e in (piece.starts[horizon] for piece in pieces)]
+        starts[horizon] = StartErrors(*(np.concatenate(column) for column in zip(none, *mine, strict=True)))
+    steps, squares, mean, spread = np.zeros((4, 4))
+    for piece in pieces:
+        total = np.maximum(steps + piece.steps, 1)
+        apart = piece.mean - mean
+        spread = spread + piece.spread + apart**2 * steps * piece.steps / total
+        mean = mean + apart * piece.steps / total
+        steps, squares = steps + piece.steps, squares + piece.squares
+    return Errors(starts, steps, squares, mean, spread)
+
+
+def scores_of(errors: Errors) -> dict[str, AxisScore]:
+    """Axis name to the scores that errors give."""
+    return {
+        axis: AxisScore({f"{h:g}": _horizon(starts, k) for h, starts in errors.starts.items()}, _fit_percent(errors, k))
+        for k, axis in enumerate(AXES)
+    }
+
+
 def score_predictions(
     parts: Sequence[Predictions], predicted: Sequence[Array], horizons: Sequence[float]
 ) -> dict[str, AxisScore]:
@@ -271,18 +412,12 @@ def score_predictions(
     Returns:
         Axis name to errors.
     """
-    scores: list[dict[str, Horizon]] = [{} for _ in AXES]
-    for h in horizons:
-        errors = _all_errors(parts, predicted, h)
-        for k, score in enumerate(scores):
-            score[f"{h:g}"] = _horizon(errors, k)
-    errors = _all_errors(parts, predicted, FIT_HORIZON)
-    return {axis: AxisScore(scores[k], _fit_percent(errors, k)) for k, axis in enumerate(AXES)}
+    return scores_of(joined([judged(*pair, horizons) for pair in zip(parts, predicted, strict=True)], horizons))
 
 
 def horizon_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> dict[str, Horizon]:
     """The same at one horizon, without the rest; axis name to errors."""
-    errors = _all_errors(parts, predicted, horizon)
+    errors = start_errors(parts, predicted, horizon)
     return {axis: _horizon(errors, k) for k, axis in enumerate(AXES)}
 
 
@@ -294,17 +429,8 @@ def start_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horiz
         predicted: What was predicted there, each (S, E, 2, 4).
         horizon: [s].
     """
-    starts, sums, counts, ends = [np.empty(0)], [np.empty((0, 4))], [np.empty((0, 4))], [np.empty((0, 4))]
-    for part, values in zip(parts, predicted, strict=True):
-        velocity, _, position = _errors(part, values, horizon)
-        good, end = _complete(part, horizon)
-        run = np.repeat(np.arange(len(position)), end[good] - part.first[good])
-        known = np.isfinite(velocity)
-        starts.append(part.start[good])
-        for out, column in ((sums, np.where(known, velocity, 0.0) ** 2), (counts, known.astype(float))):
-            out.append(np.stack([np.bincount(run, c, len(position)) for c in column.T], axis=1))
-        ends.append(position**2)
-    return StartErrors(*(np.concatenate(pieces) for pieces in (starts, sums, counts, ends)))
+    pieces = [judged(*pair, (horizon,)) for pair in zip(parts, predicted, strict=True)]
+    return joined(pieces, (horizon,)).starts[horizon]
 
 
 def end_errors(part: Predictions, predicted: Array, horizon: float) -> Array:
@@ -328,57 +454,28 @@ def end_errors(part: Predictions, predicted: Array, horizon: float) -> Array:
     return out
 
 
-def _all_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> tuple[Array, Array, Array]:
-    """Of all segments in a row; see `_errors`."""
-    pieces = [_errors(part, values, horizon) for part, values in zip(parts, predicted, strict=True)]
-    velocity, measured, position = (np.concatenate([p[i] for p in pieces] or [np.empty((0, 4))]) for i in range(3))
-    return velocity, measured, position
-
-
 def _complete(part: Predictions, horizon: float) -> tuple[Mask, Indices]:
     """Which starts have poses up to the horizon and no hole before it, and one past the last pose of each, (S,)."""
-    time, period = part.time, float(np.median(np.diff(part.time)))
     target = part.start + horizon
-    end = np.searchsorted(time, target + EDGE)  # one past the last pose within the horizon
-    gaps = np.concatenate([[0], np.cumsum(np.diff(time) > LONGEST_GAP)])
+    end = np.searchsorted(part.time, target + EDGE)  # one past the last pose within the horizon
     good = (
         (end > part.first)
         & (end <= part.last)
-        & (time[end - 1] > target - 3 * period)
-        & (gaps[end - 1] == gaps[part.first - 1])
+        & (part.time[end - 1] > target - 3 * part.period)
+        & (part.holes[end - 1] == part.holes[part.first - 1])
     )
     return good, end
 
 
-def _errors(part: Predictions, predicted: Array, horizon: float) -> tuple[Array, Array, Array]:
-    """In the measured heading: errors of velocity and velocities of all steps (n, 4), errors of end points (m, 4)."""
-    good, end = _complete(part, horizon)
-    first, end, run = part.first[good], end[good], np.flatnonzero(good)
-    if not first.size:
-        return np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))
-    start, step = np.nonzero(np.arange(predicted.shape[1]) < (end - first)[:, None])
-    at = first[start] + step
-    velocity = predicted[run[start], step, 1] - part.reference[at]
-    measured = part.reference[at].copy()
-    position = predicted[run, end - first - 1, 0] - part.pose[end - 1]
-    for vector, yaw in ((velocity, part.pose[at, 3]), (measured, part.pose[at, 3]), (position, part.pose[end - 1, 3])):
-        vector[:, :2] = heading_from_world(vector[:, :2], yaw)
-    position[:, np.isin(AXES, part.alone)] = np.nan
-    return velocity, measured, position
-
-
-def _horizon(errors: tuple[Array, Array, Array], k: int) -> Horizon:
-    velocity, _, position = (e[:, k] for e in errors)
-    velocity = velocity[np.isfinite(velocity)]
+def _horizon(errors: StartErrors, k: int) -> Horizon:
+    steps, position = float(errors.steps[:, k].sum()), errors.position[:, k]
     placed = not np.isnan(position).all()
-    if position.size < LEAST_SCORES or not velocity.size or (placed and not np.isfinite(position).all()):
+    if position.size < LEAST_SCORES or not steps or (placed and not np.isfinite(position).all()):
         return Horizon(None, None, int(position.size))
-    end = float(np.sqrt(np.mean(position**2))) if placed else None
-    return Horizon(float(np.sqrt(np.mean(velocity**2))), end, int(position.size))
+    end = float(np.sqrt(np.mean(position))) if placed else None
+    return Horizon(float(np.sqrt(errors.velocity[:, k].sum() / steps)), end, int(position.size))
 
 
-def _fit_percent(errors: tuple[Array, Array, Array], k: int) -> float | None:
-    error, measured, _ = (e[:, k] for e in errors)
-    good = np.isfinite(error)
-    spread = float(np.linalg.norm(measured[good] - measured[good].mean())) if good.any() else 0.0
-    return float(100 * (1 - np.linalg.norm(error[good]) / spread)) if spread > 0 else None
+def _fit_percent(errors: Errors, k: int) -> float | None:
+    spread = float(np.sqrt(errors.spread[k]))
+    return float(100 * (1 - np.sqrt(errors.squares[k]) / spread)) if spread > 0 else None

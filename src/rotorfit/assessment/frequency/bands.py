@@ -16,8 +16,9 @@ polynomial method, its variance and degrees of freedom); section 7.2.7 for the l
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,7 +91,7 @@ class Band:
 
     def moved_by(self, response: Spectrum) -> Array:
         """The motion that a response at the band's frequencies, shape (N,), gives, T and D taken off, shape (2 N,)."""
-        return self.free_of_others(_real(response * self.command))
+        return self.free_of_others(_real((response * self.command)[:, None])[:, 0])
 
     @property
     def parts(self) -> Array:
@@ -133,21 +134,20 @@ def bands_of(spectra: Sequence[Spectra], lines: Array | None = None) -> tuple[Ba
     knots = _knots(spectra) if lines is None else lines
     groups = _groups(knots, _bin(spectra))
     shapes = [np.full(part.frequency.size, part.duration**0.5) for part in spectra]
-    trials = [(_made(spectra, shapes, groups, tau), tau) for tau in DELAYS.tolist()]
-    bands, delay = min(trials, key=lambda each: _misfit(each[0]))
+    delay, late = np.zeros(1), np.zeros(1)
+
+    def equations() -> list[_Equations]:
+        return [one for group in groups if (one := _equations(spectra, shapes, *group)) is not None]
+
+    before = equations()
+    delay = _best(before, DELAYS, late)
     if any(part.turning.any() for part in spectra):
-        late = [[part.turned_later(tau) for part in spectra] for tau in TURNED_LATER.tolist()]
-        spectra = min(late, key=lambda each: _misfit(_made(each, shapes, groups, delay)))
-        bands = _made(spectra, shapes, groups, delay)
+        late = _best(before, delay, TURNED_LATER)
+    bands = _bands(before, delay, late)
     for _ in range(2):
         shapes = _shapes(spectra, bands, shapes)
-        bands = _made(spectra, shapes, groups, delay)
+        bands = _bands(equations(), delay, late)
     return bands
-
-
-def _misfit(bands: Sequence[Band]) -> float:
-    """Of bands with the same equations: what their noise says against them, as -2 times a log-likelihood."""
-    return float(sum(np.log(max(band.noise, 1e-300)) * band.freedom for band in bands))
 
 
 def _bin(spectra: Sequence[Spectra]) -> float:
@@ -181,47 +181,146 @@ def _groups(knots: Array, step: float) -> list[tuple[Array, float, float]]:
     return list(zip(parts, ends[:-1], ends[1:], strict=True))
 
 
-def _made(
-    spectra: Sequence[Spectra], shapes: Sequence[Array], groups: Sequence[tuple[Array, float, float]], delay: float
-) -> tuple[Band, ...]:
-    """The bands that have equations enough, their noise being of a given shape."""
-    return tuple(
-        band for knots, low, high in groups if (band := _band(spectra, shapes, knots, (low, high), delay)) is not None
-    )
+@dataclass(frozen=True)
+class _Equations:
+    """Those of one band before a delay is taken off and T and D are, scaled to noise of equal power.
+
+    Attributes:
+        knots: As of the band; so are `frequency`, `duration`, `scale` and `command`.
+        motion: Shape (N,).
+        instrument: Shape (N,); None for the command itself.
+        turned: D, shape (N,).
+        turning: What is added to the command for each second by which it turns later, shape (N,).
+        ends: Columns of T, shape (2 N, Q).
+    """
+
+    knots: Array
+    frequency: Array
+    duration: Array
+    scale: Array
+    command: Spectrum
+    motion: Spectrum
+    instrument: Spectrum | None
+    turned: Spectrum
+    turning: Spectrum
+    ends: Array
 
 
-def _band(
-    spectra: Sequence[Spectra], shapes: Sequence[Array], knots: Array, ends: tuple[float, float], delay: float
-) -> Band | None:
-    rows: list[Mask] = [(part.frequency >= ends[0]) & (part.frequency < ends[1]) for part in spectra]
+def _equations(
+    spectra: Sequence[Spectra], shapes: Sequence[Array], knots: Array, low: float, high: float
+) -> _Equations | None:
+    """Those between two frequencies, the noise being of a given shape; None where there are none."""
+    rows: list[Mask] = [(part.frequency >= low) & (part.frequency < high) for part in spectra]
     kept = [k for k, row in enumerate(rows) if row.sum() > 4]
     if not kept:
         return None
     scaled = [spectra[k].at(rows[k]).scaled(1 / shapes[k][rows[k]]) for k in kept]
-    omega, V, U, R, D = (
+    omega, V, U, R, D, late = (
         np.concatenate([getattr(part, name) for part in scaled])
-        for name in ("frequency", "motion", "command", "instrument", "turned")
+        for name in ("frequency", "motion", "command", "instrument", "turned", "turning")
     )
-    owner = np.repeat(np.arange(len(kept)), [part.frequency.size for part in scaled])
+    sizes = [part.frequency.size for part in scaled]
+    owner = np.repeat(np.arange(len(kept)), sizes)
     scale = np.concatenate([1 / shapes[k][rows[k]] for k in kept])
-    ends_of = [_transients(omega, knots[0], scale * (owner == j)) for j in range(len(kept))]
-    turn = (np.exp(-1j * omega * delay) * D)[:, None][:, : int(D.any())]
-    others = np.linalg.qr(np.hstack([*ends_of, _real(turn), _real(1j * turn)]))[0]
-    hats = _hats(omega, knots) * np.exp(-1j * np.subtract.outer(omega, knots) * delay)
-    share, outside = (np.hstack([_real(hats * W[:, None]), _real(1j * hats * W[:, None])]) for W in (U, R))
-    duration = np.repeat([part.duration for part in scaled], [part.frequency.size for part in scaled])
-    band = Band(knots, omega, duration, scale, U, _real(V), share, outside, others)
-    if band.freedom < LEAST_FREEDOM:
+    return _Equations(
+        knots=knots,
+        frequency=omega,
+        duration=np.repeat([part.duration for part in scaled], sizes),
+        scale=scale,
+        command=U,
+        motion=V,
+        instrument=None if all(spectra[k].instrument is spectra[k].command for k in kept) else R,
+        turned=D,
+        turning=late,
+        ends=np.hstack([_transients(omega, knots[0], scale * (owner == j)) for j in range(len(kept))]),
+    )
+
+
+class _Trials(NamedTuple):
+    """The matrices of a `Band`, stacked, under as many delays and times of turning as are tried, D.
+
+    Attributes:
+        command: Shape (D, N).
+        motion: Shape (D, 2 N, 1).
+        share: Shape (D, 2 N, 2 J).
+        instrument: Shape (D, 2 N, 2 J).
+        others: Shape (D, 2 N, Q).
+        told: Which of them the instrument tells, shape (D,).
+    """
+
+    command: Spectrum
+    motion: Array
+    share: Array
+    instrument: Array
+    others: Array
+    told: Mask
+
+
+def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
+    """The bands under some delays and times by which the vehicle turns a command later, each (D,) or (1,) [s].
+
+    All at once: it is the calls that take the time, not the numbers. None where too little is left to tell the noise.
+    """
+    omega, knots = one.frequency, one.knots
+    turning = bool(one.turned.any())
+    turn = (np.exp(-1j * np.outer(delay if turning else delay[:1], omega)) * one.turned)[..., None][..., : int(turning)]
+    columns = [np.broadcast_to(one.ends, (len(turn), *one.ends.shape)), _real(turn), _real(1j * turn)]
+    if 2 * omega.size - sum(part.shape[2] for part in columns) - 2 * knots.size < LEAST_FREEDOM:
         return None
-    basis, triangle = np.linalg.qr(band.free_of_others(outside))
-    if not (np.abs(np.diag(triangle)) > 1e-6 * np.linalg.norm(outside, axis=0)).all():
-        return None
-    return replace(band, motion=band.free_of_others(band.motion), share=band.free_of_others(share), instrument=basis)
+    others = np.linalg.qr(np.concatenate(columns, axis=2))[0]
+    across = others.transpose(0, 2, 1)
+    hats = _hats(omega, knots) * np.exp(-1j * np.subtract.outer(omega, knots) * delay[:, None, None])
+
+    def free(rows: Array) -> Array:
+        return np.asarray(rows - others @ (across @ rows))
+
+    def at_knots(each: Spectrum) -> Array:
+        shares = hats * each[..., None]
+        return np.concatenate([_real(shares), _real(1j * shares)], axis=2)
+
+    command = one.command + late[:, None] * one.turning
+    share = at_knots(command)
+    outside = share if one.instrument is None else at_knots(one.instrument[None])
+    length, D = np.linalg.norm(outside, axis=1), len(share)
+    share = free(share)
+    basis, triangle = np.linalg.qr(share if one.instrument is None else free(outside))
+    told = (np.abs(np.diagonal(triangle, axis1=1, axis2=2)) > 1e-6 * length).all(axis=1)
+    motion = free(_real(one.motion[None, :, None]))
+    every = command, motion, share, basis, others, told
+    return _Trials(*(np.broadcast_to(part, (D, *part.shape[1:])) for part in every))
+
+
+def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
+    """Which of the delays, or of the times of turning, the bands speak least against, shape (1,) [s]."""
+    tried = delay if delay.size > 1 else late
+    misfit = np.zeros(tried.size)
+    for one in equations:
+        trials = _trials(one, delay, late)
+        if trials is None:
+            continue
+        motion, share, instrument = (part[trials.told] for part in (trials.motion, trials.share, trials.instrument))
+        across = instrument.transpose(0, 2, 1)
+        rest = motion - share @ np.linalg.solve(across @ share, across @ motion)
+        freedom = motion.shape[1] - trials.others.shape[2] - share.shape[2]
+        misfit[trials.told] += np.log(np.maximum(np.sum(rest[..., 0] ** 2, axis=1) / freedom, 1e-300)) * freedom
+    return tried[[int(np.argmin(misfit))]]
+
+
+def _bands(equations: Sequence[_Equations], delay: Array, late: Array) -> tuple[Band, ...]:
+    """Those that have equations enough, at one delay and one time of turning, each (1,) [s]."""
+    out = []
+    for one in equations:
+        trials = _trials(one, delay, late)
+        if trials is not None and trials.told[0]:
+            command, motion, share, instrument, others, _ = (part[0] for part in trials)
+            common = one.knots, one.frequency, one.duration, one.scale
+            out.append(Band(*common, command, motion[:, 0], share, instrument, others))
+    return tuple(out)
 
 
 def _real(rows: Spectrum) -> Array:
-    """Real parts, then imaginary ones, along the first axis."""
-    return np.concatenate([rows.real, rows.imag])
+    """Real parts, then imaginary ones, along the last axis but one."""
+    return np.concatenate([rows.real, rows.imag], axis=-2)
 
 
 def _transients(omega: Array, unit: float, scale: Array) -> Array:

@@ -3,7 +3,8 @@
 Source: R. A. Fisher, Statistical Methods for Research Workers, 4th ed., 1932 (several flights).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,26 +18,36 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import LawTest, ResponseComparison
 from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Model
+from rotorfit.core.results import Motion
+from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_response
 
 
 def response_test(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, ResponseComparison], ...]:
     """Responses of the axes that a flight commands and the model knows, beside the model's, flight by flight."""
+    motions = (cache(partial(motion_from_flight, flight)) for flight in flights)
     return tuple(
         {
-            axis: compared(model, flight, axis)
+            axis: compared(model, flight, axis, motion)
             for axis in AXES
             if model.axes[axis].predictor is not None
             and axis in flight.axes
             and np.ptp(flight.command[:, AXES.index(axis)]) > 0
         }
-        for flight in flights
+        for flight, motion in zip(flights, motions, strict=True)
     )
 
 
-def compared(model: Model, flight: Flight, axis: str) -> ResponseComparison:
-    """The response of one axis on one flight beside that of a model that knows the axis."""
-    bands, instrument, why = response_bands(flight, axis)
+def compared(model: Model, flight: Flight, axis: str, motion: Callable[[], Motion] | None = None) -> ResponseComparison:
+    """The response of one axis on one flight beside that of a model that knows the axis.
+
+    Args:
+        model: The model.
+        flight: The flight.
+        axis: Name.
+        motion: Gives the motion of the flight, where several axes share it.
+    """
+    bands, instrument, why = response_bands(flight, axis, motion)
     measured, known = response_of_bands(axis, bands, instrument, why), model.axes[axis]
     structure, point = structure_named(known.structure), known.predictor
     if point is None or not has_transfer_function(structure) or not measured.frequency.size:

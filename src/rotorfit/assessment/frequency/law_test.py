@@ -135,8 +135,8 @@ def _null(slope: Array, noise: Array, sizes: Sequence[int]) -> tuple[float, floa
     basis, size, _ = np.linalg.svd(slope, full_matrices=False)
     X = basis[:, size > NOTHING * size[0]]
     r = weight * rng.standard_normal((DRAWS, noise.size))
-    through = np.einsum("dip,di->dp", weight[:, :, None] * X, r)
-    gram = np.einsum("di,ip,iq->dpq", weight**2, X, X)
+    through = (weight * r) @ X
+    gram = (weight**2 @ (X[:, :, None] * X[:, None, :]).reshape(len(X), -1)).reshape(DRAWS, X.shape[1], X.shape[1])
     told = np.einsum("dp,dp->d", through, np.linalg.solve(gram, through[..., None])[..., 0])
     Q, D = np.sum(r**2, axis=1) - told, noise.size - X.shape[1]
     return matched(float(Q.mean()) / D, float(Q.var()) / D**2, D)

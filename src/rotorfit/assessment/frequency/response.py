@@ -9,6 +9,8 @@ Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain App
 M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., 2012, for the use of it.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from rotorfit.assessment.frequency.bands import Band, bands_of
@@ -18,6 +20,7 @@ from rotorfit.assessment.frequency.tones import Tones
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse, Instrument
+from rotorfit.core.results import Motion
 from rotorfit.diagnosis.position_loop import restoring_law
 
 ALL_TONES = 0.9
@@ -41,8 +44,10 @@ def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
     return response_of_bands(axis, bands, instrument, why)
 
 
-def response_bands(flight: Flight, axis: str) -> tuple[tuple[Band, ...], Instrument, str]:
-    """The bands of an axis, what their instrument is, and, where there are none, why."""
+def response_bands(
+    flight: Flight, axis: str, motion: Callable[[], Motion] | None = None
+) -> tuple[tuple[Band, ...], Instrument, str]:
+    """The bands of an axis, what their instrument is, and, where there are none, why; `motion` as in `compared`."""
     k = AXES.index(axis)
     if axis not in flight.axes or not np.ptp(flight.command[:, k]) > 0:
         return (), "none", f"{axis} is not commanded"
@@ -50,7 +55,7 @@ def response_bands(flight: Flight, axis: str) -> tuple[tuple[Band, ...], Instrum
     if not windows:
         turned = f", or the heading turns by more than {np.degrees(TURNED):.0f} deg" if k < 2 else ""
         return (), "none", f"no {SHORTEST:g} s without a hole in commands or poses{turned}"
-    if restoring_law(flight, axis) is not None:
+    if restoring_law(flight, axis, motion() if motion else None) is not None:
         return (), "none", f"the command of {axis} is a controller's answer to the motion, and nothing else"
     every = [window_tones(window) for window in windows]
     share = min(tones.share for tones in every)
