@@ -3,19 +3,23 @@
     python bench/bench_length.py [MINUTES ...]        by default 1, 3, 10 and 30
 
 A simulated flight in closed loop, turning, 120 poses a second; fitted on all axes by the default laws and by
-`first_order_delay`, then validated on itself. Each task in a process of its own, compiled before: processor seconds of
-the task alone, and the largest memory of its process. One thread.
+`first_order_delay`, then validated. Each task in a process of its own, compiled before, on a flight that another one
+has simulated: processor seconds of the task alone, and the largest memory of its process, with the libraries and the
+flight itself. One thread.
 """
 
 import json
 import os
+import pickle
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,10 +29,9 @@ THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 TASKS = ("fit", "fit first_order_delay", "validate")
 
 
-def measured(task: str, minutes: float) -> tuple[float, float]:
-    """Processor seconds and megabytes of one task."""
+def fly(seconds: float, to: Path) -> None:
+    """Simulates a flight and writes it, with a model of half a minute of it."""
     from peers.flights import random_steps
-    from rotorfit.assessment.validation import validate
     from rotorfit.core.flight_data import Flight
     from rotorfit.estimation.fitting import fit
     from rotorfit.files.cards import load_card
@@ -44,34 +47,51 @@ def measured(task: str, minutes: float) -> tuple[float, float]:
         flight = simulate_flight(truth, excitation, seconds, 7, controller=Controller())
         return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
 
-    def work(flight: Flight) -> Callable[[], Any]:
+    to.write_bytes(pickle.dumps((flown(seconds), fit([flown(30.0)], structure="first_order_delay").model)))
+
+
+def measured(task: str, short: Path, long: Path) -> tuple[float, float]:
+    """Processor seconds and megabytes of one task; the short flight has it compiled."""
+    from rotorfit.assessment.validation import validate
+    from rotorfit.estimation.fitting import fit
+
+    def work(path: Path) -> Callable[[], Any]:
+        flight, model = pickle.loads(path.read_bytes())
         if task == "validate":
-            return partial(validate, fit([flown(30.0)], structure="first_order_delay").model, [flight])
+            return partial(validate, model, [flight])
         return partial(fit, [flight], structure="averaged" if task == "fit" else task.split()[1])
 
-    work(flown(20.0))()  # compiles
-    todo = work(flown(60.0 * minutes))
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    work(short)()
+    todo = work(long)
     start = time.process_time()
     todo()
-    taken = time.process_time() - start
-    return taken, max(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, before)
+    return time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def main() -> None:
-    if len(sys.argv) == 4 and sys.argv[1] == "--one":
-        print(json.dumps(measured(sys.argv[2], float(sys.argv[3]))))
+    if sys.argv[1:2] == ["--fly"]:
+        fly(float(sys.argv[2]), Path(sys.argv[3]))
+        return
+    if sys.argv[1:2] == ["--one"]:
+        print(json.dumps(measured(sys.argv[2], Path(sys.argv[3]), Path(sys.argv[4]))))
         return
     lengths = [float(one) for one in sys.argv[1:]] or [1.0, 3.0, 10.0, 30.0]
-    print("| minutes | " + " | ".join(TASKS) + " |\n|--:|" + "--:|" * len(TASKS))
-    for minutes in lengths:
-        cells = []
-        for task in TASKS:
-            command = [sys.executable, __file__, "--one", task, str(minutes)]
-            out = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | THREADS)
-            seconds, megabytes = json.loads(out.stdout)
-            cells.append(f"{seconds:.1f} s, {megabytes:.0f} MB")
-        print(f"| {minutes:g} | " + " | ".join(cells) + " |", flush=True)
+    print("| minutes | " + " | ".join(TASKS) + " |\n|--:|" + "--:|" * len(TASKS), flush=True)
+
+    def run(*words: str) -> str:
+        command = [sys.executable, __file__, *words]
+        return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | THREADS).stdout
+
+    with tempfile.TemporaryDirectory() as folder:
+        short, long = (str(Path(folder) / name) for name in ("short", "long"))
+        run("--fly", "20", short)
+        for minutes in lengths:
+            run("--fly", str(60.0 * minutes), long)
+            cells = []
+            for task in TASKS:
+                seconds, megabytes = json.loads(run("--one", task, short, long))
+                cells.append(f"{seconds:.1f} s, {megabytes:.0f} MB")
+            print(f"| {minutes:g} | " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

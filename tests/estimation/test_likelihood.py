@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 
 from flights import flown, steps
 from rotorfit.core.laws import DELAY_RANGE, LEVEL_RANGE
+from rotorfit.estimation.likelihood import likelihood
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.likelihood import (
     degrees_of_freedom,
@@ -192,6 +193,19 @@ def test_the_gradient_by_the_levels_agrees_with_differences_of_the_objective(axe
     expected = differences(lambda p: score(records, p, restricted).objective, point, levels, 1e-4)
     unit = np.sqrt(np.diag(here.information)[levels])
     np.testing.assert_allclose(here.gradient[levels] / unit, expected / unit, rtol=1e-4, atol=1e-4)
+
+
+def test_a_long_flight_is_scored_in_less_memory_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = records_of(("x", "y"))
+    point = point_of(records)
+    restricted = restriction(records, point, np.ones(point.flat().size, bool))
+    whole = score(records, point, restricted)
+    monkeypatch.setattr(likelihood, "LONG", 10)
+    by_fours = score(records, point, restricted)
+
+    assert by_fours.log_likelihood == whole.log_likelihood
+    for name in ("gradient", "information", "slopes", "cross"):
+        np.testing.assert_array_equal(getattr(by_fours, name), getattr(whole, name))
 
 
 def test_the_objective_judges_the_coefficients_by_the_plain_likelihood() -> None:

@@ -9,7 +9,9 @@ from flights import by_hand, flown, steps, turned
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.estimation.likelihood import law_search
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record, record
+from rotorfit.estimation.likelihood.law_search import thinned_record
 from rotorfit.simulation.paper_vehicle import Truth
 
 
@@ -118,3 +120,24 @@ def test_at_an_infinite_rate_every_pose_is_a_block_of_its_own() -> None:
     assert every is not None
     assert (every.count == 1).all()
     np.testing.assert_array_equal(every.block_time, every.pose_time)
+
+
+def test_a_long_record_is_searched_in_stretches_with_the_commands_that_act_in_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rec = whole(flown(Truth(), steps(), 60.0), ("x", "y"))
+    everything = thinned_record(rec)
+    monkeypatch.setattr(law_search, "SEARCHED", 12.0)
+    monkeypatch.setattr(law_search, "STRETCH", 3.0)
+    some = thinned_record(rec)
+
+    assert everything.starts.size == 1
+    assert some.starts.size == some.fresh.sum() == len(some.pose_range) == len(some.command_range) == 4
+    for number, (first, last) in enumerate(some.pose_range):
+        assert 2.5 < some.block_time[last - 1] - some.block_time[first] < 3.0
+        same = np.isin(everything.block_time, some.block_time[first:last])
+        moved = everything.position[same]
+        np.testing.assert_array_equal(some.position[first:last], moved - moved[0])
+        low, high = some.command_range[number]
+        assert some.command_time[low] <= max(some.starts[number] - DELAY_RANGE[1], some.command_time[0])
+        assert some.command_time[high - 1] <= some.block_time[last - 1] - DELAY_RANGE[0]

@@ -8,8 +8,9 @@ from flights import by_hand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import Array, heading_from_world, world_from_heading
 from rotorfit.core.results import Fit
+from rotorfit.estimation import zero_command
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.zero_command import braking, commanded_parts
 
@@ -118,3 +119,19 @@ def test_braking_is_found_on_none_of_six_clean_flights() -> None:
 
     assert len(found) > 10
     assert not [test for test in found if test.acts]
+
+
+def test_the_motion_in_pieces_is_that_step_by_step() -> None:
+    rng = np.random.default_rng(3)
+    pull, yaw, start = rng.standard_normal((501, 2)), np.cumsum(0.1 * rng.standard_normal(501)), np.array([0.3, -0.2])
+    damping, step = np.array([0.4, 1.5]), zero_command.STEP
+    velocity, v = [], start
+    for push, psi in zip(pull, yaw, strict=True):
+        velocity.append(v)
+        along = np.array(heading_from_world(v[None], psi[None])[0])
+        along = along * np.exp(-damping * step) - push * np.expm1(-damping * step) / damping
+        v = world_from_heading(along[None], psi[None])[0]
+
+    position, found = zero_command._moved(pull, damping, yaw, start)
+    np.testing.assert_allclose(found, velocity, atol=1e-13)
+    np.testing.assert_allclose(np.diff(position, axis=0), 0.5 * step * (found[1:] + found[:-1]), atol=1e-15)

@@ -126,37 +126,51 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
         yaw = np.interp(time, rec.pose_time[first:last], rec.yaw[first:last]) if K == 2 else np.zeros(time.size)
         delayed = [np.maximum(np.searchsorted(stamps, time - tau, side="right") - 1, 0) for tau in point.delay]
         pull = np.stack([point.gain[j] * command[delayed[j], j] for j in range(K)], axis=1)
-        velocity = _moved(pull[:, None], np.exp(point.log_damping), yaw, start[number])[1][:, 0]
+        velocity = _moved(pull, np.exp(point.log_damping), yaw, start[number])[1]
         along = heading_from_world(velocity, yaw)[:, k] if K == 2 else velocity[:, 0]
         braked = -along * _at_zero(rec, k, time - point.delay[k])
-        each = np.zeros((time.size, len(LAGS) + 2, K))
-        each[:, :, k] = np.stack([*held, -along, braked], axis=1)
-        position = _moved(each, np.exp(point.log_damping), yaw, np.zeros(K))[0]
         at = (rec.pose_time[first:last] - time[0]) / STEP
         before = np.minimum(at.astype(np.int64), time.size - 2)
-        part = (at - before)[:, None, None]
-        samples[first:last] = position[before] * (1 - part) + position[before + 1] * part
+        part = (at - before)[:, None]
+        for column, each in enumerate((*held, -along, braked)):  # one by one: of half an hour all take 200 MB
+            pull = np.zeros((time.size, K))
+            pull[:, k] = each
+            position = _moved(pull, np.exp(point.log_damping), yaw, np.zeros(K))[0]
+            samples[first:last, column] = position[before] * (1 - part) + position[before + 1] * part
     flat = samples.reshape(len(samples), -1)
     groups = np.stack([np.bincount(rec.block, column) for column in flat.T], axis=1) * rec.weight[:, None]
     return np.ascontiguousarray(rec.observed(groups).reshape(-1, len(LAGS) + 2, K))
 
 
 def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array, Array]:
-    """World positions and velocities under accelerations in the heading frame (T, C, K) and linear damping.
+    """World positions and velocities (T, K) under accelerations in the heading frame (T, K) and linear damping.
 
     Second order in the step: the position by the trapezoid, the velocity by damping that is exact where yaw is held.
+    Pieces are followed side by side, each from rest, and then get what the one before hands on.
     """
-    T, C, K = pull.shape
-    velocity, v = np.empty((T, C, K)), np.tile(start, (C, 1))
-    kept = np.exp(-damping * STEP)
-    gained = -np.expm1(-damping * STEP) / damping
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2) if K == 2 else None
-    for n in range(T):
-        velocity[n] = v
-        along = v if turn is None else v @ turn[n]
-        v = along * kept + pull[n] * gained
-        v = v if turn is None else v @ turn[n].T
+    T, K = pull.shape
+    steps = int(np.ceil(T**0.5))
+    padding = (0, -T % steps)
+    kept, gained = np.exp(-damping * STEP), -np.expm1(-damping * STEP) / damping
+    fade, push = np.tile(np.diag(kept), (T, 1, 1)), (pull * gained)[:, None]
+    if K == 2:
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+        back = turn.transpose(0, 2, 1)
+        fade, push = turn @ fade @ back, push @ back
+    fade, push = (np.pad(part, (padding, (0, 0), (0, 0))) for part in (fade, push))
+    fade, push = fade.reshape(-1, steps, K, K), push.reshape(-1, steps, 1, K)
+    pieces = np.empty((len(fade), steps, 1 + K, K))  # velocities from rest, and what is left of those at the start
+    state = np.tile(np.vstack([np.zeros(K), np.eye(K)]), (len(fade), 1, 1))
+    for n in range(steps):
+        pieces[:, n] = state
+        state = state @ fade[:, n]
+        state[:, :1] += push[:, n]
+    begin = np.empty((len(fade), 1, 1, K))
+    for n, last in enumerate(state):
+        begin[n] = start
+        start = last[0] + start @ last[1:]
+    velocity = (pieces[:, :, :1] + begin @ pieces[:, :, 1:]).reshape(-1, K)[:T]
     position = np.zeros_like(velocity)
     position[1:] = np.cumsum(0.5 * STEP * (velocity[1:] + velocity[:-1]), axis=0)
     return position, velocity

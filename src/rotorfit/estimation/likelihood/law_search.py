@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
-from rotorfit.core.laws import FIRST_ORDER_DELAY, LAG, ZERO, Structure
+from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, LAG, ZERO, Structure
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record
@@ -37,6 +37,13 @@ EVERY = 3
 
 COMMAND_TIME = 0.08
 """Commands that come closer than this are averaged over it [s]."""
+
+SEARCHED, STRETCH = 300.0, 30.0
+"""Of a longer record so much is looked at, in stretches of so much, evenly spread [s]: the nodes of the grid are far
+apart, and what is found is climbed from on all of it."""
+
+LEAST = 10
+"""Blocks of a stretch that is looked at."""
 
 CLIMBED = 4
 """Nodes that are climbed: the best, but none near a better one."""
@@ -66,7 +73,9 @@ def law_starts(
         structure: With a lag, and linear.
         prior: Of the law's parameters.
     """
-    coarse = [thinned_record(rec) for rec in records]
+    coarse, start = [thinned_record(rec) for rec in records], point.start
+    if (count := sum(rec.starts.size for rec in coarse)) > len(start):
+        point = replace(point, start=np.zeros((count, point.gain.size)))  # the motion is linear in them: found at once
     levels_held = free_of(coarse, [True] * point.gain.size, _at(point, k, structure, (0.1, 1.0, 0.1, 0.0)).structures)
     levels_held[-point.levels.size :] = False
     sign = np.sign(point.gain[k])
@@ -77,7 +86,7 @@ def law_starts(
     climbed: list[tuple[float, Point]] = []
     for node in _spread([there for _, there in nodes if np.sign(there.gain[k]) == sign or not sign], k)[:CLIMBED]:
         top = maximise(coarse, node, levels_held, tolerance=0.3, most=SHORT, prior=prior)
-        climbed.append((top.score.objective, swapped(top.point, k) or top.point))
+        climbed.append((top.score.objective, replace(swapped(top.point, k) or top.point, start=start)))
     climbed.sort(key=lambda one: -one[0])
     return _spread([there for value, there in climbed if value > climbed[0][0] - REJECTED], k)[:KEPT]
 
@@ -148,7 +157,7 @@ def _coordinates(point: Point, k: int) -> Array:
 
 
 def thinned_record(rec: Record) -> Record:
-    """Every third block, seen at its mean stamp, under commands averaged where they are dense.
+    """Every third block, seen at its mean stamp, under commands averaged where they are dense; stretches of a long one.
 
     A record of velocities is left as it is.
     """
@@ -162,7 +171,7 @@ def thinned_record(rec: Record) -> Record:
     time = rec.block_time[keep]
     steps, step = distinct_steps(time)
     command_time, command, command_range = _thinned_commands(rec)
-    return replace(
+    thinned = replace(
         rec,
         pose_range=np.column_stack([ends - sizes, ends]),
         command_range=command_range,
@@ -178,6 +187,48 @@ def thinned_record(rec: Record) -> Record:
         fresh=rec.fresh[keep],
         command_time=command_time,
         command=command,
+        size=np.ones(keep.size),
+    )
+    return _stretches(thinned)
+
+
+def _stretches(rec: Record) -> Record:
+    """As much of a thinned record as is searched, each stretch a segment of its own."""
+    time, segment = rec.block_time, np.cumsum(rec.fresh) - 1
+    ends = np.append(np.flatnonzero(rec.fresh), time.size)
+    every = STRETCH / SEARCHED * float(np.sum(time[ends[1:] - 1] - rec.starts))
+    if every <= STRETCH:
+        return rec
+    since = time - rec.starts[segment]
+    place = np.unique(np.column_stack([segment, since // every]), axis=0, return_inverse=True)[1].ravel()
+    inside = since % every < STRETCH
+    keep = np.flatnonzero(inside & (np.bincount(place, inside) >= LEAST)[place])
+    if not keep.size:
+        return rec
+    number = np.unique(place[keep], return_inverse=True)[1]
+    fresh = np.diff(number, prepend=-1) > 0
+    first = np.flatnonzero(fresh)
+    last = np.append(first[1:], keep.size)
+    starts = np.maximum(time[keep[first]], rec.starts[segment[keep[first]]])
+    low, high = rec.command_range[segment[keep[first]]].T
+    acting = np.searchsorted(rec.command_time, starts - DELAY_RANGE[1], side="right") - 1
+    over = np.searchsorted(rec.command_time, time[keep[last - 1]] - DELAY_RANGE[0])
+    steps, step = distinct_steps(time[keep])
+    return replace(
+        rec,
+        starts=starts,
+        pose_range=np.column_stack([first, last]),
+        command_range=np.column_stack([np.clip(acting, low, high), np.clip(over, low, high)]),
+        pose_time=time[keep],
+        yaw=rec.yaw[keep],
+        block=np.arange(keep.size),
+        count=rec.count[keep],
+        block_time=time[keep],
+        steps=steps,
+        step=step,
+        block_yaw=rec.block_yaw[keep],
+        position=rec.position[keep] - rec.position[keep[first]][number],
+        fresh=fresh,
         size=np.ones(keep.size),
     )
 

@@ -7,7 +7,7 @@ sensitivities pass through the gains of one filter, so the gradient costs one pa
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from rotorfit.dynamics.general_step import COLUMNS, MEAN, NOTHING, START
 from rotorfit.dynamics.lagged_response import lagged_axis_response
 from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.dynamics.velocity_fusion import BIAS_VARIANCE, whiten_fused
-from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
+from rotorfit.dynamics.whitening import LANES, whiten_axis, whiten_plane
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.parameters import Point
 
@@ -156,6 +156,22 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
     return first[:, None], others[:, :, None], variance[:, :, None]
 
 
+LONG = 20_000
+"""Blocks from which on filters of several levels run by fours: what all of them give at once takes 100 MB and more."""
+
+
+def _passes(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[tuple[Array, Array]]:
+    """Rows and variances of each filter: see `_filtered`."""
+    at_once = len(levels) if rec.count.size < LONG else LANES
+    first, others, variance = _filtered(rec, np.ascontiguousarray(columns), levels[:at_once], few)
+    yield first, variance[0]
+    columns = np.ascontiguousarray(columns[:, :, :few]) if len(levels) > at_once else columns
+    yield from zip(others, variance[1:], strict=True)
+    for low in range(at_once, len(levels), at_once):
+        first, others, variance = _filtered(rec, columns, levels[low : low + at_once], few)
+        yield from zip([first, *others], variance, strict=True)
+
+
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
     """The filter of a record that holds velocities; see `whiten_fused`. `levels` (K, L) are no logarithms here."""
     assert rec.rate is not None
@@ -255,8 +271,10 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         fixed = [] if restricted is None else [restricted.sensitivities[j]]
         columns = np.concatenate([residual, *fixed, sensitivity], axis=1).transpose(0, 2, 1)
         few = columns.shape[2] - width  # the residual and what is fixed: all that the levels' part needs
-        rows, moved, variance = _filtered(rec, np.ascontiguousarray(columns), levels, few)
-        rows, log_variance = rows.reshape(-1, few + width), np.log(variance).reshape(len(levels), -1)
+        passes = _passes(rec, columns, levels, few)
+        del columns, residual, sensitivity
+        first, variance = next(passes)
+        rows, log_variance = first.reshape(-1, few + width), np.log(variance).ravel()
         shared = [*range(first_trim), *range(first_trim + j * K, first_trim + (j + 1) * K)]
         parts = [
             (np.array([*shared, *range(first, first + K)]), part)
@@ -267,15 +285,15 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
             information[where[:, None], where] += product[few:, few:]
             gradient[where] += product[few:, 0]
             log_likelihood -= 0.5 * float(product[0, 0])
-        log_likelihood -= 0.5 * float(log_variance[0].sum() + log_variance[0].size * np.log(2 * np.pi))
+        log_likelihood -= 0.5 * float(log_variance.sum() + log_variance.size * np.log(2 * np.pi))
         e = rows[:, 0]
         innovations.append(e.reshape(-1, K))
         if restricted is None:
             continue
         d_innovation, d_log_variance = np.empty((L, e.size)), np.empty((L, e.size))
-        for m, i in enumerate(looked):
-            there = moved[m].reshape(-1, few)
-            d_innovation[i], d_log_variance[i] = there[:, 0] - e, log_variance[1 + m] - log_variance[0]
+        for i, (moved, variance) in zip(looked, passes, strict=True):
+            there = moved.reshape(-1, few)
+            d_innovation[i], d_log_variance[i] = there[:, 0] - e, np.log(variance).ravel() - log_variance
             for (where, part), product in zip(parts, products, strict=True):
                 change = there[part].T @ there[part] - product[:few, :few]
                 slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
