@@ -455,6 +455,9 @@ def test_info_of_a_log_without_a_card_says_how_to_go_on(tmp_path: Path) -> None:
 
     assert "Built-in cards that fit: none" in found
     assert f"draft one with `rotorfit info {log} --draft-card FILE`" in found
+    drafted = done("info", log, "--draft-card", tmp_path / "card.toml")
+    assert f"without a command: none was found in {log}, and without one nothing can be fitted" in drafted
+    assert "then rotorfit fit" not in drafted
 
 
 def test_a_drafted_card_fits_the_log(folder: Path, tmp_path: Path) -> None:

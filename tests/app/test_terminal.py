@@ -1,5 +1,6 @@
 """What the terminal shows: numbers with the digits that they earn, open ends, and what has no numbers."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -8,9 +9,10 @@ from test_summary import axis, model
 
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
+from rotorfit.app.terminal.tables import interval_text, number_text
 from rotorfit.app.terminal.tracking import track_view
 from rotorfit.core.model import Combination, Mode, Model
-from rotorfit.core.tracked import Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import Air, Track, Tracked, TrackedAxis
 
 
 def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
@@ -98,3 +100,27 @@ def test_what_was_tracked_stands_with_its_units(capsys: pytest.CaptureFixture[st
 
     shown = [row[-4] for row in rows if "to" in row and {"input", "gain"} & set(row)]
     assert shown == ["m/s^2", "m/s", "rad/s^2", "rad/s"]
+
+
+@pytest.mark.parametrize(
+    ("air", "said"),
+    [
+        (Air(0.01, (0.0, 0.031), 2.8, (-0.3, 5.9)), "Mean wind below 0.031 m/s"),
+        (Air(0.01, (0.001, 0.031), 1.0, (1.0 - math.pi, 1.0 + math.pi)), "Mean wind below 0.031 m/s"),
+        (
+            Air(2.0, (1.8, 2.2), -0.001, (-0.1, 0.1)),
+            "Mean wind 2.00 m/s (1.80 to 2.20), towards 0 deg (-6 to 6) from the world's x, counter-clockwise",
+        ),
+    ],
+)
+def test_still_air_blows_nowhere(capsys: pytest.CaptureFixture[str], air: Air, said: str) -> None:
+    show(track_view(Track((Tracked(12.0, {"x": TrackedAxis()}, air=air),), ())))
+    lines = " ".join(capsys.readouterr().out.split())
+
+    assert lines.endswith(said)
+    assert "per command of 1" not in lines
+
+
+def test_nothing_is_less_than_zero() -> None:
+    assert number_text(-0.001, (-0.2, 0.2)) == "0.00"
+    assert interval_text((-0.001, 0.2)) == "0.00 to 0.20"

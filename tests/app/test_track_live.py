@@ -38,7 +38,10 @@ def run(*words: str) -> Result:
         (("--link", "pigeon"), "no link 'pigeon'"),
         (("--link", "sim", "--card", "tello"), "the card given is not one of Parrot Bebop 2: a command on x"),
         (("--link", "sim:tello", "--card", "tello"), "what a command of 1 on x reaches; leave --card out"),
-        (("--link", "sim,mass=2"), "'mass=2' is not one of wind=NUMBER"),
+        (("--link", "sim,mass=2"), "'mass=2' is not mass=2@SECOND"),
+        (("--link", "sim,load=2"), "'load=2' is not one of wind=NUMBER"),
+        (("--link", "replay"), "replay wants a file: --link replay:flight.mcap"),
+        (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
         (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),
     ],
 )

@@ -215,8 +215,8 @@ def test_a_cable_that_is_pulled_is_a_lost_link_not_a_trace(bench: Bench, monkeyp
 def test_nobody_there_is_one_line(bench: Bench) -> None:
     bench.autopilot.deaf = True
 
-    with pytest.raises(LinkError, match="no heartbeat; check address"):
-        bench.link.greet()
+    with pytest.raises(LinkError, match=r"no heartbeat on udpin:127\.0\.0\.1:7; check address"):
+        bench.link.greet("udpin:127.0.0.1:7")
     assert not bench.wire.open
 
 

@@ -315,7 +315,7 @@ def test_a_log_of_others_is_played_back_in_the_world_frame(tmp_path: Path) -> No
     x, y, z, qw, _, _, qz = samples[3].values
     assert (x, y, z) == (2.0, 3.0, 3.0)
     assert 2 * np.arctan2(qz, qw) == pytest.approx(np.pi / 2 - 0.5)
-    with pytest.raises(LinkError, match="replay needs a log"):
+    with pytest.raises(LinkError, match="replay wants a file: --link replay:"):
         open_link("replay", CARD)
 
 

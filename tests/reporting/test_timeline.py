@@ -61,6 +61,11 @@ def test_the_mean_wind_is_told_where_it_is_known(track: Track, flight: Flight) -
     assert said in timeline_page(windy, flight)
     assert "Mean wind" not in timeline_page(track, flight)
 
+    still = replace(air, speed=0.01, speed_ci95=(0.0, 0.031))
+    calm = replace(track, states=(*track.states[:-1], replace(track.states[-1], air=still)))
+    assert "Mean wind of the last 40 s: below 0.03" in timeline_page(calm, flight)
+    assert "towards" not in timeline_page(calm, flight)
+
 
 def test_nothing_of_a_log_or_an_alarm_is_html_and_nothing_is_fetched(track: Track, flight: Flight) -> None:
     page = timeline_page(track, flight)

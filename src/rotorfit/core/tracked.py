@@ -166,6 +166,12 @@ class Air:
     direction: float
     direction_ci95: tuple[float, float]
 
+    @property
+    def told(self) -> bool:
+        """Whether it is told from still air, which has no direction."""
+        begin, end = self.direction_ci95
+        return self.speed_ci95[0] > 0 and end - begin < 2 * np.pi * (1 - 1e-9)
+
     def to_mapping(self) -> dict[str, Any]:
         """As a line of JSON holds it."""
         return {

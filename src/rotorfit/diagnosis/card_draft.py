@@ -402,12 +402,18 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
     return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
 
 
-def write_draft(log: Log, path: Path, fresh: bool = False) -> None:
+def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
     """Writes the draft of a card to a new file; the arguments are those of `draft_card`.
+
+    Returns:
+        Whether it names a command: without one nothing can be fitted.
 
     Raises:
         CardError: The file exists already: it may be a card that somebody has edited.
     """
     if path.exists():
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")
-    write_whole(path, draft_card(log, fresh), keep=False)
+    text = draft_card(log, fresh)
+    write_whole(path, text, keep=False)
+    commands = text.partition("[command]\n")[2].partition("[pose]\n")[0]
+    return not all(_line(axis, None) in commands for axis in AXES)

@@ -147,6 +147,8 @@ def _air(air: Air | None) -> str:
     """The mean wind in words; empty where it is not known."""
     if air is None:
         return ""
+    if not air.told:
+        return f"Mean wind of the last 40 s: below {_value(air.speed_ci95[1], air.speed_ci95)} m/s."
     speed = f"{_value(air.speed, air.speed_ci95)} m/s ({_interval(air.speed_ci95, air.speed)})"
     ends = tuple(math.degrees(end) for end in air.direction_ci95)
     return (

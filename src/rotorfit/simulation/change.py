@@ -99,8 +99,9 @@ def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
             value: Any = tuple(numbers) if key == "rotors" else numbers[0]
             found.append(Change(time, **{key: value}))
         except ValueError:
+            wanted = "WHAT=VALUE@SECOND" if "@" in option else f"{option}@SECOND"
             raise LinkError(
-                f"--link sim{'' if address.startswith(',') else ':'}{address}: {option!r} is not WHAT=VALUE@SECOND; "
+                f"--link sim{'' if address.startswith(',') else ':'}{address}: {option!r} is not {wanted}; "
                 f"what can change: {', '.join(GIVEN)}, factors and limits above 0"
             ) from None
     return tuple(found)

@@ -60,9 +60,10 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
         raise click.UsageError("--draft-card drafts for one log: give one")
     if fresh and not draft:
         raise click.UsageError("--fresh is about --draft-card: give its file")
+    commanded = True
     with progress_bar() as progress:
         if draft:
-            write_draft(read(parse_log(logs[0]).path, progress=progress), draft, fresh)
+            commanded = write_draft(read(parse_log(logs[0]).path, progress=progress), draft, fresh)
         surveys = survey_logs(logs, card, progress) if card or not draft else (survey_draft(logs[0], draft),)
     if as_json:
         return print_json({"logs": [asdict(survey) for survey in surveys], "draft_card": draft and str(draft)})
@@ -71,8 +72,13 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
 
     for number, survey in enumerate(surveys):
         show([*([""] if number else []), *survey_view(survey)])
-    if draft:
+    if draft and commanded:
         click.echo(f"\nCard written to {draft}: check every line, then rotorfit fit {logs[0]} --card {draft}")
+    elif draft:
+        click.echo(
+            f"\nCard written to {draft} without a command: none was found in {logs[0]}, and without one nothing can be "
+            "fitted. Name its columns in the lines of [command] marked EDIT, or record the commands too."
+        )
     return None
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rotorfit.tracking.earlier import Earlier
 
 PORT = click.IntRange(0, 65535)
+PORT.name = "port number"  # as a mistake is told
 
 
 def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> str | None:
@@ -40,7 +41,9 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
 @click.command()
 @click.argument("log", metavar="[LOG]", required=False)
 @click.option(
-    "--link", metavar="NAME[:ADDRESS]", help="Listen to a vehicle that somebody else flies: sim, ros2, mavlink."
+    "--link",
+    metavar="NAME[:ADDRESS]",
+    help="Listen to a vehicle that somebody else flies: sim, ros1, ros2, mavlink; or to replay:LOG.",
 )
 @card_option("the one that fits")
 @click.option("--for", "seconds", type=click.FloatRange(min=0.1), metavar="S", help="Listen for so many seconds.")
@@ -69,7 +72,14 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
 )
 @click.option("--record", type=file_at(), metavar="F.mcap", help="Record what is heard, states and alarms beside it.")
 @click.option("--state", "memory", type=file_at(), metavar="FILE", help="Remember in a file, and go on from it.")
-@click.option("--page", type=PORT, is_flag=False, flag_value=0, metavar="[PORT]", help="A live page on 127.0.0.1.")
+@click.option(
+    "--page",
+    type=PORT,
+    is_flag=False,
+    flag_value=0,
+    metavar="[PORT]",
+    help="A live page on 127.0.0.1; without a PORT, on any that is free.",
+)
 @click.option(
     "--foxglove",
     type=PORT,

@@ -65,7 +65,7 @@ def three_digits(value: float) -> str:
 
 def number_text(value: float, interval: Interval) -> str:
     """A number with the digits that its interval earns: two of the half width."""
-    return f"{value:.{_decimals(value, interval)}f}"
+    return f"{value:z.{_decimals(value, interval)}f}"
 
 
 def interval_text(interval: Interval) -> str:
@@ -75,7 +75,7 @@ def interval_text(interval: Interval) -> str:
         return "-"
     known = [end for end in interval if end is not None]
     decimals = _decimals(max(known, key=abs), interval)
-    return " to ".join("open" if end is None else f"{end:.{decimals}f}" for end in interval)
+    return " to ".join("open" if end is None else f"{end:z.{decimals}f}" for end in interval)
 
 
 def _decimals(value: float, interval: Interval) -> int:

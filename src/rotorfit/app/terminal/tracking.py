@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
-from rotorfit.core.tracked import QUANTITIES, Alarm, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, TrackedAxis
 
 _LENGTH = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
 
@@ -107,20 +107,29 @@ def track_view(result: Track) -> View:
                 number = number_text(value, axis.ci95[what])
                 out.add_row(*said, what.replace("_", " "), number, unit, interval_text(axis.ci95[what]))
         if axis.wind is not None:
-            wind = f"{axis.wind:.2f}", f"{_LENGTH[name]}/s^2"
+            wind = f"{axis.wind:z.2f}", f"{_LENGTH[name]}/s^2"
             out.add_row("", "", "wind", *wind, interval_text(axis.wind_ci95))
     yield out
-    yield indented("input and steady gain are per command of 1", 0)
+    if any(axis.values.get("input") is not None for axis in last.axes.values()):
+        yield indented("input and steady gain are per command of 1", 0)
     yield from bullets(
         f"{name} against the earlier model: {_apart(axis)}" for name, axis in last.axes.items() if axis.against
     )
     if last.air:
-        low, high = last.air.speed_ci95
-        towards = f"{math.degrees(last.air.direction):.0f} deg from the world's x, counter-clockwise"
-        yield indented(f"Mean wind {last.air.speed:.1f} m/s ({low:.1f} to {high:.1f}), towards {towards}", 0)
+        yield indented(_wind(last.air), 0)
     if len(result.regimes) > 1:
         yield ""
         yield from bullets(
             f"{one.start:.1f} to {one.end:.1f} s: {one.begun_by.cause if one.begun_by else 'as it began'}"
             for one in result.regimes
         )
+
+
+def _wind(air: Air) -> str:
+    """The mean wind with its intervals; of air that may be still, how much it is at the most."""
+    if not air.told:
+        return f"Mean wind below {number_text(air.speed_ci95[1], air.speed_ci95)} m/s"
+    speed = f"{number_text(air.speed, air.speed_ci95)} m/s ({interval_text(air.speed_ci95)})"
+    begin, end = (math.degrees(angle) for angle in air.direction_ci95)
+    towards = f"{math.degrees(air.direction):z.0f} deg ({begin:z.0f} to {end:z.0f})"
+    return f"Mean wind {speed}, towards {towards} from the world's x, counter-clockwise"

@@ -18,6 +18,7 @@ class LinkKind:
         module: That opens it, imported when it is asked for.
         install: How to get what it needs beyond rotorfit itself.
         poses: Whether it can give poses alone, by `open_poses(address)`.
+        example: Of one whose address cannot be left out.
         simulated: Whether its vehicle starts where the address says: see `simulated_at`.
         listens: Module that follows a vehicle which somebody else flies, by `open_listener(address, card)`; empty where
             that cannot be.
@@ -28,6 +29,7 @@ class LinkKind:
     module: str
     install: str = ""
     poses: bool = False
+    example: str = ""
     simulated: bool = False
     listens: str = ""
     alone: str = "it has no listener"
@@ -39,7 +41,7 @@ LINKS: Mapping[str, LinkKind] = {
     "sim": LinkKind(
         "sim:VEHICLE,wind=1,gusts=0.3 [m/s]", f"{_LINKS}.sim", simulated=True, listens=f"{_LINKS}.sim_pilot"
     ),
-    "replay": LinkKind("replay:FILE", f"{_LINKS}.replay", listens=f"{_LINKS}.replay"),
+    "replay": LinkKind("replay:FILE", f"{_LINKS}.replay", example="replay:flight.mcap", listens=f"{_LINKS}.replay"),
     "ros1": LinkKind(
         "ros1",
         f"{_LINKS}.ros1",

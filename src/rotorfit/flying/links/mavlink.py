@@ -82,7 +82,7 @@ def open_link(address: str, card: Card) -> "MavlinkLink":
         ModuleNotFoundError: No pymavlink.
     """
     link = MavlinkLink(connect(address), mavlink_commands(card))
-    link.greet()
+    link.greet(address)
     return link
 
 
@@ -94,7 +94,7 @@ def open_poses(address: str) -> "MavlinkLink":
         ModuleNotFoundError: No pymavlink.
     """
     link = MavlinkLink(connect(address), None)
-    link.greet()
+    link.greet(address)
     return link
 
 
@@ -140,8 +140,11 @@ class MavlinkLink:
         known = self._autopilot
         return Silence(self._goes_on or known.goes_on, known.parameter) if known else Silence()
 
-    def greet(self) -> None:
+    def greet(self, address: str = "") -> None:
         """Waits for a heartbeat, then asks for the messages that it needs.
+
+        Args:
+            address: Where it listens, as of `open_link`.
 
         Raises:
             LinkError: None came, or from an autopilot that is neither PX4 nor ArduPilot.
@@ -151,7 +154,8 @@ class MavlinkLink:
             self.receive(wall_clock() + SECOND // 10)
         if self._autopilot is None:
             self._close()
-            raise LinkError(self._trouble or "mavlink: no heartbeat; check address, baud rate and the port's mode")
+            silent = f"mavlink: no heartbeat on {address or DEFAULT_ADDRESS}"
+            raise LinkError(self._trouble or f"{silent}; check address, baud rate and the port's mode")
         self._request()
 
     def _request(self) -> None:

@@ -50,7 +50,7 @@ def open_listener(address: str, card: Card) -> "MavlinkListener":
     """
     stream = bool(address) and not address.startswith("udp")
     link = MavlinkListener(connect(address), mavlink_commands(card), stream, obedience(card))
-    link.greet()
+    link.greet(address)
     return link
 
 

@@ -24,9 +24,7 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
     Raises:
         LinkError: No such link, something to install is missing, or nobody answers.
     """
-    name, address = split(text)
-    if name not in LINKS:
-        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    name, address = _known(text)
     with _told_to_install(name):
         link: Link = import_module(LINKS[name].module).open_link(address, card)
     if not poses:
@@ -64,9 +62,7 @@ def check_listens(text: str) -> None:
     Raises:
         LinkError: It is one of them.
     """
-    name, _ = split(text)
-    if name not in LINKS:
-        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    name, _ = _known(text)
     if not LINKS[name].listens:
         raise LinkError(f"--link {text}: nobody can listen to it: {LINKS[name].alone}")
 
@@ -91,6 +87,16 @@ def split(text: str) -> tuple[str, str]:
     """Name and address; options may follow the name itself, as in `sim,wind=2`."""
     name = re.split("[:,]", text, maxsplit=1)[0]
     return name, text[len(name) :].removeprefix(":")
+
+
+def _known(text: str) -> tuple[str, str]:
+    """Name and address of a link that there is."""
+    name, address = split(text)
+    if name not in LINKS:
+        raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
+    if LINKS[name].example and not address:
+        raise LinkError(f"--link {text}: {name} wants a file: --link {LINKS[name].example}")
+    return name, address
 
 
 @contextmanager

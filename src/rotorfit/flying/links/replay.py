@@ -31,12 +31,10 @@ def open_link(address: str, card: Card) -> "ReplayLink":
         card: Reads the log where it carries no card of its own and no built-in one fits.
 
     Raises:
-        LinkError: No path, or no poses.
+        LinkError: No poses.
         LogError: The log cannot be read.
         CardError: A column is not there.
     """
-    if not address:
-        raise LinkError("--link replay needs a log: replay:FILE")
     log = read(address)
     try:
         own = card_of(log)
@@ -57,11 +55,8 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
         card: Reads the log.
 
     Raises:
-        LinkError: No path.
         LogError, CardError, FlightError: The log holds no flight.
     """
-    if not address:
-        raise LinkError("--link replay needs a log: replay:FILE")
     log = read(address)
     flight = flight_from_log(log, card)
     half = flight.yaw / 2

@@ -20,7 +20,7 @@ from rotorfit.core.log import Sample
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.links.link import Action, Silence
 from rotorfit.simulation.air import wind_of
-from rotorfit.simulation.change import changes_of
+from rotorfit.simulation.change import GIVEN, changes_of
 
 if TYPE_CHECKING:
     from rotorfit.simulation.flight_room import FlightRoom
@@ -68,7 +68,7 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     name, *given = address.split(",")
     options = [option for option in given if option.partition("=")[0] not in DEFAULTS]
     start, seed, flying = _scene([option for option in given if option not in options])
-    changes = [option for option in options if "@" in option]
+    changes = [option for option in options if "@" in option or option.partition("=")[0] in GIVEN]
     wind = wind_of([option for option in options if option not in changes], ",".join([name, *options]))
     conditions = Conditions(wind, changes=changes_of(changes, ",".join([name, *options])))
     vehicle = load_vehicle(name or VEHICLE)
