@@ -46,6 +46,7 @@ def test_a_simulated_vehicle_is_followed_and_becomes_a_log(studio: Studio, page:
 
     events = page.get("/live/events").text.splitlines()  # ends, because nothing more will come
     states = [json.loads(line.removeprefix("data: ")) for line in events if line.startswith("data: {")]
+    assert f'data: "{SIM["link"]}"' in events
     assert {state["type"] for state in states} == {"state"}
     assert set(states[-1]["axes"]) == {"x", "y", "z", "yaw"}
     assert events[-2] == "data: over"

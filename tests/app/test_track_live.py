@@ -118,7 +118,7 @@ def test_after_a_kill_it_goes_on_within_a_second(tmp_path: Path) -> None:
 
 def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:
     said: list[str] = []
-    page = LivePage(0, said.append)
+    page = LivePage(0, "sim,wind=1", said.append)
     try:
         page.gains({"type": "gains", "axes": {"x": {}}}, 0)
         page.state(Tracked(2.0, {"x": TrackedAxis()}, (ALARM,)), 0)
@@ -146,6 +146,7 @@ def test_the_page_shows_all_that_is_told_to_who_has_the_key_alone() -> None:
         assert asked("/events", Cookie=cookie, **{"Sec-Fetch-Site": "cross-site"})[0] == 403
         status, body, _ = asked("/events", Cookie=cookie)
         assert status == 200
+        assert 'data: "sim,wind=1"' in body
         assert '"type": "gains"' in body
         assert '"cause": "payload"' in body
         assert '"type": "state"' in body

@@ -29,12 +29,16 @@ PACKAGE = "rotorfit.app.live"
 class Feed:
     """What pages are shown. One thread adds, the server reads.
 
+    Args:
+        vehicle: What is followed, for people; empty where nothing is.
+
     Attributes:
         over: Whether nothing more will come; pages that are open say so.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: str = "") -> None:
         self.over = False
+        self._vehicle = json.dumps(vehicle)
         self._lines: deque[tuple[int, str]] = deque(maxlen=KEPT)
         self._count = 0
 
@@ -46,7 +50,7 @@ class Feed:
     async def events(self, seen: int) -> AsyncIterator[str]:
         """Lines after one that the page has seen; a browser that was cut off asks from there."""
         quiet = 0.0
-        yield "retry: 1000\n\n"
+        yield f"retry: 1000\n\nevent: vehicle\ndata: {self._vehicle}\n\n"
         while True:
             over = self.over
             new = [(number, line) for number, line in list(self._lines) if number > seen]

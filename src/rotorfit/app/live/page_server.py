@@ -14,13 +14,14 @@ class LivePage:
 
     Args:
         port: To listen on; 0 for any that is free.
+        vehicle: What is followed, for people.
         say: Told the address, with the key of this run.
 
     Raises:
         LinkError: The studio's server is not installed, or the port is taken.
     """
 
-    def __init__(self, port: int, say: Callable[[str], None]) -> None:
+    def __init__(self, port: int, vehicle: str, say: Callable[[str], None]) -> None:
         try:
             from starlette.applications import Starlette
 
@@ -32,7 +33,7 @@ class LivePage:
             self._loopback = Loopback(port, "track")
         except OSError as error:
             raise LinkError(f"--page {port}: {error.strerror}; choose another port, or none") from None
-        self._feed = feed = Feed()
+        self._feed = feed = Feed(vehicle)
         app = self._loopback.gated(Starlette(routes=live_routes(lambda: feed)))
         self._server = self._loopback.server(app, 1)
         sockets = {"sockets": [self._loopback.socket]}

@@ -38,7 +38,7 @@ class Views:
             if page is not None:
                 from rotorfit.app.live.page_server import LivePage
 
-                self._add(stack, LivePage(page, self._say))
+                self._add(stack, LivePage(page, self._vehicle, self._say))
             if foxglove is not None:
                 from rotorfit.app.live.foxglove import FoxgloveOutlet
 

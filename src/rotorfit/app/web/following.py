@@ -45,7 +45,7 @@ class Run:
     number: int
     link: str
     process: subprocess.Popen[str]
-    feed: Feed = field(default_factory=Feed)
+    feed: Feed
     said: deque[str] = field(default_factory=lambda: deque(maxlen=SAID))
     running: bool = True
 
@@ -99,7 +99,7 @@ class Follower:
             name = f"live-{number}.mcap"
             with ExitStack() as stack:
                 log_id, path = stack.enter_context(self._incoming(name))
-                self._run = run = Run(number, link, _process(link, card, text, path))
+                self._run = run = Run(number, link, _process(link, card, text, path), Feed(link))
                 place = stack.pop_all()
         Thread(target=self._listen, args=(run, place, log_id, name, path), daemon=True).start()
 

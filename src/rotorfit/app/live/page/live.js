@@ -4,10 +4,14 @@ if (location.search) history.replaceState(null, "", location.pathname); // the k
 
 const KEPT = 3600;
 const AXES = ["x", "y", "z", "yaw"];
-const QUANTITIES = [["input", ""], ["damping", "1/s"], ["delay", "s"], ["wind", "m/s²"]];
+const QUANTITIES = [["input", "{}/s²"], ["damping", "1/s"], ["delay", "s"], ["wind", "{}/s²"]]; // as charts, in the unit of length or angle
+const REST = [["lag", "s"], ["steady_gain", "{}/s"], ["total_lag", "s"]]; // as text
+const WIDEST = 6; // a chart is not scaled to intervals so many times as wide as their median: some seconds know little
 const place = id => document.getElementById(id);
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-const figure = value => value === null || value === undefined ? "–" : Number(value).toPrecision(3);
+const figure = value => Number(value).toPrecision(3);
+const unitOf = (unit, axis) => unit.replace("{}", axis === "yaw" ? "rad" : "m");
+const missing = value => value === null || value === undefined;
 const time = [], alarms = [], panels = new Map();
 
 function made(tag, kind, text) {
@@ -21,12 +25,29 @@ function faded(text, share) { // #rrggbb with an opacity
   return `${text}${Math.round(255 * share).toString(16).padStart(2, "0")}`;
 }
 
-function reach(series) { // what has been said, and the interval now: early intervals are wide and would flatten the rest
-  const [value, low, high] = series, said = value.filter(one => one !== null);
-  const last = [low.at(-1), high.at(-1)].filter(one => one !== null && one !== undefined);
-  const all = [...said.slice(-600), ...last];
-  if (!all.length) return [0, 1];
-  const least = Math.min(...all), most = Math.max(...all), room = 0.15 * (most - least) || 0.1 * Math.abs(most) || 0.1;
+function between(low, high) { // an interval in words; an end that is open is left out
+  if (missing(low)) return missing(high) ? "" : `below ${figure(high)}`;
+  return missing(high) ? `above ${figure(low)}` : `${figure(low)} to ${figure(high)}`;
+}
+
+function told(value, [low, high], unit = "") { // a number with its interval
+  const range = between(low, high), behind = unit && ` ${unit}`;
+  if (missing(value)) return range ? `${range}${behind}` : "not told";
+  return `${figure(value)}${behind}${range && ` (${range})`}`;
+}
+
+function quantile(values, share) {
+  return [...values].sort((a, b) => a - b)[Math.round(share * (values.length - 1))];
+}
+
+function reach([value, low, high]) { // intervals of usual width, what was said, and where it has been lately
+  const said = value.filter(one => one !== null);
+  const whole = [...value.keys()].filter(k => low[k] !== null && high[k] !== null), wide = k => high[k] - low[k];
+  const usual = quantile(whole.map(wide), 0.5), kept = whole.filter(k => wide(k) <= WIDEST * usual);
+  const all = kept.flatMap(k => [low[k], high[k]]);
+  if (said.length) all.push(quantile(said, 0.02), quantile(said, 0.98), quantile(said.slice(-9), 0.5));
+  if (!all.length) return [null, null]; // no scale where nothing was said
+  const least = Math.min(...all), most = Math.max(...all), room = 0.1 * (most - least) || 0.1 * Math.abs(most) || 0.1;
   return [least - room, most + room];
 }
 
@@ -57,21 +78,20 @@ function chart(holder, series, role) {
 
 function panel(name) {
   const box = made("section", "axis"), head = made("h2"), charts = made("div", "charts");
-  const state = made("span", "state"), now = made("span", "now"), parts = {};
+  const state = made("span", "state"), now = made("span", "now"), rest = made("p", "rest"), parts = {};
   head.append(made("span", "", name), state, now);
-  box.append(head, charts);
+  box.append(head, charts, rest);
   place("axes").append(box);
   for (const [quantity, unit] of QUANTITIES) {
     const frame = made("figure"), caption = made("figcaption"), said = made("span"), holder = made("div");
-    const shown = quantity === "wind" && name === "yaw" ? "rad/s²" : unit;
-    caption.append(made("b", "", shown ? `${quantity} [${shown}]` : quantity), said);
+    caption.append(made("b", "", `${quantity} [${unitOf(unit, name)}]`), said);
     frame.append(caption, holder);
     charts.append(frame);
     const series = [[], [], []];
     for (const one of series) while (one.length < time.length) one.push(null);
     parts[quantity] = {series, said, holder, chart: null};
   }
-  panels.set(name, {state, now, parts});
+  panels.set(name, {state, now, rest, parts});
   return panels.get(name);
 }
 
@@ -88,14 +108,17 @@ function taken(state) {
     const axis = state.axes[name] || {state: "–", ci95: {}}, one = panels.get(name) || panel(name);
     one.state.textContent = axis.state;
     one.state.className = `state ${worded(axis.state)}`;
-    one.now.textContent = [axis.velocity === null || axis.velocity === undefined ? "" : `velocity ${figure(axis.velocity)}`,
-      axis.gusts ? `gusts ${figure(axis.gusts)}` : "", axis.structure ? axis.structure.replaceAll("_", " ") : ""].filter(Boolean).join(" · ");
+    const speed = unitOf("{}/s", name);
+    one.now.textContent = [missing(axis.velocity) ? "" : `velocity ${figure(axis.velocity)} ${speed}`,
+      axis.gusts ? `gusts ${figure(axis.gusts)} ${speed}` : "", axis.structure ? axis.structure.replaceAll("_", " ") : ""].filter(Boolean).join(" · ");
+    one.rest.textContent = REST.filter(([quantity]) => !missing(axis[quantity]))
+      .map(([quantity, unit]) => `${quantity.replace("_", " ")} ${told(axis[quantity], axis.ci95[quantity] || [], unitOf(unit, name))}`).join(" · ");
     for (const [quantity] of QUANTITIES) {
       const {series, said} = one.parts[quantity];
       const ends = (quantity === "wind" ? axis.wind_ci95 : axis.ci95[quantity]) || [null, null], value = axis[quantity] ?? null;
       const drawn = axis.from && quantity !== "wind" ? [null, null, null] : [value, ...ends]; // a chart shows what this flight told
       if (series[0].length < time.length) for (const part of [0, 1, 2]) series[part].push(drawn[part]);
-      said.textContent = value === null && ends[0] === null && ends[1] === null ? "–" : `${figure(value)}  (${figure(ends[0])} to ${figure(ends[1])})`;
+      said.textContent = told(value, ends);
     }
   }
   while (time.length > KEPT) {
@@ -154,7 +177,12 @@ source.onmessage = event => {
   ({alarm: alarmed, gains: regained, state: taken})[line.type]?.(line);
   draw();
 };
-source.addEventListener("over", () => { linked("ended", true); source.close(); });
+source.addEventListener("vehicle", event => {
+  const name = JSON.parse(event.data);
+  place("vehicle").textContent = name;
+  document.title = name ? `${name} – rotorfit live` : "rotorfit live";
+});
+source.addEventListener("over", () => { linked("ended", false); source.close(); });
 source.onerror = () => { if (source.readyState !== EventSource.CLOSED) linked("not connected: trying again", true); };
 setInterval(() => { if (last && source.readyState === EventSource.OPEN && Date.now() - last > 4000) linked(`nothing new for ${Math.round((Date.now() - last) / 1000)} s`, true); }, 1000);
 addEventListener("resize", draw);

@@ -1,0 +1,74 @@
+"""The live page in a real browser: whom it follows, what it says of numbers and bounds, and how charts are scaled."""
+
+import time
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Page, expect, sync_playwright
+from test_studio_browser import CHROMIUM, FLAGS
+
+from rotorfit.app.live.page_server import LivePage
+from rotorfit.core.model import Interval
+from rotorfit.core.tracked import QUANTITIES, Tracked, TrackedAxis
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the live page is not tested in a browser")
+
+
+@pytest.fixture
+def live() -> Iterator[tuple[LivePage, Page]]:
+    """A page of a vehicle called sim,wind=1, and a browser that has opened it."""
+    said: list[str] = []
+    server = LivePage(0, "sim,wind=1", said.append)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1280, "height": 860})
+        page.goto(said[0].split()[-1])
+        yield server, page
+        server.close()
+        browser.close()
+
+
+def told(second: int, width: float) -> Tracked:
+    """Input, lag and velocity are told, of the damping a bound, of the delay nothing."""
+    values = dict.fromkeys(QUANTITIES) | {"input": 4.0, "lag": 0.12}
+    ends: dict[str, Interval] = {"input": (4.0 - width, 4.0 + width), "damping": (None, 0.316), "lag": (0.1, None)}
+    return Tracked(float(second), {"yaw": TrackedAxis("known", "known", values, ends, velocity=-0.116, gusts=0.0195)})
+
+
+def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(live: tuple[LivePage, Page]) -> None:
+    server, page = live
+    expect(page).to_have_title("sim,wind=1 – rotorfit live")
+    expect(page.locator("#vehicle")).to_have_text("sim,wind=1")
+
+    server.state(told(1, 0.1), 0)
+    captions = page.locator("figcaption")
+    expect(captions).to_have_text(
+        ["input [rad/s²]4.00 (3.90 to 4.10)", "damping [1/s]below 0.316", "delay [s]not told", "wind [rad/s²]not told"]
+    )
+    expect(page.locator(".now")).to_have_text("velocity -0.116 rad/s · gusts 0.0195 rad/s")
+    expect(page.locator(".rest")).to_have_text("lag 0.120 s (above 0.100)")
+
+
+def test_a_wild_second_flattens_no_chart_and_an_empty_one_has_no_scale(live: tuple[LivePage, Page]) -> None:
+    server, page = live
+    for second in range(1, 31):
+        server.state(told(second, 0.1), 0)
+    server.state(told(31, 50.0), 0)
+    expect(page.locator("#time")).to_have_text("31 s")
+    expect(page.locator("canvas")).to_have_count(4)
+
+    low, high = page.evaluate("(({min, max}) => [min, max])(panels.get('yaw').parts.input.chart.scales.y)")
+    assert 3.8 < low < 3.9
+    assert 4.1 < high < 4.2
+    assert page.evaluate("panels.get('yaw').parts.delay.chart.scales.y.max") is None
+
+
+def test_the_end_is_no_error(live: tuple[LivePage, Page]) -> None:
+    server, page = live
+    server.state(told(1, 0.1), 0)
+    expect(page.locator("#time")).to_have_text("1 s")
+    time.sleep(0.2)
+    server.close()
+
+    expect(page.locator("#link")).to_have_text("ended")
+    expect(page.locator("#link")).not_to_have_class("gone")
