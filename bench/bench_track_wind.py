@@ -55,7 +55,7 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
         estimates = {}
         for group in following._groups.values():
             estimates |= group.followed.estimates if group.followed else {}
-        known, _ = motion_now(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"})
+        known = motion_now(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"})
         row = {}
         for k, axis in enumerate("xy"):
             low, high = state.axes[axis].wind_ci95
@@ -86,13 +86,16 @@ def main() -> None:
         ours, known = (np.array([[row[f"{a} {what}"] for a in "xy"] for row in rows]) for what in ("error", "informed"))
         held = np.mean([[row[f"{a} held"] for a in "xy"] for row in rows])
         speed, turned = (np.abs([row[what] for row in rows if what in row]) for what in ("speed", "direction"))
-        inside = np.mean([row["speed held"] for row in rows if "speed held" in row])
+        inside = [row["speed held"] for row in rows if "speed held" in row]
         rms = [float(np.sqrt(np.mean(each**2))) for each in (ours, known)]
-        off = f"{np.median(speed):.2f} ({np.quantile(speed, 0.9):.2f}) m/s"
-        turn = f"{np.median(turned):.0f} ({np.quantile(turned, 0.9):.0f}) deg"
+        mean = "told at no time"
+        if speed.size:
+            off = f"{np.median(speed):.2f} ({np.quantile(speed, 0.9):.2f}) m/s"
+            turn = f"{np.median(turned):.0f} ({np.quantile(turned, 0.9):.0f}) deg"
+            mean = f"off by {off}, {turn}, held {100 * np.mean(inside):.0f} % of {speed.size}"
         print(
             f"gusts {gusts:g} m/s: RMS {rms[0]:.3f} against {rms[1]:.3f} m/s^2, ratio {rms[0] / rms[1]:.2f}; "
-            f"held {100 * held:.0f} % of {2 * len(rows)}; mean wind off by {off}, {turn}, held {100 * inside:.0f} %",
+            f"held {100 * held:.0f} % of {2 * len(rows)}; mean wind {mean}",
             flush=True,
         )
 

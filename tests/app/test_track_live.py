@@ -1,7 +1,9 @@
 """`rotorfit track --link`: what is said, written and served; that it ends well, and goes on after it was killed."""
 
+import hashlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -74,6 +76,32 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert "goes on from" in again.stderr
     assert first["time"] > 12.0
     assert first["axes"]["yaw"]["input"] is not None
+
+
+def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> None:
+    page = tmp_path / "track.html"
+    result = run("--link", "sim", "--for", "10", "--report", str(page), *QUICK)
+
+    assert result.exit_code == 0, result.output
+    assert "what was heard is fitted once more" in result.stderr
+    assert re.search(r"From [6-8] s on", page.read_text(encoding="utf-8"))
+
+
+def test_what_is_remembered_is_of_one_vehicle_and_of_one_tracker(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    words = ("--link", "sim", "--for", "3", "--state", str(memory), *QUICK)
+    assert run(*words).exit_code == 0
+    kept = memory.read_bytes()
+
+    other = run("--link", "sim:tello", *words[2:])
+    with socket.socket(socket.AF_UNIX) as held:
+        held.bind("\0rotorfit-track-" + hashlib.sha256(str(memory).encode()).hexdigest())
+        second = run(*words)
+
+    assert other.exit_code == second.exit_code == 1
+    assert "was learnt with the card Parrot Bebop 2" in other.stderr
+    assert "another tracker remembers in this file" in second.stderr
+    assert memory.read_bytes() == kept
 
 
 def test_a_file_that_is_no_memory_is_named(tmp_path: Path) -> None:

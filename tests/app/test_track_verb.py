@@ -189,7 +189,7 @@ def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], 
 
     assert process.returncode == 1
     assert "ended by Ctrl-C at" in err
-    assert err.strip().endswith("Aborted!")
+    assert "Aborted" not in err
     assert " unit" in out
     assert f"Model written to {model}." in out
     assert json.loads(model.read_text(encoding="utf-8"))["axes"]["x"]["input"] > 0

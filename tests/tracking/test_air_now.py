@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from flights import STILL, flown, steps
-from rotorfit.tracking.air import motion_now
+from rotorfit.core.flight_data import Flight
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.tracking.air import courses, motion_now
 from rotorfit.tracking.following import refitted
 from rotorfit.tracking.replayed import until
 from tracked_flights import LAW, known
@@ -18,11 +20,36 @@ def test_a_constant_acceleration_is_told_as_wind() -> None:
     pushed = replace(STILL, trim=(0.3, -0.2, 0.1, 0.0))
     flight = flown(pushed, steps(("x", "y", "z"), seed=8), 14.0, seed=8)
     estimates = {**refitted(flight, ("x", "y"), LAW, 14.0).estimates, **refitted(flight, ("z",), LAW, 14.0).estimates}
-    motion, _ = motion_now(flight, estimates)
+    motion = motion_now(flight, estimates)
 
     assert motion["x"].wind == pytest.approx(0.3, abs=0.02)
     assert motion["y"].wind == pytest.approx(-0.2, abs=0.02)
     assert motion["z"].wind == pytest.approx(0.1, abs=0.02)
+
+
+def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:
+    """It goes by 1 / damping: twice the damping is half the wind, and half of it twice."""
+    pushed = replace(STILL, trim=(0.3, 0.0, 0.0, 0.0))
+    flight = flown(pushed, steps(("x", "y"), seed=8), 24.0, seed=8)
+    axes = ("x", "y")
+    estimates = refitted(tilted(flight), axes, LAW, 24.0).estimates
+    b = [float(np.exp(one.optimum.point.log_damping[one.place])) for one in estimates.values()]
+    air = courses(tilted(flight), estimates, {axis: (0.5 * one, 2.0 * one) for axis, one in zip(axes, b, strict=True)})[
+        1
+    ]
+
+    assert air is not None
+    assert air.speed == pytest.approx(0.3 / b[0], rel=0.05)
+    assert air.speed_ci95 == pytest.approx((0.5 * air.speed, 2.0 * air.speed), rel=0.05)
+    assert air.direction == pytest.approx(0.0, abs=0.05)
+    assert courses(tilted(flight), estimates, {"x": (None, 2.0), "y": (0.1, 2.0)})[1] is None
+
+
+def tilted(flight: Flight) -> Flight:
+    """The flight of a vehicle whose commands are tilts."""
+    card = flight.card.raw
+    command = {**card["command"], **{axis: {"from": axis, "meaning": "tilt"} for axis in ("x", "y")}}
+    return replace(flight, card=card_from_mapping({**card, "command": command, "limits": {"tilt": 0.3}}, "tilts"))
 
 
 def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
@@ -33,7 +60,7 @@ def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
     for now in np.arange(8.0, 28.0, 2.0):
         part = until(flight, float(now))
         begin = {axis: replace(one, records=one.records) for axis, one in estimates.items()}
-        motion = motion_now(part, begin)[0]["z"]
+        motion = motion_now(part, begin)["z"]
         z, t, step = flight.position[:, 2], flight.pose_time, 0.15
         measured = (np.interp(now + step, t, z) - np.interp(now - step, t, z)) / (2 * step)
         later = (np.interp(now + 1 + step, t, z) - np.interp(now + 1 - step, t, z)) / (2 * step)

@@ -1,6 +1,7 @@
 """The model of an earlier flight is said as such until the flight tells, and compared with what it tells."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.files.models import from_mapping, to_mapping
+from rotorfit.files.models import from_mapping, save, to_mapping
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
 from rotorfit.tracking.replayed import growing, tracked
 from rotorfit.tracking.tracker import Following, Tracker
@@ -47,7 +48,7 @@ def scaled(model: Model, axis: str, factor: float) -> Model:
     return replace(model, axes={**model.axes, axis: other})
 
 
-def test_a_tracker_states_the_earlier_model_at_once_and_never_as_learnt() -> None:
+def test_a_tracker_states_the_earlier_model_at_once_and_never_as_learnt(tmp_path: Path) -> None:
     model = own()
     state = Tracker(model.card, LAW, after=Earlier(model, NAME)).state()
 
@@ -59,6 +60,11 @@ def test_a_tracker_states_the_earlier_model_at_once_and_never_as_learnt() -> Non
         assert one.ci95["damping"] == model.axes[axis].ci95["damping"]
         assert one.ci95_flight == {}
     assert Tracker(model.card, LAW, after=model).state().axes["x"].earlier == "the earlier model"
+    path = tmp_path / "first.json"
+    save(model, path)
+    assert Tracker(model.card, LAW, after=str(path)).state().axes["x"].earlier == "first.json"
+    with pytest.raises(TypeError, match="path of a model file is wanted, not int"):
+        Tracker(model.card, LAW, after=3)  # type: ignore[arg-type]
 
 
 def test_what_the_flight_tells_takes_its_place() -> None:

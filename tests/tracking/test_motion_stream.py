@@ -52,7 +52,7 @@ def streamed(flight: Flight, followed: dict[str, Followed], begin: float, forget
 @pytest.mark.parametrize("forget", [np.inf, 3.0])
 def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, Followed], forget: float) -> None:
     flight = known()[0]
-    batch, _ = motion_now(flight, {axis: one.estimates[axis] for axis, one in followed.items()})
+    batch = motion_now(flight, {axis: one.estimates[axis] for axis, one in followed.items()})
     stream = streamed(flight, followed, 8.0, forget).motion()
 
     assert stream is not None

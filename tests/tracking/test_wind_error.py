@@ -32,7 +32,7 @@ def anew(now: float, estimate: Estimate) -> float:
         values = optimum.point.flat()
         values[: len(C)] += share * direction
         moved = replace(estimate, optimum=replace(optimum, point=optimum.point.with_flat(values)))
-        winds.append(motion_now(part, {"z": moved})[0]["z"].wind)
+        winds.append(motion_now(part, {"z": moved})["z"].wind)
     return float(np.linalg.norm(np.array(winds[:-1]) - winds[-1]) / share)
 
 

@@ -186,7 +186,7 @@ def track(
         RotorfitError: A number of false alarms that cannot be promised.
     """
     from rotorfit.core.laws import structure_named
-    from rotorfit.tracking.earlier import Earlier
+    from rotorfit.tracking.earlier import earlier_of
     from rotorfit.tracking.replayed import tracked
 
     law = as_word(structure, "structure")
@@ -197,10 +197,7 @@ def track(
         raise RotorfitError(f"false alarms an hour are above 0 and at most 60, not {most:g}")
     if not isinstance(flight, Flight | Log | str | PathLike):
         raise TypeError(f"a flight, a log or the path of a log is wanted, not {named(flight)}")
-    earlier = None
-    if after is not None:
-        known = Path(after).name if isinstance(after, str | PathLike) else "the earlier model"
-        earlier = Earlier(as_model(after), known)
+    earlier = None if after is None else earlier_of(after)
     chosen = as_card(card)
     given = flight if isinstance(flight, Flight) else flight_from_log(flight, chosen)
     end = given.segments[-1].end

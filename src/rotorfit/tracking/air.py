@@ -7,7 +7,6 @@ is then c + b s + s', the trim with it: through a drag b, air that moves at (c +
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -15,12 +14,12 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
 from rotorfit.core.limits import meaning_of
+from rotorfit.core.model import Interval
 from rotorfit.core.tracked import Air
 from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
 from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
-from rotorfit.estimation.likelihood.likelihood import inverted
 
 
 @dataclass(frozen=True)
@@ -67,29 +66,31 @@ class Course:
     in_force: Array
 
 
-def motion_now(
-    flight: Flight, estimates: Mapping[str, Estimate], wider: Mapping[str, float] = MappingProxyType({})
-) -> tuple[dict[str, AxisNow], Air | None]:
-    """The motion at the last pose of the axes that are told; none where the last segment is too short. And the wind.
+def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, AxisNow]:
+    """The motion at the last pose of the axes that are told; none where the last segment is too short.
 
     Args:
         flight: So far.
         estimates: Axis name to its estimate.
-        wider: Axis name to how much wider the damping's interval is than the information says; 1 without.
     """
-    moving, air, _ = courses(flight, estimates, wider)
-    return moving, air
+    return courses(flight, estimates, {})[0]
 
 
 def courses(
-    flight: Flight, estimates: Mapping[str, Estimate], wider: Mapping[str, float]
+    flight: Flight, estimates: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[dict[str, AxisNow], Air | None, tuple[Course, ...]]:
-    """The same, and the filters that told it; see `motion_now`."""
+    """The same, the mean wind, and the filters that told them.
+
+    Args:
+        flight: So far.
+        estimates: Axis name to its estimate.
+        damping: Axis name to the interval of its damping; wind is told where both ends of x and y are.
+    """
     out: dict[str, AxisNow] = {}
     air, found = None, []
     for pair in PAIRS:
         known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
-        if known and (followed := _followed(flight, pair, known, wider)):
+        if known and (followed := _followed(flight, pair, known, damping)):
             running, wind = followed
             force = flight.command_time[running.k]
             told = running.told(flight.command_time, flight.command)
@@ -100,7 +101,7 @@ def courses(
 
 
 def _followed(
-    flight: Flight, pair: Pair, known: Mapping[str, Estimate], wider: Mapping[str, float]
+    flight: Flight, pair: Pair, known: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[MotionFilter, Air | None] | None:
     """The filter of two axes that predict together, at the last pose, and the wind; None of too few poses."""
     first = next(iter(known.values()))
@@ -125,25 +126,25 @@ def _followed(
     states = running.follow(time, position, heading, *commands)
     if not (turns and all(told) and all(meaning_of(flight.card, axis).asked == "tilt" for axis in pair)):
         return running, None
-    errors = [wider.get(axis, 1.0) * _damping_error(known[axis]) for axis in pair]
-    return running, _air(time, heading, laws, states, errors)
+    factors = [_factors(law[DAMPING], *damping.get(axis, (None, None))) for axis, law in zip(pair, laws, strict=True)]
+    return running, _air(time, heading, laws, states, [one for one in factors if one])
 
 
-def _damping_error(estimate: Estimate) -> float:
-    """Standard error of the logarithm of the damping."""
-    optimum, k = estimate.optimum, estimate.place
-    at = optimum.point.place("damping", k)
-    return float(np.sqrt(inverted(optimum.score.information, optimum.free)[at, at]))
+def _factors(damping: float, low: float | None, high: float | None) -> tuple[float, float] | None:
+    """Least and largest factor on the wind that an interval of the damping allows; None where an end is open."""
+    if low is None or high is None or low <= 0:
+        return None
+    return min(damping / high, 1.0), max(damping / low, 1.0)
 
 
-def _air(time: Array, heading: Array, laws: Array, states: Array, damping_error: Sequence[float]) -> Air | None:
+def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Sequence[tuple[float, float]]) -> Air | None:
     """The mean wind, from the drag that the law's damping is where commands are tilts; None before `AVERAGED` seconds.
 
     (c + s') / b + s of each axis of the heading frame, turned into the world. What acts is measured, so that all of
-    this goes by 1 / b: how far b is known tells how far the wind is.
+    this goes by 1 / b: how far b is known tells how far the wind is, and further up than down.
     """
     settled = time > time[0] + AVERAGED / 2
-    if time[-1] - time[0] < AVERAGED:
+    if time[-1] - time[0] < AVERAGED or len(factors) < 2:
         return None
     s, change = (states[settled][:, :, i] for i in (1, 2))
     damping, turn = laws[:, DAMPING], heading[settled]
@@ -151,16 +152,23 @@ def _air(time: Array, heading: Array, laws: Array, states: Array, damping_error:
     wind = world_from_heading(pushed, turn)
     mean, part = wind.mean(axis=0), np.floor((time[settled] - time[settled][0]) / ALIKE).astype(int)
     parts = np.column_stack([np.bincount(part, w) / np.bincount(part) for w in wind.T])
-    covariance = np.diag(parts.var(axis=0, ddof=1) / len(parts))
-    for k, error in enumerate(damping_error):
-        slope = world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0)
-        covariance += np.outer(slope, slope) * error**2
+    gusts = parts.var(axis=0, ddof=1) / len(parts)
+    of_axes = [world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0) for k in range(2)]
+
+    def reach(along: Array) -> tuple[float, float]:
+        """How far below and above the mean its interval goes along a direction."""
+        ends = np.array(
+            [[share @ along * (factor - 1.0) for factor in two] for share, two in zip(of_axes, factors, strict=True)]
+        )
+        even = NORMAL**2 * float(along**2 @ gusts)
+        below, above = np.minimum(ends.min(axis=1), 0.0), np.maximum(ends.max(axis=1), 0.0)
+        return float(np.sqrt(even + below @ below)), float(np.sqrt(even + above @ above))
+
     speed = float(np.hypot(*mean))
-    ahead, across = mean / speed, np.array([-mean[1], mean[0]]) / speed
-    off, turned = (float(np.sqrt(direction @ covariance @ direction)) for direction in (ahead, across))
+    below, above = reach(mean / speed)
+    right, left = (min(one / speed, np.pi) for one in reach(np.array([-mean[1], mean[0]]) / speed))
     angle = float(np.arctan2(mean[1], mean[0]))
-    wide = NORMAL * min(turned / speed, np.pi / NORMAL)
-    return Air(speed, (max(speed - NORMAL * off, 0.0), speed + NORMAL * off), angle, (angle - wide, angle + wide))
+    return Air(speed, (max(speed - below, 0.0), speed + above), angle, (angle - right, angle + left))
 
 
 AVERAGED, ALIKE = 10.0, 3.0

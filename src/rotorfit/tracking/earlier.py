@@ -14,6 +14,8 @@ statistic on pairs of recorded flights.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
 
 from scipy.special import stdtr
 
@@ -22,8 +24,10 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import disagreement
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
+from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES, Alarm, TrackedAxis
 from rotorfit.estimation.identifiability import NORMAL
+from rotorfit.files.models import load
 
 SHARE = 0.25
 """Of the false alarms that are promised, those that comparisons with the earlier model may raise."""
@@ -68,6 +72,22 @@ class Unlike:
     name: str
     p_value: float
     change: Known
+
+
+def earlier_of(after: Model | Fit | str | PathLike[str]) -> Earlier:
+    """An earlier model, of a fit, or loaded; a file gives it its name.
+
+    Raises:
+        TypeError: Anything else.
+        ModelError: The file cannot be used.
+    """
+    if isinstance(after, Fit):
+        return Earlier(after.model)
+    if isinstance(after, Model):
+        return Earlier(after)
+    if isinstance(after, str | PathLike):
+        return Earlier(load(Path(after)), Path(after).name)
+    raise TypeError(f"a model, a fit or the path of a model file is wanted, not {type(after).__name__}")
 
 
 def check_earlier(earlier: Earlier, card: Card) -> None:

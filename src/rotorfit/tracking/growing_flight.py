@@ -197,7 +197,7 @@ class GrowingFlight:
         return self._so_far
 
     def memory(self) -> Mapping[str, Any]:
-        """All that is remembered, as arrays: for a file from which `recalled` goes on."""
+        """All that is remembered, as arrays: for a file from which `recall` goes on."""
         if self._origin is None:
             return {}
         clocks = [self._clocks[name].by_arrival for name in _LENGTH]

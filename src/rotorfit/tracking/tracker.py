@@ -9,12 +9,15 @@ import json
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from rotorfit.core.card import Card
+from rotorfit.core.errors import CardError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
@@ -28,6 +31,7 @@ from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.files.cards import load_card
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import (
@@ -41,7 +45,7 @@ from rotorfit.tracking.changes import (
     scores_of,
     since_when,
 )
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, until_known
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, earlier_of, until_known
 from rotorfit.tracking.following import (
     LONGEST,
     REFIT,
@@ -60,7 +64,7 @@ from rotorfit.tracking.following import (
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import End, Looked, Looks, LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
-from rotorfit.tracking.wind_error import coefficient_error, tells_wind, wider
+from rotorfit.tracking.wind_error import coefficient_error, tells_wind
 
 EVERY = 1.0
 """Time between looks [s]."""
@@ -124,38 +128,41 @@ class Tracker:
     """Follows one vehicle.
 
     Args:
-        card: Meaning of commands and poses.
+        card: Meaning of commands and poses; the name of a built-in card, or a file.
         structure: As `fit` takes it.
         false_alarms_per_hour: The expected number that is promised not to be passed.
         origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
-        after: The model of an earlier flight of the vehicle: what it was, until this flight tells.
+        after: The model of an earlier flight of the vehicle, the fit that holds it, or a model file: what it was, until
+            this flight tells.
         live: Look in a process beside, so that `update` never waits: states come when they are ready, with the time
             that they speak of. They are those of a tracker that looks at once, on a machine that keeps up. End it by
             `finish`, by `close`, or as a context manager.
         paced: Live, let `update` wait where the machine does not keep up, rather than leave looks out.
 
     Raises:
-        TypeError: The card is none.
+        TypeError: The card is none, or the earlier model.
         ValueError: A number of false alarms that cannot be promised.
-        CardError: Commands mean something else to the earlier model.
+        CardError: No such card, or commands mean something else to the earlier model.
+        ModelError: The model file cannot be used.
     """
 
     def __init__(
         self,
-        card: Card,
+        card: Card | str | PathLike[str],
         structure: str = AVERAGED,
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         origin: int | None = None,
-        after: Model | Earlier | None = None,
+        after: Model | Fit | Earlier | str | PathLike[str] | None = None,
         live: bool = False,
         paced: bool = False,
     ) -> None:
-        if not isinstance(card, Card):
-            raise TypeError(f"a Card is wanted, not {type(card).__name__}: rotorfit.load_card loads one")
+        if not isinstance(card, Card | str | PathLike):
+            raise TypeError(f"a card, its name or its file is wanted, not {type(card).__name__}")
+        card = card if isinstance(card, Card) else load_card(Path(card))
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
-        self._growing = GrowingFlight(card, origin)
-        earlier = Earlier(after) if isinstance(after, Model) else after
+        self._card, self._growing = card, GrowingFlight(card, origin)
+        earlier = after if after is None or isinstance(after, Earlier) else earlier_of(after)
         if earlier:
             check_earlier(earlier, card)
         promised = structure, false_alarms_per_hour, earlier
@@ -217,14 +224,22 @@ class Tracker:
         return self._growing.flight()
 
     def memory(self) -> dict[str, Any]:
-        """What `recall` of another tracker goes on from, as arrays: the flight so far, and its regimes."""
-        following = {**self._memory, "next_look": float(self._due)}
+        """What `recall` of another tracker goes on from, as arrays: the flight so far, its regimes, and the card."""
+        following = {**self._memory, "next_look": float(self._due), "card": [self._card.name, self._card.raw]}
         return {**self._growing.memory(), "following": np.array(json.dumps(following))}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from what `memory` gave; before the first sample."""
+        """Goes on from what `memory` gave; before the first sample.
+
+        Raises:
+            CardError: It was learnt with another card.
+        """
+        told = json.loads(str(memory["following"]))
+        name, raw = told.pop("card")
+        if raw != json.loads(json.dumps(self._card.raw)):
+            raise CardError(f"was learnt with the card {name}, not with {self._card.name}; name another file")
         self._growing.recall(memory)
-        self._memory = json.loads(str(memory["following"]))
+        self._memory = told
         self._due = float(self._memory["next_look"])
         self._looks.recall(self._memory)
 
@@ -493,8 +508,8 @@ class Following:
         known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         words = {axis: said(one, axis) for axis, one in known.items() if one}
-        wide = {axis: wider("damping", one.ci95, one.ci95_flight) for axis, one in words.items()}
-        moving, air, self.courses = courses(flight, estimates, wide)
+        damping = {axis: one.ci95["damping"] for axis, one in words.items() if "damping" in one.ci95}
+        moving, air, self.courses = courses(flight, estimates, damping)
         self.doubt = {}
         if any(axis not in words or words[axis].values["damping"] is None for axis in ("x", "y")):
             air = None  # its speed goes by the damping of both

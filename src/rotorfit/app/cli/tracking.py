@@ -141,6 +141,7 @@ def track(
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
     from rotorfit.app.workflows import MODEL_MARK, REPORT_MARK, check_destination
+    from rotorfit.tracking.earlier import earlier_of
 
     if (log is None) == (link is None):
         raise click.UsageError("name a LOG, or a --link to listen to: one of the two")
@@ -152,7 +153,7 @@ def track(
         check_destination(output, MODEL_MARK)
     if report:
         check_destination(report, REPORT_MARK)
-    earlier = _earlier(after) if after else None
+    earlier = earlier_of(after) if after else None
     regaining = _regaining(gains, jsonl, earlier) if gains is not None else None
     lost = stopped = ""
     vehicle = str(link or log)
@@ -188,16 +189,8 @@ def track(
         from rotorfit.core.errors import LinkError
 
         raise LinkError(f"{link}: {lost}")
-    if stopped:  # what was seen is all there; the log is not
-        raise click.Abort
-
-
-def _earlier(path: Path) -> "Earlier":
-    """The model of an earlier flight, called by its file."""
-    from rotorfit.files.models import load
-    from rotorfit.tracking.earlier import Earlier
-
-    return Earlier(load(path), path.name)
+    if stopped:
+        raise SystemExit(1)  # what was seen is all there; the log is not
 
 
 def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
@@ -258,7 +251,7 @@ def _listened(
     regaining: "Regaining | None",
 ) -> tuple["Track", "Flight | None", str]:  # fmt: skip
     """A link, what of its flight is remembered, and why it was lost; empty where it was not."""
-    from rotorfit.app.live.outlets import Outlet, Recording, Remembering, recalled
+    from rotorfit.app.live.outlets import Outlet, Recording, Remembering
     from rotorfit.app.live.session import card_for_link, followed
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
@@ -280,7 +273,8 @@ def _listened(
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
         with Tracker(chosen, structure, false_alarms, after=earlier, live=True, paced=not listening.live) as tracker:
-            if memory and recalled(memory, tracker):
+            remembering = Remembering(memory, tracker) if memory else None
+            if remembering and remembering.recalled:
                 say(f"goes on from {memory}")
             if link.startswith("sim"):
                 from rotorfit.flying.links.sim_pilot import NAME
@@ -289,7 +283,7 @@ def _listened(
             outlets: list[Outlet] = [views]
             recording = Recording(record, chosen, link) if record else None
             outlets += [recording] if recording else []
-            outlets += [Remembering(memory, tracker)] if memory else []
+            outlets += [remembering] if remembering else []
             if regaining:
                 regaining.listeners += [outlet.gains for outlet in outlets]
 
@@ -301,8 +295,6 @@ def _listened(
             with shown_line(lambda: line_of(tracker.state())):
                 moving = [*views.moving, *([recording.motion] if recording else [])]
                 result = followed(tracker, listening, outlets, told, say, moving)
-    if not listening.lost:
-        say(f"ended: {listening.ended}")
     return result, tracker.flight(), listening.ended if listening.lost else ""
 
 

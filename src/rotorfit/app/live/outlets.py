@@ -1,17 +1,20 @@
 """Where samples and states go while a vehicle is followed: a recording, a file to go on from, a page, Foxglove."""
 
+import hashlib
 import io
 import json
+import socket
 import threading
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from rotorfit.core.card import Card
-from rotorfit.core.errors import LogError
+from rotorfit.core.errors import CardError, LogError
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Motion, Tracked
 from rotorfit.core.writing import write_whole
@@ -115,11 +118,22 @@ class Remembering:
     """A file from which a tracker goes on after whatever ended it, written whole once a second by a thread of its own.
 
     Args:
-        path: Of the file.
+        path: Of the file; where there is one, the tracker goes on from it.
         tracker: What is remembered.
+
+    Attributes:
+        recalled: Whether the tracker goes on from the file.
+        fault: Why the last writing failed.
+
+    Raises:
+        LogError: It is another file, of another vehicle, or of a tracker that is running.
     """
 
     def __init__(self, path: Path, tracker: Tracker) -> None:
+        with ExitStack() as stack:
+            self._held = stack.enter_context(_held(path))
+            self.recalled = _recalled(path, tracker)
+            stack.pop_all()
         self._path, self._tracker, self._next = path, tracker, 0
         self._memory: Mapping[str, Any] | None = None
         self._over, self._due = threading.Event(), threading.Event()
@@ -150,6 +164,7 @@ class Remembering:
         self._over.set()
         self._due.set()
         self._thread.join()
+        self._held.close()
         if self.fault:
             raise LogError(self.fault)
 
@@ -172,17 +187,27 @@ class Remembering:
                 self.fault = f"{self._path}: {error.strerror}; what is remembered was not written"
 
 
-def recalled(path: Path, tracker: Tracker) -> bool:
-    """Lets a tracker go on from a file of `Remembering`; whether there was one.
+def _held(path: Path) -> socket.socket:
+    """What no second tracker of the same file gets: a socket without a file, which the system frees after a kill."""
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
+    held = socket.socket(socket.AF_UNIX)
+    try:
+        held.bind(f"\0rotorfit-track-{name}")
+    except OSError:
+        held.close()
+        raise LogError(f"{path}: another tracker remembers in this file; name another") from None
+    return held
 
-    Raises:
-        LogError: It is another file.
-    """
+
+def _recalled(path: Path, tracker: Tracker) -> bool:
+    """Lets a tracker go on from a file of `Remembering`; whether there was one."""
     if not path.exists():
         return False
     try:
         with np.load(path, allow_pickle=False) as memory:
             tracker.recall({name: memory[name] for name in memory.files})
+    except CardError as error:
+        raise LogError(f"{path}: {error}") from None
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise LogError(
             f"{path}: is not what `rotorfit track --state` wrote ({type(error).__name__}); name another file"

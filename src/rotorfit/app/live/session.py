@@ -15,6 +15,9 @@ from rotorfit.tracking.tracker import Tracker
 if TYPE_CHECKING:
     from rotorfit.app.live.outlets import Moving, Outlet
 
+KEPT = 4000
+"""States of a flight that are kept for its timeline; every second one goes where they are more."""
+
 
 def card_for_link(text: str, card: str | None) -> Card:
     """The card that tells what a link's commands and poses are.
@@ -65,14 +68,15 @@ def followed(
         moving: Called with the motion after each pose that counts.
 
     Returns:
-        The states that hold alarms, the last one, and the regimes.
+        The states, thinned where they are more than `KEPT`, and the regimes.
     """
     now, moved = 0, -math.inf
-    notable: list[Tracked] = []
+    states: list[Tracked] = []
 
     def tell(state: Tracked) -> None:
-        if state.alarms:
-            notable.append(state)
+        if len(states) > KEPT:
+            states[:] = [one for number, one in enumerate(states) if number % 2 == 0 or one.alarms]
+        states.append(state)
         for outlet in outlets:
             outlet.state(state, now)
         told(state, now)
@@ -94,6 +98,7 @@ def followed(
                 tell(state)
             for outlet in outlets:
                 outlet.heard(heard.samples, now)
+        news(f"{'lost' if listening.lost else 'ended'}: {listening.ended}; what was heard is fitted once more")
         last, regimes = tracker.finish()
         for state in (*tracker.news(), last):
             tell(state)
@@ -101,4 +106,4 @@ def followed(
         tracker.close()
         for outlet in outlets:
             outlet.close()
-    return Track((*notable, last), regimes)
+    return Track(tuple(states), regimes)
