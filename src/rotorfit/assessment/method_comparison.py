@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorfit.assessment.validation import validate
+from rotorfit.assessment.validation import horizon_scores
 from rotorfit.core.display import short_repr
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis
 from rotorfit.core.progress import Progress
-from rotorfit.core.results import Fit, FlightScores
+from rotorfit.core.results import Fit, Horizon
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST, compared_methods
 
@@ -91,15 +91,15 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         FlightError: If no flight is given, or their cards differ in what the coefficients mean.
     """
     fits: dict[str, Fit] = {}
-    scores: dict[str, Sequence[FlightScores]] = {}
-    held: Sequence[FlightScores] = ()
+    scores: dict[str, Sequence[Mapping[str, Horizon]]] = {}
+    held: Sequence[Mapping[str, Horizon]] = ()
     methods = compared_methods()
     for number, method in enumerate(methods):
         if progress:
             progress(number / len(methods), method)
         fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in the law
-        validation = validate(fits[method].model, flights, (HORIZON,))
-        scores[method], held = validation.flights, validation.baselines["hold"]
+        found = [horizon_scores(fits[method].model, flight, HORIZON) for flight in flights]
+        scores[method], held = [own for own, _ in found], [hold for _, hold in found]
     best = fits[BEST].model
     wanted = [axis for axis in AXES if axis in axes]
     served = {axis: [axis in source.axes for source in best.flights] for axis in wanted}
@@ -107,23 +107,21 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         axis: tuple(
             MethodRow(
                 method=method,
-                axis=found.model.axes[axis],
-                agreement={} if method == BEST else agreement(found.model.axes[axis], best.axes[axis]),
+                axis=fitted.model.axes[axis],
+                agreement={} if method == BEST else agreement(fitted.model.axes[axis], best.axes[axis]),
                 prediction=_pooled(scores[method], axis, served[axis]),
-                remark=found.remarks.get(axis, ""),
+                remark=fitted.remarks.get(axis, ""),
             )
-            for method, found in fits.items()
+            for method, fitted in fits.items()
         )
         for axis in wanted
     }
     return Ladder(tuple(f.path for f in flights), rows, {axis: _pooled(held, axis, served[axis]) for axis in wanted})
 
 
-def _pooled(scores: Sequence[FlightScores], axis: str, served: Sequence[bool]) -> float | None:
+def _pooled(scores: Sequence[Mapping[str, Horizon]], axis: str, served: Sequence[bool]) -> float | None:
     """RMSE over the flights that command the axis."""
-    errors = [
-        flight.axes[axis].horizons[f"{HORIZON:g}"] for flight, serves in zip(scores, served, strict=True) if serves
-    ]
+    errors = [flight[axis] for flight, serves in zip(scores, served, strict=True) if serves]
     known = [(error.n, error.velocity_rmse) for error in errors if error.velocity_rmse is not None]
     return float(np.sqrt(sum(n * e**2 for n, e in known) / sum(n for n, _ in known))) if known else None
 

@@ -197,6 +197,20 @@ def _score_flight(
     return out, band_scores(bands)
 
 
+def horizon_scores(model: Model, flight: Flight, horizon: float) -> tuple[Mapping[str, Horizon], Mapping[str, Horizon]]:
+    """Errors at one horizon [s], of the model and of holding the velocity: what `validate` says, without the rest."""
+    judge, own, held = (horizon,), [], []
+    for part in predictions(flight, dynamics_from_model(model, flight), horizon):
+        own.append(judged(part, part.predicted, judge))
+        held.append(judged(part, hold_velocity(part), judge))
+    errors, hold = (
+        {axis: score.horizons[f"{horizon:g}"] for axis, score in scores_of(joined(each, judge)).items()}
+        for each in (own, held)
+    )
+    nothing = Horizon(None, None, 0)
+    return {axis: one if model.axes[axis].predictor else nothing for axis, one in errors.items()}, hold
+
+
 def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
     """NaN in place of the errors of an axis without a model."""
     velocity, position = (np.where(wanted, values, np.nan) for values in (errors.velocity, errors.position))

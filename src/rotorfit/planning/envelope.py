@@ -14,7 +14,7 @@ from rotorfit.core.flight_plan import Plan
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.progress import Progress
 from rotorfit.planning.belief import Belief, sample_vehicles
-from rotorfit.planning.plan_control import tracker_of
+from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.planning.precision import fly_plan, path
 from rotorfit.planning.signals import scaled
 from rotorfit.simulation.paper_vehicle import Truth, noise_free
@@ -87,11 +87,11 @@ def predicted_path(
     """
     vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
     time = np.arange(0.0, plan.duration, _GRID)
-    paths, speeds, broken, saturated = [], [], [], []
+    paths, speeds, broken, saturated, tracker = [], [], [], [], tracker_of(plan)
     for number, truth in enumerate(vehicles):
         if progress:
             progress(number / len(vehicles), "predicting the path")
-        where, fastest, violated, bounded = _one(plan, truth, seed + number, time)
+        where, fastest, violated, bounded = _one(tracker, truth, seed + number, time)
         paths.append(where)
         speeds.append(fastest)
         broken.append(violated)
@@ -108,9 +108,9 @@ def predicted_path(
     )  # fmt: skip
 
 
-def _one(plan: Plan, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
+def _one(tracker: Tracker, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
     """One flight: path (N, 4), greatest speeds (3,), violated limits and haste (7,), share of bounded commands."""
-    tracker, space = tracker_of(plan), plan.space
+    plan, space = tracker.plan, tracker.plan.space
     flight = fly_plan(tracker, truth, seed)
     pose, velocity = path(plan, flight), flight.velocity
     stamp = flight.pose_stamp * 1e-9

@@ -278,7 +278,9 @@ def _interpolated(time: Array, node: Array, value: Array) -> Array:
 def _held(time: Array, sent: Array, delay: Four, command: Array) -> tuple[Array, Integers, int]:
     """Row 0 is the hover before the first command; the middle of an interval says without doubt which row acts."""
     middle = (time[:-1] + time[1:]) / 2
-    row = np.stack([np.searchsorted(sent + tau, middle) for tau in delay], axis=1)
+    # commands are fewer than intervals: each is looked for among these, and then those that came before are counted
+    first = [np.searchsorted(middle, sent + tau, side="right") for tau in delay]
+    row = np.stack([np.cumsum(np.bincount(each, minlength=time.size)[:-1]) for each in first], axis=1)
     return np.concatenate([np.zeros((1, 4)), command]), row, 0
 
 
