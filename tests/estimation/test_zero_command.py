@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clean_flights import clean_flights
+from clean_flights import clean_fit
 from flights import by_hand
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.core.finding import Finding
@@ -114,8 +114,7 @@ def test_parts_begin_with_a_command_and_end_before_zero() -> None:
 
 
 def test_braking_is_found_on_none_of_six_clean_flights() -> None:
-    fits = [fit([flight], structure="first_order_delay") for _, _, _, flight in clean_flights(range(6))]
-    found = [test for one in fits for e in one.estimates.values() if (test := braking(e))]
+    found = [test for seed in range(6) for e in clean_fit(seed).estimates.values() if (test := braking(e))]
 
     assert len(found) > 10
     assert not [test for test in found if test.acts]
