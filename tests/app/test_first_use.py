@@ -44,6 +44,8 @@ def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[list[str]]:
     monkeypatch.setattr(Process, "started", [], raising=False)
     monkeypatch.setattr(subprocess, "Popen", Process)
     monkeypatch.setattr(first_use, "_mark", lambda part: tmp_path / "folder" / part)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "kernel.nbi").touch()
     return Process.started
 
 
@@ -54,6 +56,14 @@ def test_all_parts_are_compiled_once(started: list[list[str]]) -> None:
     started.clear()
     compile_beforehand()
     assert not started
+
+
+def test_marks_beside_which_nothing_is_compiled_are_not_believed(started: list[list[str]], tmp_path: Path) -> None:
+    for _ in range(2):
+        started.clear()
+        compile_beforehand()
+        (tmp_path / "folder" / "kernel.nbi").unlink(missing_ok=True)
+        assert started
 
 
 def test_what_was_asked_for_is_compiled_and_later_only_the_rest(started: list[list[str]]) -> None:

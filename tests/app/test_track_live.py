@@ -69,7 +69,7 @@ def test_a_link_is_followed_recorded_and_remembered(tmp_path: Path) -> None:
     assert {"/rotorfit/command", "/rotorfit/pose"} <= log.tables.keys()
     assert b"/rotorfit/motion" in record.read_bytes()
     assert "card" in log.attached
-    assert CliRunner().invoke(main, ["fit", str(record)]).exit_code == 0
+    assert CliRunner().invoke(main, ["fit", str(record), *QUICK[2:]]).exit_code == 0
 
     again = run("--link", "sim", "--for", "3", "--jsonl", "--state", str(memory), *QUICK)
     first = json.loads(again.stdout.splitlines()[0])

@@ -35,7 +35,7 @@ def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] |
         progress: Called with a fraction and a text.
         wanted: Names of `PARTS`; None for all.
     """
-    marks = {name: mark for name in wanted or PARTS if not (mark := _mark(name)).exists()}
+    marks = {name: mark for name in wanted or PARTS if not _compiled(mark := _mark(name))}
     if not marks or "NUMBA_DISABLE_JIT" in os.environ:
         return
     begun, running = perf_counter(), []
@@ -73,6 +73,11 @@ def spread(costs: Mapping[str, float], processes: int) -> list[list[str]]:
 def _processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _compiled(mark: Path) -> bool:
+    """Whether a mark is there, and the compiled code that it speaks of: who deletes that leaves the mark."""
+    return mark.exists() and any(mark.parent.glob("*.nbi"))
 
 
 def _mark(part: str) -> Path:
