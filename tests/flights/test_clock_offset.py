@@ -238,8 +238,7 @@ def test_the_finding_says_what_was_moved_and_by_what() -> None:
 # Only the answer to the commands tells
 
 
-@pytest.mark.parametrize("excitation", [two_sines, steps(seed=4)])
-@pytest.mark.parametrize("offset", [-0.4, 250.0])
+@pytest.mark.parametrize(("excitation", "offset"), [(two_sines, -0.4), (steps(seed=4), 250.0)])
 def test_without_a_second_source_the_delay_is_not_identifiable(excitation: object, offset: float) -> None:
     flight = simulate_flight(Truth(), excitation, LENGTH, 3)  # type: ignore[arg-type]
     log = as_one(flight, Skew(offset))

@@ -176,7 +176,7 @@ def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[l
     (commands, _, mocap), card = files
     model, page = str(tmp_path / "model.json"), str(tmp_path / "report.html")
     for words in (
-        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "-o", model],
+        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", "first_order_delay", "-o", model],
         ["validate", model, commands, mocap],
         ["report", model, f"{commands}+{mocap}", "-o", page],
     ):

@@ -417,7 +417,7 @@ def test_info_fit_validate_and_report_work_on_a_log_without_x_and_y(tmp_path: Pa
     first, second = tello_log(tmp_path / "first.csv", 1), tello_log(tmp_path / "second.csv", 2)
 
     assert "x, y have no position" in ran("info", first, "--card", card)
-    ran("fit", first, "--card", card, "-o", model)
+    ran("fit", first, "--card", card, "--structure", "first_order_delay", "-o", model)
     known = json.loads(model.read_text())["axes"]["x"]
     assert known["status"]["input"] == "ok"
     low, high = known["ci95"]["input"]
