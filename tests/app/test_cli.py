@@ -128,6 +128,15 @@ def test_help_imports_nothing_heavy() -> None:
     assert not names & {"numpy", "numba", "scipy", "polars", "rosbags", "matplotlib", "rich"}
 
 
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+
+    done("cards")
+
+    assert (os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]) == ("1", "3")
+
+
 def test_lists_of_what_is_known_do_not_wait_for_the_compiler() -> None:
     assert "numba" not in imported_by(["cards"], ["formats"])
 

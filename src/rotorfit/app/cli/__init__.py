@@ -4,6 +4,7 @@ What is heavy (numpy, numba, rich) is imported by the verb that needs it, so tha
 """
 
 import io
+import os
 import sys
 from typing import Any
 
@@ -26,6 +27,9 @@ VERBS = (
 """In the order of the work."""
 
 
+BLAS_THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
+"""What tells numpy's linear algebra how many threads it may use."""
+
 LONGEST_LINE = 2000
 """Most characters of an error: values of a file are quoted in it."""
 
@@ -40,6 +44,8 @@ class _Verbs(click.Group):
         """Runs the verb; what the user can act on becomes one line."""
         if isinstance(sys.stdout, io.TextIOWrapper):  # a file's name may be no text
             sys.stdout.reconfigure(errors="backslashreplace")
+        for name in BLAS_THREADS:  # its matrices here are so small that threads only wait; no verb has imported it yet
+            os.environ.setdefault(name, "1")
         try:
             with safe_interrupts():
                 return super().invoke(ctx)
