@@ -7,7 +7,8 @@ import pytest
 
 from rotorfit.core.tracked import Alarm
 from rotorfit.tracking.causes import Diagnosis, diagnosis
-from rotorfit.tracking.changes import EXPECTED, Contrast, Scores
+from rotorfit.tracking.changes import Contrast
+from rotorfit.tracking.scores import EXPECTED, Scores
 
 KNOWN = ("x.input", "x.damping", "x.delay"), ("y.input", "y.damping", "y.delay"), (
     "z.input", "z.damping", "z.delay", "z.trim",

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorfit.tracking.changes import Scores, looked_for, looks, scores_of, since_when
+from rotorfit.tracking.changes import looked_for, looks, since_when
 from rotorfit.tracking.following import refitted
+from rotorfit.tracking.scores import Scores, scores_of
 from tracked_flights import LAW, alarms, known, of_a_pilot
 
 pytestmark = pytest.mark.flights
@@ -18,7 +19,7 @@ Array = np.ndarray
 def scores() -> Scores:
     """Those of z, 30 s."""
     followed = refitted(known()[0], ("z",), LAW, 30.0)
-    return scores_of(list(followed.estimates.items()), {})
+    return scores_of([(list(followed.estimates.items()), {})])[0]
 
 
 def least(scores: Scores) -> float:
@@ -56,7 +57,7 @@ def test_coefficients_that_move_are_found_with_their_sign_and_their_time(scores:
 def test_a_gap_in_the_poses_a_moment_ago_is_no_jolt(scores: Scores) -> None:
     now = float(scores.time[-1])
     kept = (scores.time < now - 4.0) | (scores.time > now - 0.5)
-    part = {name: getattr(scores, name)[kept] for name in ("time", "innovation", "tested", "free", "jolts")}
+    part = {name: getattr(scores, name)[kept] for name in ("time", "innovation", "tested", "free", "jolts", "density")}
 
     assert looked_for(replace(scores, **part)) == []
 

@@ -15,7 +15,8 @@ import numpy as np
 from rotorfit.core.frames import Array, Mask
 from rotorfit.core.tracked import Cause
 from rotorfit.estimation.identifiability import NORMAL
-from rotorfit.tracking.changes import Contrast, Scores
+from rotorfit.tracking.changes import Contrast
+from rotorfit.tracking.scores import Scores
 
 PRICE = float(np.log(60.0))
 """What each number of a cause costs: the logarithm of about as many independent samples as two seconds hold."""

@@ -7,10 +7,11 @@ how far its own estimate would lie from that of the rest r. With the trim and th
     u = s_w - G_w (G_w + G_r)^-1 (s_w + s_r),    M = G_w - G_w (G_w + G_r)^-1 G_w,    T = u' M^-1 u
 
 is the likelihood ratio for coefficients of their own in the window, to first order; wind that comes or turns is trim
-and level, and in neither. T is looked at in the directions of M in which the window knows more than was to be expected,
-each over the variance that the scores of the regime really have, from their sums over `CHUNK`: gusts, colour, and
-whatever in the law is a little wrong make it larger than the likelihood believes, and alarms rarer. What the refit's
-tests of the law found a coefficient to vary by, with the size of commands, the speed or the method, is added to it.
+and level, and in neither. The window is seen by a filter that expects gusts as strong as they are in it (`scores`),
+the rest by that of the regime. T is looked at in the directions of M in which the window knows more than was to be
+expected, each over the variance that the scores of the regime really have, from their sums over `CHUNK`: gusts, colour,
+and whatever in the law is a little wrong make it larger than the likelihood believes, and alarms rarer. What the
+refit's tests of the law found a coefficient to vary by, with the size of commands, the speed or the method, is added.
 
 The promise: each look has a p-value, and the alarm sounds below (false alarms an hour) / (looks an hour). The expected
 number of false alarms an hour is then at most what was asked for, however the looks depend on each other, because
@@ -22,20 +23,13 @@ Biometrika 73 (1986), pp. 13-22 (variance from the sums of scores).
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from rotorfit.core.frames import Array, Indices
-from rotorfit.estimation.likelihood.axis_estimate import Estimate
-from rotorfit.estimation.likelihood.blocks import Record
-from rotorfit.estimation.likelihood.extra_parameters import estimated_extras
-from rotorfit.estimation.likelihood.likelihood import response, whiten
-
-WINDOWS = (1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
-"""Lengths of the windows that are looked at [s]."""
+from rotorfit.tracking.scores import FADES, LASTS, WINDOWS, Scores
 
 CHUNK = 1.0
 """Over this time sums of scores are taken as independent of the next [s]."""
@@ -43,32 +37,15 @@ CHUNK = 1.0
 UNLIKELY = 1e-3
 """A contrast whose p-value is larger even under white innovations is not looked at further."""
 
-LATELY = 12.0
-"""Time over which the scores are asked how they vary now [s]."""
-
-RISEN = 2.0
-"""Ratio of the variance lately to that of the regime beyond which the air is another: then the few values of lately
-count, and make alarms rare until the levels have followed."""
+TOLD = 2.4
+"""Length of a window that tells by itself how strong gusts are in it [s]: in a shorter one a push may be a gust or the
+vehicle, and only what other seconds and axes show decides; for z and yaw, which are pushed by both, in any."""
 
 LEAST_CHUNKS = 12
 """Chunks of the rest of a regime below which its variance is not known and nothing is asked."""
 
-EXPECTED = {"input": 0.3, "damping": 0.5, "delay": 0.05, "lag": 0.5, "trim": 0.5}
-"""Sizes of changes that are looked for: as a share of the input, of logarithms, of the delay [s], of the trim [m/s^2,
-rad/s^2]. A direction in which a
-window knows less than this is left out."""
-
-OTHERWISE = 0.5
-"""The same of any other parameter of a law, in the estimator's coordinate."""
-
-FADES = 0.7
-"""Time constant with which an autopilot learns a new weight or torque [s]."""
-
-LASTS, NEW, EARLIEST, APART = 4.0, 2.0, 0.15, 0.1
-"""Of the matched filters [s]: twice their length; how far back a look asks; what a jolt needs to be seen; the grid."""
-
-TRIMMED = ("z", "yaw")
-"""Axes whose trim is the vehicle's: thrust against weight, torque. On x and y it is wind, which is no change."""
+NEW, EARLIEST, APART = 2.0, 0.15, 0.1
+"""Of the matched filters [s]: how far back a look asks; what a jolt needs to be seen; the grid."""
 
 LATEST = 3.84
 """Fall of T from its largest to the ends of the 95 % interval of the time of a change."""
@@ -94,42 +71,6 @@ STEP = 0.2
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Innovations and sensitivities of one likelihood over a regime: N rows in time, P parameters that may change.
-
-    Attributes:
-        time: Of each row, shape (N,) [s].
-        innovation: Whitened, shape (N,).
-        tested: By the parameters that may change, on the scale of `EXPECTED`, shape (N, P).
-        free: By trims and start velocities that may be another in every window, shape (N, Q).
-        names: `AXIS.QUANTITY` of each that may change.
-        scale: What one unit of it is.
-        doubt: Standard deviation by which tests of the law found each to vary without a change, on that scale, (P,).
-        jolts: Whitened positions of an axis of `TRIMMED` after an acceleration, and of poses that are wrong, see
-            `_jolts`, shape (N, 3); none of other axes.
-    """
-
-    time: Array
-    innovation: Array
-    tested: Array
-    free: Array
-    names: tuple[str, ...]
-    scale: Array
-    doubt: Array
-    jolts: Array
-
-    @cached_property
-    def rows(self) -> Array:
-        """Innovations, what is tested and what is free side by side, shape (N, 1 + P + Q)."""
-        return np.column_stack([self.innovation, self.tested, self.free])
-
-    @cached_property
-    def products(self) -> Array:
-        """Of all rows with each other, summed, shape (1 + P + Q, 1 + P + Q)."""
-        return np.asarray(self.rows.T @ self.rows)
-
-
-@dataclass(frozen=True)
 class Contrast:
     """A window against the rest of its regime.
 
@@ -150,66 +91,6 @@ class Contrast:
     p_value: float
 
 
-def scores_of(estimates: Sequence[tuple[str, Estimate]], doubts: Mapping[str, Mapping[str, float]]) -> Scores:
-    """The scores of the axes of one likelihood.
-
-    Args:
-        estimates: Names and estimates of the axes that share an optimum.
-        doubts: Axis and quantity to the standard deviation by which the law was found wrong, on its own scale.
-    """
-    first = estimates[0][1]
-    (rec,), point = first.records, first.optimum.point
-    K = point.gain.size
-    mean, sensitivity = response(rec, point, 0, point.start)
-    jolts = _jolts(rec, estimates)
-    parts = [(rec.position - mean)[:, None], sensitivity, jolts]
-    rows, _ = whiten(rec, np.concatenate(parts, axis=1), point.levels)
-    rows = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
-    innovation, columns = rows[:, 0], rows[:, 1:]
-    trim, start = point.coefficients, point.coefficients + K
-    tested, names, scale, doubt, own = [], [], [], [], []
-    for axis, estimate in estimates:
-        k = estimate.place
-        for name in ("input", "damping", "delay", *(extra.name for extra in estimated_extras(estimate.optimum, k))):
-            size = EXPECTED.get(name, OTHERWISE)
-            unit = size * (float(point.gain[k]) if name == "input" else 1.0)
-            tested.append(columns[:, point.place(name, k)] * unit)
-            names.append(f"{axis}.{name}")
-            scale.append(size)
-            doubt.append(doubts.get(axis, {}).get(name, 0.0) / size)
-        if axis in TRIMMED:
-            tested.append(columns[:, trim + k] * EXPECTED["trim"])
-            names.append(f"{axis}.trim")
-            scale.append(EXPECTED["trim"])
-            doubt.append(0.0)
-            own.append(k)
-    segment = np.repeat(np.cumsum(rec.fresh) - 1, K)
-    free = [columns[:, trim + k] for k in range(K) if k not in own]
-    free += [columns[:, start + k] * (segment == s) for k in range(K) for s in range(rec.starts.size)]
-    time = np.repeat(rec.block_time, K)
-    return Scores(
-        time, innovation, np.column_stack(tested), np.column_stack(free), tuple(names), np.array(scale),
-        np.array(doubt), columns[:, columns.shape[1] - jolts.shape[1] :],
-    )  # fmt: skip
-
-
-def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
-    """Positions after an acceleration that fades as an autopilot learns it, at one pose alone, after a step: (B, 3, K).
-
-    All begin `LASTS` before the end; v' = -b v + a exp(-t / `FADES`). The last two are what a pose that is wrong does.
-    """
-    axis, estimate = estimates[0]
-    t = rec.block_time - (rec.block_time[-1] - LASTS)
-    if axis not in TRIMMED or t[0] > -LASTS:
-        return np.empty((rec.count.size, 0, len(rec.axes)))
-    b, fade = float(np.exp(estimate.optimum.point.log_damping[estimate.place])), 1.001 / FADES
-    later = np.maximum(t, 0.0)
-    rise = (-np.expm1(-fade * later) / fade + np.expm1(-b * later) / b) / (b - fade)
-    first = int(np.searchsorted(t, 0.0))
-    columns = np.column_stack([EXPECTED["trim"] * rise, np.arange(t.size) == first, np.arange(t.size) >= first])
-    return np.asarray(columns[:, :, None])
-
-
 def contrast(scores: Scores, since: float) -> Contrast | None:
     """The window from an instant to the end against what was before, in all directions; None where either is silent."""
     compared = _compared(scores, since)
@@ -218,47 +99,57 @@ def contrast(scores: Scores, since: float) -> Contrast | None:
 
 @dataclass(frozen=True)
 class _Compared:
-    """A window against the rest: u, M, the factor of its noise, and where it begins."""
+    """A window against the rest, under gusts of some strength in the window: u, M, the factor of its noise, where it
+    begins, and the likelihood of that strength without a change.
+    """
 
     since: float
     at: int
     u: Array
     M: Array
     noise: float
-    shift: Array
+    heard: float
 
 
-def _compared(scores: Scores, since: float) -> _Compared | None:
+def _compared(scores: Scores, since: float) -> list[_Compared]:
+    """Under each strength of gusts that the window may have; nothing where it cannot be compared."""
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or _chunks(scores.time[:at]).size < LEAST_CHUNKS:
-        return None
-    own, P = scores.rows[at:].T @ scores.rows[at:], len(scores.names)
-    G_w, s_w, left = _projected(own, P)
+        return []
+    own, P, heard = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.heard(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
-    share = G_w @ _inverse(G_w + G_r, 1e-15)
-    u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
-    noise = max(left / max(scores.time.size - at - u.size, 1), 1.0)
-    M = 0.5 * (M + M.T)
-    return _Compared(since, at, u, M, noise, _inverse(M, 1e-6) @ u)
+    out, short = [], bool(scores.time[-1] - since < TOLD)
+    first = scores.gusts if short or scores.jolts.size else 0
+    last = scores.gusts if short else len(scores.louder)
+    for each, likely in list(zip((scores, *scores.louder), heard, strict=False))[first : last + 1]:
+        G_w, s_w, left = _projected(each.rows[at:].T @ each.rows[at:], P)
+        share = G_w @ _inverse(G_w + G_r, 1e-15)
+        u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
+        noise = max(left / max(scores.time.size - at - u.size, 1), 1.0)
+        out.append(_Compared(since, at, u, 0.5 * (M + M.T), noise, float(likely)))
+    return out
 
 
-def _along(scores: Scores, compared: _Compared, basis: Array) -> Contrast | None:
-    """The contrast inside a subspace of the shifts, shape (P, k); None where it shows nothing."""
-    value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
-    keep = value > 1.0
-    if not keep.any():
+def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contrast | None:
+    """The contrast inside a subspace of the shifts, shape (P, k); None where it shows nothing.
+
+    Gusts are as strong as makes the window likeliest, with its shifts.
+    """
+    parts = [part for one in compared if (part := _inside(one, basis))]
+    if not parts:
         return None
-    vector, value = basis @ vector[:, keep], value[keep]
-    along, directions = compared.u @ vector, int(keep.sum())
-    chunks = _chunks(scores.time[: compared.at]).size
-    if _p_value(float((along**2 / value).sum()) / compared.noise, directions, chunks) > UNLIKELY:
+    likeliest = max(parts, key=lambda part: 2 * part[0].heard + float((part[1] ** 2 / part[3]).sum()))
+    one, along, vector, value = likeliest
+    directions = value.size
+    chunks = _chunks(scores.time[: one.at]).size
+    if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > UNLIKELY:
         return None  # the variance can only be larger than that of white innovations
-    excess, freedom = _excess(scores, compared, scores.tested @ vector)
-    variance = compared.noise * excess + value * (scores.doubt**2 @ vector**2)
+    excess, freedom = _excess(scores, one.at, scores.tested[: one.at] @ vector)
+    variance = one.noise * excess + value * (scores.doubt**2 @ vector**2)
     statistic = float((along**2 / (value * variance)).sum())
     p_value = _p_value(statistic, directions, freedom)
     return Contrast(
-        compared.since,
+        one.since,
         vector @ (along / value),
         (vector * (value / variance)) @ vector.T,
         statistic,
@@ -267,23 +158,21 @@ def _along(scores: Scores, compared: _Compared, basis: Array) -> Contrast | None
     )
 
 
-def _excess(scores: Scores, compared: _Compared, along: Array) -> tuple[Array, float]:
-    """Variance of the scores along some directions over what white innovations would give, and values behind it.
+def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array, Array] | None:
+    """What a window shows along the directions of a subspace in which it knows enough, these, and their information."""
+    value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
+    keep = value > 1.0
+    vector = basis @ vector[:, keep]
+    return (compared, compared.u @ vector, vector, value[keep]) if keep.any() else None
 
-    Lately is the window with what came before it, its own shift taken off: gusts that rise colour the innovations of a
-    filter that still believes in calm air.
+
+def _excess(scores: Scores, at: int, along: Array) -> tuple[Array, float]:
+    """Variance of the scores of the rest along some directions over what white innovations would give, and values
+    behind it.
     """
-    before = along[: compared.at] * scores.innovation[: compared.at, None]
-    late = slice(int(np.searchsorted(scores.time, scores.time[-1] - LATELY)), None)
-    innovation = scores.innovation.copy()
-    innovation[compared.at :] -= scores.tested[compared.at :] @ compared.shift
-    lately = along[late] * innovation[late, None]
-    (long, values), (now, few) = (
-        _spread(np.add.reduceat(z, _chunks(t), axis=0), (z**2).sum(axis=0))
-        for z, t in ((before, scores.time[: compared.at]), (lately, scores.time[late]))
-    )
-    variance, freedom = _usual(long, now, values, few)
-    return np.maximum(variance, 1.0), freedom
+    before = along * scores.innovation[:at, None]
+    excess, values = _spread(np.add.reduceat(before, _chunks(scores.time[:at]), axis=0), (before**2).sum(axis=0))
+    return np.maximum(excess, 1.0), values
 
 
 def _spread(sums: Array, expected: Array) -> tuple[Array, float]:
@@ -295,12 +184,6 @@ def _spread(sums: Array, expected: Array) -> tuple[Array, float]:
     square, fourth = (sums**2).sum(axis=0), (sums**4).sum(axis=0)
     told = 3.0 * square**2 / np.maximum(fourth, 1e-300)
     return square / np.maximum(expected, 1e-300), float(min(np.min(told, initial=np.inf), len(sums)))
-
-
-def _usual(before: Array, lately: Array, values: float, late: float) -> tuple[Array, float]:
-    """The variance to be expected, and how many independent values tell it: the long one, unless it has risen."""
-    risen = lately > RISEN * before
-    return np.where(risen, lately, before), min(late, values) if risen.any() else values
 
 
 def _p_value(statistic: float, directions: int, chunks: float) -> float:
@@ -394,23 +277,17 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     if not scores.jolts.size or chunks < LEAST_CHUNKS:
         return None
     first, end = (int(np.searchsorted(scores.time, now - back)) for back in (LASTS, LASTS / 2))
-    shapes = scores.jolts[first:end]
     new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - NEW, -APART)))
-    if not shapes.any(axis=0).all():  # a gap in the poses
+    if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None
-    matched = np.array([_matched(scores.innovation, h, new) for h in shapes.T])
-    gain = matched[:, 0] ** 2 / matched[:, 1]
-    h, before = shapes[:, 0], scores.innovation[: new[0]]
+    under = (scores, *scores.louder)[scores.gusts]
+    matched = np.array([_matched(under.innovation, h, new) for h in under.jolts[first:end].T])
+    gain, (product, power) = matched[:, 0] ** 2 / matched[:, 1], matched[0]
+    h, before = scores.jolts[first:end, 0], scores.innovation[: new[0]]
     usual = np.correlate(before, h, "valid") ** 2 / float(h @ h)
-    late = usual[-int(LATELY / (now - begin) * scores.time.size) :]
-    told = [
-        min(share * 3.0 * float(one.mean() ** 2 / max(np.mean(one**2), 1e-300)), share)
-        for one, share in ((usual, chunks), (late, int(LATELY / CHUNK)))
-    ]
-    found, freedom = _usual(usual.mean()[None], late.mean()[None], *told)
+    freedom = chunks * min(3.0 * float(usual.mean() ** 2 / max(np.mean(usual**2), 1e-300)), 1.0)
     largest = float(np.quantile(usual, RARE)) / RARE_OF_NORMAL
-    variance = MARGIN * max(float(found[0]), largest, 1.0)
-    product, power = matched[0]
+    variance = MARGIN * max(float(usual.mean()), largest, 1.0)
     return _Jolts(scores.time[new], product, power, gain[1:].max(axis=0), variance, freedom)
 
 
@@ -470,7 +347,7 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
     after, compared = e[time > since + FADES], _compared(scores, since)
     left = min(
         float(np.mean(after**2)) if after.size else np.inf,
-        compared.noise if compared else np.inf,
+        min((one.noise for one in compared), default=np.inf),
     )
     return (
         before.size > 0

@@ -37,12 +37,10 @@ from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import (
     SURE,
     Contrast,
-    Scores,
     at_once,
     calm,
     looked_for,
     looked_together,
-    scores_of,
     since_when,
 )
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, earlier_of, until_known
@@ -64,6 +62,7 @@ from rotorfit.tracking.following import (
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import End, Looked, Looks, LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
+from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind
 
 EVERY = 1.0
@@ -421,7 +420,7 @@ class Following:
     def _change(self, flight: Flight, now: float) -> Alarm | None:
         """The alarm of this look, and the regime that begins with it."""
         followed = [group.followed for group in self._groups.values() if group.followed]
-        scored = {scores.names: scores for one in followed for scores in _scores(one)}
+        scored = {scores.names: scores for scores in _scores(followed, flight)}
         looked, count = looked_together(list(scored.values()))
         (seen, self._seen), early = (self._seen, None), False
         threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
@@ -497,7 +496,7 @@ class Following:
                 continue
             followed = refitted(part, axes, self._structure, group.followed.seen)
             if followed.estimates and not any(
-                one.p_value < threshold for scores in _scores(followed) for one in looked_for(scores)
+                one.p_value < threshold for scores in _scores([followed], flight) for one in looked_for(scores)
             ):
                 self._groups[axes] = replace(apart, followed=followed)
                 return True
@@ -615,10 +614,15 @@ def _part(flight: Flight, since: float, now: float) -> Flight | None:
     return part if part.segments and part.pose_time.size > 1 else None
 
 
-def _scores(followed: Followed) -> list[Scores]:
-    """The scores of each likelihood of a group."""
+def _scores(followed: Sequence[Followed], flight: Flight) -> list[Scores]:
+    """The scores of each likelihood of some groups."""
+    return scores_of([part for one in followed for part in _likelihoods(one)], let_go(flight))
+
+
+def _likelihoods(followed: Followed) -> list[tuple[Estimates, Doubts]]:
+    """Those of a group, and what their laws were found wrong by."""
     by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
     for axis, estimate in followed.estimates.items():
         by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
     doubts = {axis: doubt_of(followed.fit.model.axes[axis]) for axis in followed.estimates}
-    return [scores_of(each, doubts) for each in by_optimum.values() if each[0][1].records]
+    return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

@@ -129,6 +129,22 @@ def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
     return rows.transpose(0, 2, 1), variance[0]
 
 
+def whiten_under(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array, Array]:
+    """The same by the first of several levels, and the first column by each of them.
+
+    Args:
+        rec: The flight.
+        columns: Shape (B, C, K), world frame.
+        levels: Their logarithms, shape (M, K, L).
+
+    Returns:
+        Rows (B, C, K), the first column (M, B, K), and the variances (M, B, K).
+    """
+    rows, others, variance = _filtered(rec, np.ascontiguousarray(columns.transpose(0, 2, 1)), levels, 1)
+    first = np.concatenate([rows[None, :, :, 0], others[:, :, :, 0]])
+    return rows.transpose(0, 2, 1), first, variance
+
+
 def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Array, Array, Array]:
     """Passes columns through filters of several levels.
 

@@ -1,0 +1,61 @@
+"""What the last seconds say of the air: risen gusts are heard on all axes, a payload is none; brakes say nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorfit.tracking.following import refitted, renewed
+from rotorfit.tracking.replayed import until
+from rotorfit.tracking.scores import BRAKES, Scores, let_go, scores_of
+from tracked_flights import LAW, changing, known
+
+pytestmark = pytest.mark.flights
+
+LEARNT = 20.0
+"""When it changes [s]."""
+
+
+def scored(cause: str, after: float) -> dict[str, Scores]:
+    """Scores of a flight of the room some time after its change, under what was learnt before, by axis."""
+    room = changing()
+    flight = room.changing_flight(2, room.Scenario(cause, gusts=0.3, duration=LEARNT + after, time=LEARNT)).flight
+    groups = [refitted(until(flight, LEARNT), axes, LAW, LEARNT) for axes in (("x", "y"), ("z",), ("yaw",))]
+    parts = [(list(renewed(one, flight).estimates.items()), {}) for one in groups]
+    return {one.names[0].partition(".")[0]: one for one in scores_of(parts)}
+
+
+def test_gusts_that_have_risen_are_heard_on_all_axes() -> None:
+    found = scored("wind", 10.0)
+
+    assert found["z"].gusts >= 2  # four times as much power or more; it is sixteen times as much
+    assert found["yaw"].gusts >= 2
+    assert len(found["z"].louder) >= found["z"].gusts
+    late = found["z"].time > LEARNT + 5.0
+    strong = found["z"].louder[found["z"].gusts - 1]
+    assert np.mean(strong.innovation[late] ** 2) < 1.5 < np.mean(found["z"].innovation[late] ** 2)
+
+
+@pytest.mark.parametrize("cause", ["picked_up", "propeller"])
+def test_a_payload_or_a_weak_propeller_is_no_gust(cause: str) -> None:
+    assert {axis: one.gusts for axis, one in scored(cause, 1.0).items()} == {"x": 0, "z": 0, "yaw": 0}
+
+
+def test_nothing_is_asked_of_the_height_while_a_vehicle_brakes() -> None:
+    flight = known()[0]
+    one = list(refitted(flight, ("z",), LAW, 30.0).estimates.items())
+    (before,), (after,) = scores_of([(one, {})]), scores_of([(one, {})], np.array([12.0]))
+    braking = (after.time >= 12.0) & (after.time < 12.0 + BRAKES)
+
+    assert not after.rows[braking].any()
+    assert np.array_equal(after.rows[~braking], before.rows[~braking])
+
+
+def test_sticks_are_let_go_where_both_become_zero() -> None:
+    command = np.array(
+        [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0], [1, 1, 0, 0], [0, 0, 0, 0]]
+    )
+    flight = known()[0]
+    part = replace(flight, command_time=np.arange(7.0), command=command.astype(float))
+
+    assert let_go(part).tolist() == [3.0, 6.0]
