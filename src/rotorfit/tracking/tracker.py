@@ -510,8 +510,6 @@ class Following:
         damping = {axis: one.ci95["damping"] for axis, one in words.items() if "damping" in one.ci95}
         moving, air, self.courses = courses(flight, estimates, damping)
         self.doubt = {}
-        if any(axis not in words or words[axis].values["damping"] is None for axis in ("x", "y")):
-            air = None  # its speed goes by the damping of both
         axes = {
             axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
             for axis in flight.axes
