@@ -1,7 +1,7 @@
 """What a fit needs compiled, compiled side by side in processes of its own: once after an installation.
 
 numba compiles what is called, when it is called, one after the other, and keeps it on the disk. Here each part calls
-what it is named after on a flight of four seconds; the parts are spread over the processors, and what they have left on
+what it is named after on a flight of six seconds; the parts are spread over the processors, and what they have left on
 the disk is then loaded. Who calls the kernels in another way has them compiled there: this saves time and nothing else.
 """
 
@@ -153,7 +153,7 @@ VALIDATION = "prediction", "axis", "lag", "checks"
 
 
 def _flight() -> "Flight":
-    """Four seconds in which every axis is commanded and the vehicle turns."""
+    """Six seconds in which every axis is commanded and the vehicle turns."""
     import numpy as np
 
     from rotorfit.core.flight_data import Flight, Segment

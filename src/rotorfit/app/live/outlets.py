@@ -1,5 +1,6 @@
 """Where samples and states go while a vehicle is followed: a recording, a file to go on from, a page, Foxglove."""
 
+import errno
 import hashlib
 import io
 import json
@@ -188,15 +189,16 @@ class Remembering:
 
 
 def _held(path: Path) -> socket.socket:
-    """What no second tracker of the same file gets: a socket without a file, which the system frees after a kill."""
+    """What no second tracker of the same file gets: a socket without a file, which Linux frees after a kill."""
     name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     held = socket.socket(socket.AF_UNIX)
     try:
         held.bind(f"\0rotorfit-track-{name}")
-    except OSError:
-        held.close()
-        raise LogError(f"{path}: another tracker remembers in this file; name another") from None
-    return held
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            held.close()
+            raise LogError(f"{path}: another tracker remembers in this file; name another") from None
+    return held  # other systems know no such names: there nobody is kept out
 
 
 def _recalled(path: Path, tracker: Tracker) -> bool:
