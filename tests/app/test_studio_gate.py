@@ -13,18 +13,7 @@ from rotorfit.app.loopback.gate import POLICY, cookie_name
 from rotorfit.app.web import routes, workspace
 from rotorfit.app.web.routes import Studio
 from rotorfit.app.web.workspace import safe_name
-from studio_room import COOKIE, HOST, ORIGIN, PAGE, PORT, TOKEN, added, bag, client_of, opened, session_of
-
-
-@pytest.fixture
-def studio(tmp_path: Path) -> Iterator[Studio]:
-    with opened(tmp_path / "workspace") as one:
-        yield one
-
-
-@pytest.fixture
-def page(studio: Studio) -> TestClient:
-    return client_of(studio)
+from studio_room import COOKIE, HOST, ORIGIN, PAGE, PORT, TOKEN, added, bag, client_of, session_of
 
 
 def every_request(studio: Studio) -> list[tuple[str, str]]:

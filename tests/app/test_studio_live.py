@@ -2,8 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -11,20 +10,9 @@ from starlette.testclient import TestClient
 
 from rotorfit.app.loopback.gate import FRAMED
 from rotorfit.app.web.routes import Studio
-from studio_room import client_of, opened, session_of
+from studio_room import session_of
 
 SIM = {"link": "sim,gusts=0.2", "card": ""}
-
-
-@pytest.fixture
-def studio(tmp_path: Path) -> Iterator[Studio]:
-    with opened(tmp_path / "workspace") as one:
-        yield one
-
-
-@pytest.fixture
-def page(studio: Studio) -> TestClient:
-    return client_of(studio)
 
 
 def until(found: Callable[[], Any], seconds: float = 120.0) -> Any:

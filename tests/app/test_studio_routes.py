@@ -34,17 +34,6 @@ from studio_room import added, bag, client_of, opened, session_of, settled
 pytestmark = pytest.mark.flights
 
 
-@pytest.fixture
-def studio(tmp_path: Path) -> Iterator[Studio]:
-    with opened(tmp_path / "workspace") as one:
-        yield one
-
-
-@pytest.fixture
-def page(studio: Studio) -> TestClient:
-    return client_of(studio)
-
-
 def drafted(page: TestClient) -> str:
     """A log and the card that was drafted for it."""
     log = added(page)

@@ -35,17 +35,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "workspace"
 
 
-@pytest.fixture
-def studio(folder: Path) -> Iterator[Studio]:
-    with opened(folder) as one:
-        yield one
-
-
-@pytest.fixture
-def page(studio: Studio) -> TestClient:
-    return client_of(studio)
-
-
 @contextmanager
 def full_disk() -> Iterator[None]:
     """No file of this process, or of one that it starts, takes another byte."""

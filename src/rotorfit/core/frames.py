@@ -43,16 +43,16 @@ def heading_from_world(vector: Array, yaw: Array) -> Array:
     """Resolves horizontal world vectors in the heading frame: R(yaw)^T v.
 
     Args:
-        vector: Horizontal world components, shape (N, 2).
-        yaw: Heading, shape (N,) [rad].
+        vector: Horizontal world components, shape (..., 2).
+        yaw: Heading, shape (...) [rad].
 
     Returns:
-        Forward and left components, shape (N, 2), in the unit of `vector`.
+        Forward and left components, shape (..., 2), in the unit of `vector`.
 
     Source: paper, eq. (3).
     """
     c, s = np.cos(yaw), np.sin(yaw)
-    return np.stack([c * vector[:, 0] + s * vector[:, 1], -s * vector[:, 0] + c * vector[:, 1]], axis=1)
+    return np.stack([c * vector[..., 0] + s * vector[..., 1], -s * vector[..., 0] + c * vector[..., 1]], axis=-1)
 
 
 def world_from_heading(vector: Array, yaw: Array) -> Array:

@@ -2,6 +2,8 @@
 
 What the likelihood's filter does with a whole flight, sample by sample: the same response, transitions and update. Two
 axes go together: x and y through the heading, or z and yaw side by side under a heading of zero.
+
+Source: paper, eqs. (4) and (5), for the driven motion; R. E. Kalman, J. Basic Eng. 82 (1960), pp. 35-45.
 """
 
 from dataclasses import dataclass
@@ -65,11 +67,6 @@ class MotionFilter:
     def time(self) -> float:
         """Of the last pose [s]; of the start before the first."""
         return float(self.clock[1, 0])
-
-    @property
-    def heading(self) -> float:
-        """At the last pose [rad]; zero of z and yaw."""
-        return float(self.clock[1, 1])
 
     def follow(self, time: Array, position: Array, yaw: Array, command_time: Array, command: Array) -> Array:
         """Takes poses.

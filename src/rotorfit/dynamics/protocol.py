@@ -331,11 +331,11 @@ def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Er
     reach = np.arange(predicted.shape[1])
     at = np.minimum(part.first[:, None] + reach, part.time.size - 1)
     error = predicted[:, :, 1] - part.reference[at]
-    _turn(error, part.pose[at, 3])
+    error[..., :2] = heading_from_world(error[..., :2], part.pose[at, 3])
     good, end = _complete(part, FIT_HORIZON)
     near = good[:, None] & (reach < (end - part.first)[:, None])
     measured = part.reference[at[near]]
-    _turn(measured, part.pose[at[near], 3])
+    measured[:, :2] = heading_from_world(measured[:, :2], part.pose[at[near], 3])
     moments = [_moments(*pair) for pair in zip(error[near].T, measured.T, strict=True)]
     known = np.isfinite(error)
     squares = np.cumsum(np.where(known, error, 0.0) ** 2, axis=1)
@@ -346,17 +346,10 @@ def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Er
         run, last = np.flatnonzero(good), end[good] - 1
         upto = last - part.first[good]
         off = predicted[run, upto, 0] - part.pose[last]
-        _turn(off, part.pose[last, 3])
+        off[:, :2] = heading_from_world(off[:, :2], part.pose[last, 3])
         off[:, np.isin(AXES, part.alone)] = np.nan
         starts[horizon] = StartErrors(part.start[good], squares[run, upto], steps[run, upto].astype(float), off**2)
     return Errors(starts, *np.transpose(moments))
-
-
-def _turn(vector: Array, yaw: Array) -> None:
-    """Turns x and y of world vectors (..., 4) into headings (...), in place."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = vector[..., 0].copy(), vector[..., 1].copy()
-    vector[..., 0], vector[..., 1] = c * x + s * y, c * y - s * x
 
 
 def _moments(error: Array, measured: Array) -> tuple[float, float, float, float]:

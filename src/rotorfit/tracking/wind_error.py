@@ -51,7 +51,7 @@ def coefficient_error(
         error = max(late.error(optimum), 1e-3)
         sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)
-    widened = {name: wider(name, ci95, own) for name in by}
+    widened = {name: _wider(name, ci95, own) for name in by}
     slope = np.sum([by[name] * widened[name] * told[name].slope for name in by], axis=0)
     trim = optimum.point.coefficients + optimum.point.trim.size - optimum.point.gain.size + k
     slope[trim] = (1 - weights.sum()) * max(widened.values())
@@ -97,7 +97,7 @@ def _velocity(flight: Flight, axis: str, time: Array) -> Array:
     return np.asarray(v[:, AXES.index(axis)])
 
 
-def wider(name: str, ci95: Mapping[str, Interval], own: Mapping[str, Interval]) -> float:
+def _wider(name: str, ci95: Mapping[str, Interval], own: Mapping[str, Interval]) -> float:
     """How much wider the vehicle's interval of a coefficient is than this flight's; 1 where either is open."""
     low, high = ci95.get(name, (None, None))
     least, most = own.get(name, (None, None))
