@@ -29,8 +29,7 @@ from designs import designs
 from designs import flown as flown_design
 from rotorfit.core.flight_data import Flight
 from rotorfit.tracking import changes, tracker
-from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.tracker import Following
+from rotorfit.tracking.replayed import tracked
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 QUANTILES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
@@ -113,10 +112,8 @@ class Looks:
 def watched(flight: Flight, structure: str) -> tuple[list[dict], list]:
     """What was seen at each look of a flight, and its alarms."""
     watch = tracker.looked_together = Looks()
-    following, alarms = Following(structure), []
-    for part, now in growing(flight, following.next_look):
-        alarms += following.look(part, now).alarms
-    return [one for one in watch.seen if one["looks"]], alarms
+    alarms = tracked(flight, structure).alarms
+    return [one for one in watch.seen if one["looks"]], list(alarms)
 
 
 def least(look: dict) -> float:

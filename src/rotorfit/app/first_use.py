@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rotorfit.core.progress import Progress
 
@@ -172,32 +172,8 @@ def _flight() -> "Flight":
 def main(names: Sequence[str]) -> None:
     """Compiles some parts, in a process that does nothing else."""
     gc.disable()  # compiling makes a great many small objects that live: searching them for rings is a tenth of it
-    _compare_options_quickly()
     for name in names:
         PARTS[name][1]()
-
-
-def _compare_options_quickly() -> None:
-    """Compares sets of compiler options by what was set in them.
-
-    numba asks tens of thousands of times whether two sets are the same (they are a part of the key under which it
-    keeps what it has resolved) and lists two dozen properties of each: a fifth of compiling. Only here, where nobody
-    else's code is compiled.
-    """
-    from numba.core.targetconfig import TargetConfig
-
-    def same(one: Any, other: Any) -> bool:
-        if type(one) is not type(other):
-            return False
-        first, second = one._values, other._values
-        if first == second:
-            return True
-        options = one.options.items()
-        return all(first.get(name, known.default) == second.get(name, known.default) for name, known in options)
-
-    kind: Any = TargetConfig
-    kind.__eq__ = same
-    kind.__hash__ = lambda one: hash(type(one))  # its own is of the names of the options: the same for all
 
 
 if __name__ == "__main__":
