@@ -26,8 +26,8 @@ from bench_alarms import LEARNT, WITHIN, _alarm, _innovations, _learnt, scenario
 from bench_track_peers import MEMORY, Told, by_paper, correlation, kalman, least_squares, signal_of
 from changing_flights import ChangingFlight, Scenario, changing_flight
 from rotorfit.core.frames import AXES
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import until
-from rotorfit.tracking.tracker import Following
 
 CHANGES = ("picked_up", "delay", "wind")
 AXIS = "z"

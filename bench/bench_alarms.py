@@ -32,11 +32,11 @@ import numpy as np
 from changing_flights import CAUSES, ChangingFlight, Scenario, changing_flight
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.log import Sample
-from rotorfit.tracking.following import renewed
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following, scores_of_groups
 from rotorfit.tracking.growing_flight import GrowingFlight
+from rotorfit.tracking.refits import renewed
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.scores import WINDOWS, Scores
-from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following, _scores
 
 LEARNT, WITHIN, SLOW = 60.0, 20.0, 65.0
 """The change comes within the second after the first; it counts as found within the second, or the third [s]."""
@@ -174,7 +174,7 @@ def _usual(before: np.ndarray, shape: np.ndarray, scores: Scores) -> float:
 def _innovations(following: Following, flight: Flight) -> list[Scores]:
     """Those of a flight under the estimates of a tracker."""
     known = [group.followed for group in following._groups.values() if group.followed]
-    return _scores([renewed(one, flight) for one in known], flight)
+    return scores_of_groups([renewed(one, flight) for one in known], flight)
 
 
 def scenarios(flights: int, gusts: Sequence[float], first: int) -> list[tuple[int, Scenario]]:

@@ -26,8 +26,8 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, until
-from rotorfit.tracking.tracker import Following
 
 MOMENTS = (5.0, 10.0, 20.0, 40.0)
 """After the start [s]; and at landing."""

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import rotorfit as rf
 from bench_autopilot import GAIN_ERROR, SLOW_ERROR, SMALL, truth_of
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.tracker import Following
 
 MOMENTS = (10.0, 20.0, 40.0, 59.0)
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-import rotorfit.tracking.tracker as tracker_module
+import rotorfit.tracking.following as following_module
 from rotorfit.core.log import Sample
 from rotorfit.files.cards import load_card
 from rotorfit.tracking.tracker import Tracker
@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--structure", default="first_order_delay")
     given = parser.parse_args()
-    spent, refits, refit = [], [], tracker_module.refitted
+    spent, refits, refit = [], [], following_module.refitted
 
     def timed(*words, **named):  # type: ignore[no-untyped-def]
         begun = time.process_time()
@@ -102,7 +102,7 @@ def main() -> None:
         refits.append(time.process_time() - begun)
         return found
 
-    tracker_module.refitted = timed
+    following_module.refitted = timed
     tracker, alarms, due = Tracker(load_card("rotorfit-demo"), given.structure, origin=0), 0, TURN
     print("hours  memory MB  look ms  most ms  refits  their s  alarms  x: input  interval  state", flush=True)
     for sample in samples(given.hours, given.rate):

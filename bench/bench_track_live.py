@@ -26,8 +26,8 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
 from rotorfit.tracking.air import courses
-from rotorfit.tracking.following import refitted
-from rotorfit.tracking.looks import LooksBeside
+from rotorfit.tracking.looks_beside import LooksBeside
+from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.tracker import Tracker
 
 

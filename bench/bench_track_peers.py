@@ -36,8 +36,8 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.optima import between
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.tracker import Following
 
 MOMENTS = (10.0, 20.0, 40.0, 60.0)
 LAW = "first_order_delay"

@@ -22,8 +22,8 @@ from rotorfit.core.frames import AXES, heading_from_world
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, motion_now
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
-from rotorfit.tracking.tracker import Following
 
 SETTLED = 30.0
 

@@ -14,8 +14,8 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm, Track
 from rotorfit.simulation.paper_vehicle import Truth
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked
-from rotorfit.tracking.tracker import Following
 
 LAW = "first_order_delay"
 """The law that the paper's vehicle obeys, and what short flights can tell."""

@@ -9,7 +9,7 @@ from flights import STILL, flown, steps
 from rotorfit.core.flight_data import Flight
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.tracking.air import courses, motion_now
-from rotorfit.tracking.following import refitted
+from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
 from tracked_flights import LAW, known
 

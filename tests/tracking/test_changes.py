@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorfit.tracking.changes import looked_for, looks, since_when
-from rotorfit.tracking.following import refitted
+from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.scores import Scores, scores_of
 from tracked_flights import LAW, alarms, known, of_a_pilot
 

@@ -14,8 +14,9 @@ from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked
-from rotorfit.tracking.tracker import Following, Tracker
+from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known
 
 pytestmark = pytest.mark.flights

@@ -6,9 +6,9 @@ import pytest
 
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import Interval
-from rotorfit.tracking.following import Followed, read_backwards, refitted, renewed, said, stepped
+from rotorfit.tracking.following import Following
+from rotorfit.tracking.refits import Followed, read_backwards, refitted, renewed, said, stepped
 from rotorfit.tracking.replayed import growing, until
-from rotorfit.tracking.tracker import Following
 from tracked_flights import LAW, known
 
 pytestmark = pytest.mark.flights
@@ -95,8 +95,8 @@ def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
 
 def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """A longer flight stands for hours: the estimate looks back over 12 s of 30."""
-    monkeypatch.setattr("rotorfit.tracking.tracker.LONGEST", 12.0)
     monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 12.0)
+    monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 12.0)
     following, told = Following(LAW), []
     for part, now in growing(known()[0], following.next_look):
         told.append((now, following.look(part, now).axes["z"].values["input"]))

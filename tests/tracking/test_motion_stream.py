@@ -11,8 +11,8 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.tracking.air import courses, motion_now
 from rotorfit.tracking.flight_so_far import Rows
-from rotorfit.tracking.following import Followed, refitted
 from rotorfit.tracking.motion_stream import MotionStream
+from rotorfit.tracking.refits import Followed, refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorfit.tracking.following import refitted, renewed
+from rotorfit.tracking.refits import refitted, renewed
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.scores import BRAKES, Scores, let_go, scores_of
 from tracked_flights import LAW, changing, known

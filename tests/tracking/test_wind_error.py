@@ -8,7 +8,7 @@ import pytest
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.tracking.air import motion_now
-from rotorfit.tracking.following import refitted
+from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind
 from tracked_flights import LAW, known

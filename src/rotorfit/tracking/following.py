@@ -1,324 +1,423 @@
-"""The estimate of one group of axes while the flight grows: the batch estimator, followed from second to second.
+"""The estimates and the regimes of a flight that grows: what a look, once a second, makes of it.
 
-A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
-excited time has grown by `REFIT`, so that all refits together cost a few times the last one. In between the estimate
-takes a step or two of the same climb on the data that have come, from where it stands; intervals keep the shape that
-the refit gave them and shrink with the information. So the last estimate of a flight is that of the batch.
+Each group of axes takes a step or is fitted again (`refits`), the last seconds are compared with the rest (`changes`),
+and the state is put together in words and numbers.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import STRUCTURE, Axis, Interval, Model, unknown_axis
+from rotorfit.core.laws import AVERAGED
+from rotorfit.core.model import Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import QUANTITIES
+from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval
-from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
-from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.coefficients import statuses
-from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.estimation.likelihood.optima import start_point
-from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.grouping import commands_axis, groups_of
+from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
+from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.tracking.air import AxisNow, Course, courses
+from rotorfit.tracking.causes import diagnosis
+from rotorfit.tracking.changes import SURE, Contrast, at_once, calm, looked_for, looked_together, since_when
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
+from rotorfit.tracking.refits import (
+    LONGEST,
+    REFIT,
+    SILENT,
+    Followed,
+    Said,
+    doubt_of,
+    followed_of,
+    grown,
+    refitted,
+    renewed,
+    said,
+    stepped,
+    together,
+)
+from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
+from rotorfit.tracking.wind_error import coefficient_error, tells_wind
 
-REFIT = 1.5
-"""Growth of the time that a fit saw after which the batch estimator looks again."""
+EVERY = 1.0
+"""Time between looks [s]."""
 
-LONGEST = 300.0
-"""Time that an estimate looks back over [s]: of a longer regime the oldest part is left to itself."""
+FALSE_ALARMS_PER_HOUR = 0.1
+"""Promised by default."""
 
-SILENT = 1.2
-"""The same as long as it has found nothing."""
+PLAIN = 0.99
+"""Share in the evidence of a cause, with the axes it changes, that needs no second look."""
 
-PASSES = 3
-"""Passes over the data that a step may take: one to see, two to move."""
+RESTLESS = 0.97
+"""Share of the time under commands from which on rest explains nothing."""
 
-EARLY, GROWN = 30.0, 1.03
-"""A step is taken each second for so long [s], then whenever the excited time has grown by this."""
-
-LEVELS_EVERY = 5
-"""Every so many steps the levels of the disturbance move, too: they change slowly, and cost as much as the rest."""
-
-Half = tuple[float | None, float | None]
+QUIET = 5.0
+"""Time without a new command after which an axis holds [s]: by then it has answered the last."""
 
 
 @dataclass(frozen=True)
-class Followed:
-    """The estimate of a group of axes that are fitted together, or of axes that are not told.
+class Group:
+    """Axes that are fitted together.
 
     Attributes:
-        group: Names.
-        fit: The last refit.
-        seen: Excited time that it saw [s].
-        estimates: Axis name to the estimate now; none of axes without numbers.
-        half: Axis and quantity to the half widths of the intervals at the refit, of these flights and of the vehicle,
-            and the standard error then, all on the scale of the quantity.
-        steps: Since the refit.
-        stepped: Excited time at the last of them [s].
+        axes: Names.
+        since: When their regime began [s].
+        followed: What is known of them; None before the first fit.
+        excited: Excited time since then [s].
+        looked: Up to when it was counted [s].
+        answers: Where only their answers to commands count, because at rest they obey another law: how late they come
+            [s]; None where all of the flight does.
     """
 
-    group: tuple[str, ...]
-    fit: Fit
-    seen: float
-    estimates: Mapping[str, Estimate]
-    half: Mapping[str, Mapping[str, tuple[Half, Half, float]]]
-    steps: int = 0
-    stepped: float = 0.0
+    axes: tuple[str, ...]
+    since: float
+    followed: Followed | None = None
+    excited: float = 0.0
+    looked: float = 0.0
+    answers: float | None = None
+
+    def part(self, flight: Flight, since: float, now: float) -> Flight | None:
+        """What counts of a flight between two times; None where nothing does."""
+        part = _part(flight, since, now)
+        if part is None or self.answers is None:
+            return part
+        part = commanded_parts(part, self.axes, self.answers)
+        return part if part.segments else None
 
 
 @dataclass(frozen=True)
-class Said:
-    """What is said of one axis: values and intervals by name, of the vehicle and of this flight."""
+class _Seen:
+    """A change that was seen at the last look and is named at this one: which likelihood, as what, what else."""
 
-    values: Mapping[str, float | None]
-    ci95: Mapping[str, Interval]
-    ci95_flight: Mapping[str, Interval]
+    names: tuple[str, ...]
+    contrast: Contrast
+    looked: Mapping[tuple[str, ...], Sequence[Contrast]]
 
 
-def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> Followed:
-    """The batch estimator on the flight so far.
+class Following:
+    """The estimates and regimes of a growing flight.
 
     Args:
-        flight: So far.
-        group: Axes that are fitted together.
         structure: As `fit` takes it.
-        seen: Excited time of the flight so far [s].
+        false_alarms_per_hour: Promised.
+        earlier: What the vehicle was; None where nothing is known.
+
+    Attributes:
+        next_look: When one is due [s].
+        courses: Filters of the motion at the last look, to go on with.
+        doubt: Axis name to the standard error of the wind that coefficients leave.
     """
-    return followed_of(fit([flight], axes=group, structure=structure), group, seen)
+
+    def __init__(
+        self,
+        structure: str = AVERAGED,
+        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
+        earlier: Earlier | None = None,
+    ) -> None:
+        self._structure, self._earlier = structure, earlier
+        self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
+        self._false_comparisons = false_alarms_per_hour * SHARE
+        self._compared, self._unlike = 0.0, set[str]()
+        self._groups: dict[tuple[str, ...], Group] = {}
+        self._since = dict.fromkeys(AXES, 0.0)
+        self._changed: dict[str, float] = {}
+        self._seen: _Seen | None = None
+        self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
+        self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
+        self.next_look = LEAST_TIME
+        self.courses: tuple[Course, ...] = ()
+        self.doubt: dict[str, float] = {}
+
+    def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
+        """A look at the flight so far.
+
+        Args:
+            flight: Its samples up to now.
+            now: [s].
+            standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
+        """
+        self.next_look = next_look(self.next_look, now)
+        before = self._as_refitted()
+        self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
+        if standing:
+            self._seen = None
+        alarm = None if standing else self._change(flight, now)
+        state = self._tracked(flight, now, (alarm,) if alarm else ())
+        if self._earlier and state.model is not before and (unlike := self._another_vehicle(state, self._earlier)):
+            return replace(state, alarms=(*state.alarms, unlike))
+        return state
+
+    def memory(self) -> dict[str, Any]:
+        """Regimes and the next look, as plain types; estimates are found anew."""
+        bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
+        told = {"compared": self._compared, "unlike": sorted(self._unlike)}
+        since = {"since": dict(self._since), "changed": dict(self._changed)}
+        return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Goes on from what `memory` gave."""
+        self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
+        self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
+        self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
+
+    def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
+        """The last look, each group fitted once more, and the regimes with their models.
+
+        Args:
+            flight: All of it.
+            now: Its end [s].
+        """
+        ends = [*(since for since, _ in self._bounds[1:]), now]
+        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
+        regimes = tuple(
+            Regime(since, end, found.model if found else None, alarm)
+            for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
+        )
+        for axes, group in self._groups.items():
+            part = _part(flight, group.since, now) if group.followed else None
+            if fits[-1] and group.since == self._bounds[-1][0]:
+                self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
+            elif part:  # what did not change was not begun anew, and is told by more than the last regime
+                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
+        return replace(self._tracked(flight, now, ()), landed=True), regimes
+
+    def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
+        """The fit of a regime; None where it is too short."""
+        part = _part(flight, since, end)
+        return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
+
+    def _followed(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
+        """A group after this look."""
+        since = max(self._since[axis] for axis in axes)
+        group = self._groups.get(axes, Group(axes, since))
+        if group.since != since:
+            group = Group(axes, since, answers=group.answers)
+        part = group.part(flight, max(since, now - LONGEST), now)
+        if part is None or part.duration < LEAST_TIME:
+            return group
+        excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
+        group, before = replace(group, excited=excited, looked=now), group.followed
+        if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
+            return replace(group, followed=renewed(before, part))  # nothing new is told: the last values hold
+        growth = REFIT if before and before.estimates else SILENT
+        if before is None or grown(before.seen, excited, growth):
+            return replace(group, followed=refitted(part, axes, self._structure, excited))
+        return replace(group, followed=stepped(before, part, excited))
+
+    def _change(self, flight: Flight, now: float) -> Alarm | None:
+        """The alarm of this look, and the regime that begins with it."""
+        followed = [group.followed for group in self._groups.values() if group.followed]
+        scored = {scores.names: scores for scores in scores_of_groups(followed, flight)}
+        looked, count = looked_together(list(scored.values()))
+        (seen, self._seen), early = (self._seen, None), False
+        threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
+        if seen is None:
+            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
+            seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
+            self._seen, early = seen, True  # a second more tells what it is, where that is not plain
+            if seen is None or seen.contrast.p_value > SURE:
+                return None
+        if seen.names not in scored:
+            return None
+        best, since = since_when(scored[seen.names], seen.contrast)
+        if not calm(scored[seen.names], best.since, seen.contrast.p_value):
+            return None  # the air, not the vehicle
+        if self._at_rest(flight, now, seen.names, threshold):
+            self._seen = None
+            return None  # another law at rest, which is the vehicle's own
+        others = [
+            (scores, there)
+            for names, scores in scored.items()
+            if names != seen.names
+            if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
+        ]
+        named = diagnosis([(scored[seen.names], best), *others])
+        if early and named.plain < PLAIN:
+            return None
+        self._seen = None
+        p_value = seen.contrast.p_value
+        axes = tuple(axis for axis in AXES if axis in named.axes)
+        alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
+        for axis in named.axes:
+            self._since[axis] = self._changed[axis] = best.since
+        self._bounds.append((best.since, alarm))
+        self._groups = {
+            axes: Group(axes, best.since, answers=group.answers) if set(axes) & set(named.axes) else group
+            for axes, group in self._groups.items()
+        }
+        return alarm
+
+    def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
+        """The alarm that the vehicle is not that of the earlier model, from a look that has fitted again.
+
+        What is promised is spent with time: a comparison may raise as many as its share of the time since the last.
+        """
+        axes = {
+            axis: one
+            for axis, one in state.axes.items()
+            if one.against and axis not in self._changed and axis not in self._unlike
+        }
+        every = [unlike for axis, one in axes.items() for unlike in compared(one, earlier, axis)]
+        if not every:
+            return None
+        threshold = self._false_comparisons * (state.time - self._compared) / 3600.0 / len(every)
+        self._compared = state.time
+        found = [one for one in every if one.p_value < threshold]
+        self._unlike |= {one.name.partition(".")[0] for one in found}
+        return another_vehicle(found, earlier, state.time) if found else None
+
+    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], threshold: float) -> bool:
+        """Whether what was seen comes of x and y at rest, where many vehicles brake or hold their place.
+
+        Fitted to their answers to commands, they show no change; from then on only these count.
+        """
+        for axes, group in self._groups.items():
+            if group.followed is None or group.answers is not None or set(axes) & {"z", "yaw"}:
+                continue
+            if not any(name.split(".")[0] in axes for name in names):
+                continue
+            late = [float(one.optimum.point.delay[one.place]) for one in group.followed.estimates.values()]
+            apart = replace(group, answers=min(late))
+            part = apart.part(flight, max(group.since, now - LONGEST), now)
+            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - group.since):
+                continue
+            followed = refitted(part, axes, self._structure, group.followed.seen)
+            if followed.estimates and not any(
+                one.p_value < threshold for scores in scores_of_groups([followed], flight) for one in looked_for(scores)
+            ):
+                self._groups[axes] = replace(apart, followed=followed)
+                return True
+        return False
+
+    def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
+        """The state in words and numbers."""
+        known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
+        estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
+        words = {axis: said(one, axis) for axis, one in known.items() if one}
+        damping = {axis: one.ci95["damping"] for axis, one in words.items() if "damping" in one.ci95}
+        moving, air, self.courses = courses(flight, estimates, damping)
+        self.doubt = {}
+        axes = {
+            axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
+            for axis in flight.axes
+        }
+        if self._earlier:
+            axes = {axis: self._after(self._earlier, axis, one) for axis, one in axes.items()}
+        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
+
+    def _after(self, earlier: Earlier, axis: str, out: TrackedAxis) -> TrackedAxis:
+        """An axis beside what the earlier model says of it; of one that has changed that says nothing."""
+        if axis in self._changed:
+            return out
+        out = replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
+        return out if axis in self._unlike else until_known(out, earlier, axis)
+
+    def _as_refitted(self) -> Model | None:
+        """The model of the last refits; the same one until there is another."""
+        parts = [group.followed for group in self._groups.values() if group.followed]
+        fits = tuple(part.fit for part in parts)
+        if [id(one) for one in fits] != [id(one) for one in self._model[0]]:
+            self._model = fits, together(parts)
+        return self._model[1]
+
+    def _axis(
+        self,
+        flight: Flight,
+        axis: str,
+        now: float,
+        followed: Followed | None,
+        words: Said | None,
+        motion: AxisNow | None,
+    ) -> TrackedAxis:
+        """What is known of one axis."""
+        knowledge, state = _knowledge(flight, axis, now, followed, words)
+        if axis in self._changed:
+            state = f"changed at {self._changed[axis]:.1f} s, {state}"
+        out = TrackedAxis(knowledge, state)
+        if followed and words:
+            structure = followed.fit.model.axes[axis].structure
+            out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
+        if motion is None or followed is None or words is None or not tells_wind(words.ci95_flight):
+            return out
+        error = self.doubt[axis] = coefficient_error(
+            flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight
+        )
+        return replace(
+            out,
+            wind=motion.wind,
+            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, error))),
+            gusts=motion.gusts,
+            velocity=motion.velocity,
+            ahead=motion.ahead,
+            ahead_ci95=_around(motion.ahead, motion.ahead_error),
+        )
 
 
-def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
-    """A fit of one flight, as it is followed.
-
-    Args:
-        found: Of these axes, and perhaps others.
-        group: Axes that are fitted together.
-        seen: Excited time that it saw [s].
-    """
-    estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
-    half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
-    return Followed(tuple(group), found, seen, estimates, half, stepped=seen)
+def next_look(due: float, now: float) -> float:
+    """When the look after one that was due is due [s]."""
+    return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
 
 
-def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
-    """Half widths of both intervals of everything of an axis, and its standard error, on its scale."""
-    out = {}
-    for name, one in estimands(estimate.optimum, estimate.place).items():
-        vehicle, flight = _ends(axis, name)
-        out[name] = half_widths(one, flight), half_widths(one, vehicle), one.error(estimate.optimum)
-    return out
-
-
-def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
-    """The two intervals of a coefficient or combination: the vehicle's, and that of these flights."""
-    if name in axis.combinations:
-        part = axis.combinations[name]
-        return part.ci95, part.ci95_flight or part.ci95
-    ends = axis.ci95.get(name, (None, None))
-    return ends, axis.ci95_flight.get(name, ends)
-
-
-def together(parts: Sequence[Followed]) -> Model | None:
-    """The last refits as one model; None before the first.
-
-    Args:
-        parts: Of each group of axes that has been fitted.
-    """
-    if not parts:
-        return None
-    models = {axis: part.fit.model for part in parts for axis in part.group}
-    names = tuple(
-        name for part in parts for name in part.fit.model.covariance_names if name.partition(".")[0] in part.group
-    )
-    covariance = np.zeros((len(names), len(names)))
-    for part in parts:
-        own = [k for k, name in enumerate(names) if name.partition(".")[0] in part.group]
-        there = [part.fit.model.covariance_names.index(names[k]) for k in own]
-        covariance[np.ix_(own, own)] = part.fit.model.covariance[np.ix_(there, there)]
-    axes = {axis: models[axis].axes[axis] if axis in models else unknown_axis("too_short") for axis in AXES}
-    structures = {one.structure for one in axes.values() if one.predictor}
-    first = parts[0].fit.model
-    return replace(
-        first,
-        structure="mixed" if len(structures) > 1 else next(iter(structures), STRUCTURE),
-        axes=axes,
-        covariance_names=names,
-        covariance=covariance,
-        paper=tuple(models.get(axis, first).paper[2 * k + j] for k, axis in enumerate(AXES) for j in range(2)),
-        paper_noise={axis: noise for axis, one in models.items() if (noise := one.paper_noise.get(axis))},
-    )
-
-
-def doubt_of(axis: Axis) -> dict[str, float]:
-    """By how much tests found each coefficient of an axis to vary under its law, as a standard deviation."""
-    names = {name for test in axis.evidence for name in test.sd}
-    return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
-
-
-def grown(seen: float, excited: float, growth: float) -> bool:
-    """Whether so much excited time is new that the estimate would move: a share of what it looks back over.
-
-    Args:
-        seen: Excited time when it last moved [s].
-        excited: Excited time now [s].
-        growth: Ratio of the two from which it would.
-    """
-    return excited - seen >= (growth - 1) * min(seen, LONGEST)
-
-
-def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
-    """The estimate on the flight so far: a step or two of the climb, from where it stands, once that tells something.
-
-    Args:
-        followed: Before.
-        flight: So far; its first segments are those that the estimate saw.
-        excited: Excited time since the regime began [s].
-    """
-    new = renewed(followed, flight)
-    if not new.estimates or (excited > EARLY and not grown(followed.stepped, excited, GROWN)):
-        return new
-    levels = (followed.steps + 1) % LEVELS_EVERY == 0
-    if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y by one likelihood
-        one = _moved(next(iter(new.estimates.values())), levels)
-        moved = {axis: replace(each, optimum=one.optimum) for axis, each in new.estimates.items()}
-    else:
-        moved = {axis: _moved(one, levels) for axis, one in new.estimates.items()}
-    return replace(new, estimates=moved, steps=followed.steps + 1, stepped=excited)
-
-
-def renewed(followed: Followed, flight: Flight) -> Followed:
-    """The estimate where it stands, on the flight so far: each axis on what its fit was made of.
-
-    Args:
-        followed: Before.
-        flight: So far.
-    """
-    known = _renewed_on(followed, flight)
-    whole = sum(part.duration for part in followed.fit.flights)
-    for axis, (test, time) in followed.fit.braking.items():
-        if axis in known and time < whole:  # at rest it brakes, and the law is of its answers to commands only
-            known[axis] = _renewed_on(followed, commanded_parts(flight, (axis,), test.delay))[axis]
-    return replace(followed, estimates=known)
-
-
-def _renewed_on(followed: Followed, flight: Flight) -> dict[str, Estimate]:
-    new: dict[int, Estimate] = {}
-    for one in followed.estimates.values():
-        if id(one.optimum) not in new:
-            new[id(one.optimum)] = _renewed(one, _records(flight, _seen_by(one)))
-    estimates = {axis: replace(new[id(one.optimum)], place=one.place) for axis, one in followed.estimates.items()}
-    if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
-        pair = coupled_records(_records(flight, followed.group), list(estimates.values()))
-        estimates = dict(zip(estimates, pair, strict=True))
-    return estimates
-
-
-def _seen_by(estimate: Estimate) -> tuple[str, ...]:
-    return tuple(estimate.records[0].axes)
-
-
-def _records(flight: Flight, axes: Sequence[str]) -> list[Record]:
-    found = record(flight, axes)
-    return [found] if found else []
-
-
-def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
-    """An estimate on newer records, where it stands; as it was where there are none."""
-    if not records:
-        return estimate
-    optimum = estimate.optimum
-    point = _grown(optimum.point, estimate.records, records)
-    known = point.coefficients + point.trim.size
-    starts = np.ones(point.start.size, bool)
-    free = np.concatenate([optimum.free[:known], starts, optimum.free[optimum.point.n :]])
-    new = replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
-    return new if point.start.size == optimum.point.start.size else _moved(new, False)  # scored with the new start
-
-
-def _moved(estimate: Estimate, levels: bool) -> Estimate:
-    """An estimate after a step."""
-    optimum = estimate.optimum
-    moving = optimum.free.copy()
-    moving[optimum.point.n :] &= levels
-    found = maximise(estimate.records, optimum.point, moving, most=PASSES, prior=optimum.prior)
-    return replace(estimate, optimum=replace(found, free=optimum.free))
-
-
-def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) -> Point:
-    """A point with the start velocities of the segments that newer records have."""
-    fresh = start_point(records, 0.0, 1.0, point.levels).start
-    known = {float(t): v for t, v in zip(np.concatenate([rec.starts for rec in before]), point.start, strict=True)}
-    starts = np.concatenate([rec.starts for rec in records])
-    start = np.array([known.get(float(t), v) for t, v in zip(starts, fresh, strict=True)])
-    return replace(point, start=start)
-
-
-def said(followed: Followed, axis: str) -> Said:
-    """What is said of an axis now.
-
-    Args:
-        followed: The estimate of its group.
-        axis: Its name.
-    """
-    nothing = dict.fromkeys(QUANTITIES)
+def _knowledge(
+    flight: Flight, axis: str, now: float, followed: Followed | None, words: Said | None
+) -> tuple[Knowledge, str]:
+    """What an axis is, in one word and in words."""
+    if not commands_axis(flight, axis):
+        return "not_excited", "not excited: no command moves it"
+    if followed is None or words is None:
+        return "learning", "learning"
     if axis not in followed.estimates:
-        return Said(nothing, {}, {})
-    estimate, then = followed.estimates[axis], followed.half[axis]
-    flight: dict[str, Interval] = {}
-    vehicle: dict[str, Interval] = {}
-    values: dict[str, float | None] = dict(nothing)
-    for name, one in estimands(estimate.optimum, estimate.place).items():
-        if name not in QUANTITIES or name not in then:
-            continue
-        own, others, error = then[name]
-        share = _shrunk(one, estimate, error)
-        flight[name] = interval(one, 0.0, _times(own, share))
-        vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
-        values[name] = one.value
-    told = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
-    if read_backwards(vehicle, told):
-        return Said(nothing, {}, {})
-    for name in QUANTITIES:
-        if told.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
-            values[name] = None
-    return Said(values, vehicle, flight)
+        silent = followed.fit.model.axes[axis].status["input"] == "not_excited"
+        return ("not_excited", "not excited") if silent else ("learning", "learning")
+    quiet = _quiet(flight, axis, now)
+    if quiet > QUIET:
+        return "holding", f"holding (no excitation for {quiet:.0f} s)"
+    if all(words.values[name] is not None for name in ("input", "damping", "delay")):
+        return "known", "known"
+    return "not_identifiable", "not identifiable"
 
 
-def read_backwards(ends: Mapping[str, Interval], told: Mapping[str, str]) -> bool:
-    """Whether what was found is the feedback that gives the commands, not the vehicle.
-
-    Where nobody moves an axis but its own feedback, the commands follow the motion: an answer that comes before its
-    command, of a size that cannot be told. Clocks that disagree move a delay as far, but leave the input as it is.
-
-    Args:
-        ends: Quantity to its interval.
-        told: Coefficient to its status.
-    """
-    latest = ends.get("delay", (None, None))[1]
-    return latest is not None and latest < 0 and told["input"] != "ok"
+def _around(value: float, error: float) -> Interval:
+    return value - NORMAL * error, value + NORMAL * error
 
 
-def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:
-    """The standard error now as a share of what it was at the refit."""
-    return one.error(estimate.optimum) / error if error > 0 else 1.0
+def _quiet(flight: Flight, axis: str, now: float) -> float:
+    """How long an axis has had the same command [s]."""
+    u = flight.command[:, AXES.index(axis)]
+    new = np.flatnonzero(np.diff(u))
+    return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
 
 
-def _times(half: Half, share: float) -> Half:
-    below, above = half
-    return (None if below is None else below * share, None if above is None else above * share)
+def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
+    """Time between two instants in which commands of some axes were new, or had not yet had their answer [s]."""
+    u = flight.command[:, [AXES.index(axis) for axis in axes]]
+    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
+    answered = np.minimum(np.append(new[1:], now), new + QUIET)
+    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
 
 
-def _between(now: Half, own: Half, vehicle: Half) -> Half:
-    """Half widths of the vehicle's interval: what other flights add to that of this flight does not shrink with it."""
-    ends: list[float | None] = []
-    for here, then, wide in zip(now, own, vehicle, strict=True):
-        if here is None or then is None or wide is None:
-            ends.append(None)
-        else:
-            ends.append(float(np.sqrt(here**2 + max(wide**2 - then**2, 0.0))))
-    return ends[0], ends[1]
+def _part(flight: Flight, since: float, now: float) -> Flight | None:
+    """The flight between two times; None where no segment lies there."""
+    if since <= flight.segments[0].start and now >= flight.segments[-1].end:
+        return flight
+    part = between(flight, since, now)
+    return part if part.segments and part.pose_time.size > 1 else None
+
+
+def scores_of_groups(followed: Sequence[Followed], flight: Flight) -> list[Scores]:
+    """The scores of each likelihood of some groups."""
+    return scores_of([part for one in followed for part in _likelihoods(one)], let_go(flight))
+
+
+def _likelihoods(followed: Followed) -> list[tuple[Estimates, Doubts]]:
+    """Those of a group, and what their laws were found wrong by."""
+    by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
+    for axis, estimate in followed.estimates.items():
+        by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
+    doubts = {axis: doubt_of(followed.fit.model.axes[axis]) for axis in followed.estimates}
+    return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

@@ -12,8 +12,9 @@ from contextlib import suppress
 from types import TracebackType
 
 from rotorfit.tracking.flight_so_far import FlightSoFar
-from rotorfit.tracking.looks import Failed, packed, received, send
-from rotorfit.tracking.tracker import Following, looked_at
+from rotorfit.tracking.following import Following
+from rotorfit.tracking.looks import looked_at
+from rotorfit.tracking.looks_beside import Failed, packed, received, send
 
 NICE = 10
 """It stands back by so much."""

@@ -1,34 +1,14 @@
-"""Looks in a process of their own, beside the one that feeds samples; `looking` is that process.
+"""Looks at a flight that grows: who makes them, and one who makes them at once."""
 
-A look takes tens of milliseconds and a refit seconds. Python lets one thread compute at a time, and most of a refit is
-no compiled loop: in a thread it makes the feeding one wait for 60 ms, in a process for none. The process is told what
-is new of the flight, makes the same looks in the same order, and answers when it has; so the states are the same.
-"""
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
-import os
-import pickle
-import queue
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import IO, Any, Protocol
-
-from rotorfit.core.card import Card
-from rotorfit.core.errors import LinkError
-from rotorfit.core.model import Model
+from rotorfit.core.flight_data import Flight
 from rotorfit.core.tracked import Regime, Tracked
 from rotorfit.tracking.air import Course
+from rotorfit.tracking.following import Following
 from rotorfit.tracking.growing_flight import GrowingFlight
-
-BEHIND, PACED = 10, 3
-"""So many looks may wait to be made: of a vehicle, beyond them looks are left out until the machine has caught up; of
-what is simulated or played back, it waits."""
-
-PATIENCE = 5.0
-"""How long it may take to end [s]."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +28,10 @@ class Looked:
     doubt: Mapping[str, float] = field(default_factory=dict)
 
 
-def packed(looked: Looked, before: Model | None) -> tuple[Looked, frozenset[str] | None]:
-    """A look to be sent: without the model where that is the one of before, and which axes of it are new."""
-    model = looked.state.model
-    if model is before:
-        return replace(looked, state=replace(looked.state, model=None)), None
-    old, axes = before.axes if before else {}, model.axes if model else {}
-    return looked, frozenset(axis for axis, one in axes.items() if one is not old.get(axis))
-
-
-def unpacked(looked: Looked, new: frozenset[str] | None, before: Model | None) -> Looked:
-    """The look that was sent: what has not been fitted again since the one before is the same object."""
-    model = looked.state.model
-    if new is None:
-        model = before
-    elif model and before:
-        model = replace(model, axes={a: one if a in new else before.axes[a] for a, one in model.axes.items()})
-    return replace(looked, state=replace(looked.state, model=model))
+def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked:
+    """A look with all that goes on from it; see `Following.look`."""
+    state = following.look(flight, now, standing)
+    return Looked(state, following.memory(), following.courses, following.doubt)
 
 
 End = tuple[Tracked, tuple[Regime, ...]]
@@ -90,133 +57,35 @@ class Looks(Protocol):
         """Leaves nothing behind."""
 
 
-class LooksBeside:
-    """In a process of its own, which ends with this one.
+class LooksHere:
+    """Looks at once, in the calling thread; see `Looks`.
 
     Args:
-        card: Meaning of commands and poses.
-        promised: What `Following` takes.
-        paced: Wait where looks would be left out.
+        following: The estimates.
     """
 
-    def __init__(self, card: Card, promised: Sequence[Any], paced: bool = False) -> None:
-        self._paced, self._waiting, self._over = paced, 0, False
-        quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rotorfit.tracking.looking"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **quiet}, start_new_session=True,
-        )  # fmt: skip
-        self._asked: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._answered: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    def __init__(self, following: Following) -> None:
+        self._following = following
         self._looked: list[Looked] = []
-        self._model: Model | None = None
-        for work in (self._write, self._read):
-            threading.Thread(target=work, name="rotorfit-looks", daemon=True).start()
-        self._asked.put((card, *promised))
 
     def ask(self, growing: GrowingFlight) -> None:
-        """Tells the process what is new, so that it looks; of a look that is left out, the next one tells."""
-        while self._paced and self._waiting >= PACED:
-            self._take(self._answered.get())
-        if self._waiting < BEHIND:
-            self._waiting += 1
-            self._asked.put(("look", growing.news(), growing.standing))
+        """See `Looks`."""
+        if flight := growing.flight():
+            self._looked.append(looked_at(self._following, flight, growing.now, growing.standing))
 
     def answers(self) -> Iterator[Looked]:
-        """See `Looks`.
-
-        Raises:
-            RuntimeError: The process has failed, with its trace.
-            LinkError: It was killed.
-        """
-        while self._looked or not (self._over or self._answered.empty()):
-            if not self._looked:
-                self._take(self._answered.get())
-            else:
-                yield self._looked.pop(0)
+        """See `Looks`."""
+        while self._looked:
+            yield self._looked.pop(0)
 
     def finish(self, growing: GrowingFlight) -> End | None:
-        """See `Looks`; waits for the looks that were asked for."""
-        self._asked.put(("finish", growing.news(), growing.standing))
-        while self._waiting:
-            self._take(self._answered.get())
-        end: End | None = self._checked(self._answered.get())
-        return end
+        """See `Looks`."""
+        flight = growing.flight()
+        return self._following.finish(flight, growing.now) if flight else None
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """See `Looks`."""
-        self._asked.put(("recall", memory, False))
+        self._following.recall(memory)
 
     def close(self) -> None:
-        """Ends the process: at once where it is not done."""
-        self._over = True
-        self._asked.put(None)
-        if self._waiting:
-            self._process.kill()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    def _take(self, answer: Any) -> None:
-        found = self._checked(answer)
-        self._waiting -= 1
-        if found:
-            looked = unpacked(found[0], found[1], self._model)
-            self._model = looked.state.model
-            self._looked.append(looked)
-
-    def _checked(self, answer: Any) -> Any:
-        """An answer that is none is the end of the process."""
-        if isinstance(answer, Failed):
-            self._answered.put(answer)  # whoever asks again hears the same
-            if answer.trace:
-                raise RuntimeError(f"the process that looks at the flight has failed:\n{answer.trace}")
-            code = self._process.wait()
-            raise LinkError(
-                f"the process that looks at the flight was ended from outside (status {code}), perhaps for want of "
-                "memory; start again"
-            )
-        return answer
-
-    def _write(self) -> None:
-        """The thread that asks: a pipe that is full makes only it wait."""
-        pipe = self._process.stdin
-        assert pipe is not None
-        with suppress(OSError):  # the process is gone, which the other thread sees
-            while (question := self._asked.get()) is not None:
-                send(pipe, question)
-        with suppress(OSError):
-            pipe.close()
-
-    def _read(self) -> None:
-        """The thread that hears answers, until the process ends."""
-        pipe = self._process.stdout
-        assert pipe is not None
-        with pipe:
-            answer: Any = None
-            while not isinstance(answer, Failed):
-                answer = received(pipe)
-                self._answered.put(answer)
-
-
-@dataclass(frozen=True)
-class Failed:
-    """The process has ended: its trace, empty where it left none."""
-
-    trace: str = ""
-
-
-def send(pipe: IO[bytes], what: Any) -> None:
-    """Sends a question or an answer."""
-    pipe.write(pickle.dumps(what))
-    pipe.flush()
-
-
-def received(pipe: IO[bytes]) -> Any:
-    """The next question or answer; `Failed` where the other end is gone."""
-    try:
-        return pickle.load(pipe)  # of a process of our own
-    except (EOFError, pickle.UnpicklingError):
-        return Failed()
+        """See `Looks`."""

@@ -9,8 +9,8 @@ from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.tracked import Track, Tracked
 from rotorfit.tracking.earlier import Earlier, check_earlier
+from rotorfit.tracking.following import EVERY, FALSE_ALARMS_PER_HOUR, Following
 from rotorfit.tracking.ground import Ground
-from rotorfit.tracking.tracker import EVERY, FALSE_ALARMS_PER_HOUR, Following
 
 OnState = Callable[[Tracked], None]
 

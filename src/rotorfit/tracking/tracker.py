@@ -7,8 +7,8 @@ beside. It never commands a vehicle.
 
 import json
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -22,105 +22,22 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
-from rotorfit.core.model import Interval, Model
+from rotorfit.core.model import Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Alarm, Knowledge, Motion, Regime, Tracked, TrackedAxis, alarm_from_mapping
-from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.grouping import commands_axis, groups_of
-from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
-from rotorfit.estimation.likelihood.axis_estimate import Estimate
-from rotorfit.estimation.likelihood.optima import between
-from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.core.tracked import Motion, Regime, Tracked, TrackedAxis
 from rotorfit.files.cards import load_card
-from rotorfit.tracking.air import AxisNow, Course, courses
-from rotorfit.tracking.causes import diagnosis
-from rotorfit.tracking.changes import (
-    SURE,
-    Contrast,
-    at_once,
-    calm,
-    looked_for,
-    looked_together,
-    since_when,
-)
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, check_earlier, compared, earlier_of, until_known
-from rotorfit.tracking.following import (
-    LONGEST,
-    REFIT,
-    SILENT,
-    Followed,
-    Said,
-    doubt_of,
-    followed_of,
-    grown,
-    refitted,
-    renewed,
-    said,
-    stepped,
-    together,
-)
+from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
+from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, Following, next_look
 from rotorfit.tracking.growing_flight import GrowingFlight
-from rotorfit.tracking.looks import End, Looked, Looks, LooksBeside
+from rotorfit.tracking.looks import Looks, LooksHere
+from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
-from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
-from rotorfit.tracking.wind_error import coefficient_error, tells_wind
-
-EVERY = 1.0
-"""Time between looks [s]."""
-
-PLAIN = 0.99
-"""Share in the evidence of a cause, with the axes it changes, that needs no second look."""
-
-RESTLESS = 0.97
-"""Share of the time under commands from which on rest explains nothing."""
-
-QUIET = 5.0
-"""Time without a new command after which an axis holds [s]: by then it has answered the last."""
 
 UNTOLD = 1000
 """States that wait for `Tracker.news` at the most."""
 
-FALSE_ALARMS_PER_HOUR, MOST_FALSE_ALARMS = 0.1, 60.0
-"""Promised by default, and the most that can be asked for: one a minute."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Axes that are fitted together.
-
-    Attributes:
-        axes: Names.
-        since: When their regime began [s].
-        followed: What is known of them; None before the first fit.
-        excited: Excited time since then [s].
-        looked: Up to when it was counted [s].
-        answers: Where only their answers to commands count, because at rest they obey another law: how late they come
-            [s]; None where all of the flight does.
-    """
-
-    axes: tuple[str, ...]
-    since: float
-    followed: Followed | None = None
-    excited: float = 0.0
-    looked: float = 0.0
-    answers: float | None = None
-
-    def part(self, flight: Flight, since: float, now: float) -> Flight | None:
-        """What counts of a flight between two times; None where nothing does."""
-        part = _part(flight, since, now)
-        if part is None or self.answers is None:
-            return part
-        part = commanded_parts(part, self.axes, self.answers)
-        return part if part.segments else None
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """A change that was seen at the last look and is named at this one: which likelihood, as what, what else."""
-
-    names: tuple[str, ...]
-    contrast: Contrast
-    looked: Mapping[tuple[str, ...], Sequence[Contrast]]
+MOST_FALSE_ALARMS = 60.0
+"""The most an hour that can be asked for: one a minute."""
 
 
 class Tracker:
@@ -166,7 +83,7 @@ class Tracker:
             check_earlier(earlier, card)
         promised = structure, false_alarms_per_hour, earlier
         following = Following(*promised)
-        self._looks: Looks = LooksBeside(card, promised, paced) if live else _LooksHere(following)
+        self._looks: Looks = LooksBeside(card, promised, paced) if live else LooksHere(following)
         self._due = following.next_look
         self._memory: Mapping[str, Any] = following.memory()
         begin = TrackedAxis()
@@ -181,7 +98,7 @@ class Tracker:
         if took and sample.stream == "pose":
             self._stream.follow()
         if took and now >= self._due:
-            self._due = _next_look(self._due, now)
+            self._due = next_look(self._due, now)
             self._looks.ask(self._growing)
         self._take_in()
 
@@ -260,367 +177,3 @@ class Tracker:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _next_look(due: float, now: float) -> float:
-    """When the look after one that was due is due [s]."""
-    return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
-
-
-def looked_at(following: "Following", flight: Flight, now: float, standing: bool) -> Looked:
-    """A look with all that goes on from it; see `Following.look`."""
-    state = following.look(flight, now, standing)
-    return Looked(state, following.memory(), following.courses, following.doubt)
-
-
-class _LooksHere:
-    """Looks at once, in the calling thread; see `Looks`.
-
-    Args:
-        following: The estimates.
-    """
-
-    def __init__(self, following: "Following") -> None:
-        self._following = following
-        self._looked: list[Looked] = []
-
-    def ask(self, growing: GrowingFlight) -> None:
-        """See `Looks`."""
-        if flight := growing.flight():
-            self._looked.append(looked_at(self._following, flight, growing.now, growing.standing))
-
-    def answers(self) -> Iterator[Looked]:
-        """See `Looks`."""
-        while self._looked:
-            yield self._looked.pop(0)
-
-    def finish(self, growing: GrowingFlight) -> End | None:
-        """See `Looks`."""
-        flight = growing.flight()
-        return self._following.finish(flight, growing.now) if flight else None
-
-    def recall(self, memory: Mapping[str, Any]) -> None:
-        """See `Looks`."""
-        self._following.recall(memory)
-
-    def close(self) -> None:
-        """See `Looks`."""
-
-
-class Following:
-    """The estimates and regimes of a growing flight.
-
-    Args:
-        structure: As `fit` takes it.
-        false_alarms_per_hour: Promised.
-        earlier: What the vehicle was; None where nothing is known.
-
-    Attributes:
-        next_look: When one is due [s].
-        courses: Filters of the motion at the last look, to go on with.
-        doubt: Axis name to the standard error of the wind that coefficients leave.
-    """
-
-    def __init__(
-        self,
-        structure: str = AVERAGED,
-        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
-        earlier: Earlier | None = None,
-    ) -> None:
-        self._structure, self._earlier = structure, earlier
-        self._false_alarms = false_alarms_per_hour * (1.0 - SHARE if earlier else 1.0)
-        self._false_comparisons = false_alarms_per_hour * SHARE
-        self._compared, self._unlike = 0.0, set[str]()
-        self._groups: dict[tuple[str, ...], Group] = {}
-        self._since = dict.fromkeys(AXES, 0.0)
-        self._changed: dict[str, float] = {}
-        self._seen: _Seen | None = None
-        self._bounds: list[tuple[float, Alarm | None]] = [(0.0, None)]
-        self._model: tuple[tuple[Fit, ...], Model | None] = ((), None)
-        self.next_look = LEAST_TIME
-        self.courses: tuple[Course, ...] = ()
-        self.doubt: dict[str, float] = {}
-
-    def look(self, flight: Flight, now: float, standing: bool = False) -> Tracked:
-        """A look at the flight so far.
-
-        Args:
-            flight: Its samples up to now.
-            now: [s].
-            standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
-        """
-        self.next_look = _next_look(self.next_look, now)
-        before = self._as_refitted()
-        self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
-        if standing:
-            self._seen = None
-        alarm = None if standing else self._change(flight, now)
-        state = self._tracked(flight, now, (alarm,) if alarm else ())
-        if self._earlier and state.model is not before and (unlike := self._another_vehicle(state, self._earlier)):
-            return replace(state, alarms=(*state.alarms, unlike))
-        return state
-
-    def memory(self) -> dict[str, Any]:
-        """Regimes and the next look, as plain types; estimates are found anew."""
-        bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
-        told = {"compared": self._compared, "unlike": sorted(self._unlike)}
-        since = {"since": dict(self._since), "changed": dict(self._changed)}
-        return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
-
-    def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from what `memory` gave."""
-        self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
-        self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
-        self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
-
-    def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
-        """The last look, each group fitted once more, and the regimes with their models.
-
-        Args:
-            flight: All of it.
-            now: Its end [s].
-        """
-        ends = [*(since for since, _ in self._bounds[1:]), now]
-        fits = [self._fit(flight, since, end) for (since, _), end in zip(self._bounds, ends, strict=True)]
-        regimes = tuple(
-            Regime(since, end, found.model if found else None, alarm)
-            for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
-        )
-        for axes, group in self._groups.items():
-            part = _part(flight, group.since, now) if group.followed else None
-            if fits[-1] and group.since == self._bounds[-1][0]:
-                self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
-            elif part:  # what did not change was not begun anew, and is told by more than the last regime
-                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
-        return replace(self._tracked(flight, now, ()), landed=True), regimes
-
-    def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
-        """The fit of a regime; None where it is too short."""
-        part = _part(flight, since, end)
-        return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
-
-    def _followed(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
-        """A group after this look."""
-        since = max(self._since[axis] for axis in axes)
-        group = self._groups.get(axes, Group(axes, since))
-        if group.since != since:
-            group = Group(axes, since, answers=group.answers)
-        part = group.part(flight, max(since, now - LONGEST), now)
-        if part is None or part.duration < LEAST_TIME:
-            return group
-        excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
-        group, before = replace(group, excited=excited, looked=now), group.followed
-        if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
-            return replace(group, followed=renewed(before, part))  # nothing new is told: the last values hold
-        growth = REFIT if before and before.estimates else SILENT
-        if before is None or grown(before.seen, excited, growth):
-            return replace(group, followed=refitted(part, axes, self._structure, excited))
-        return replace(group, followed=stepped(before, part, excited))
-
-    def _change(self, flight: Flight, now: float) -> Alarm | None:
-        """The alarm of this look, and the regime that begins with it."""
-        followed = [group.followed for group in self._groups.values() if group.followed]
-        scored = {scores.names: scores for scores in _scores(followed, flight)}
-        looked, count = looked_together(list(scored.values()))
-        (seen, self._seen), early = (self._seen, None), False
-        threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
-        if seen is None:
-            found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
-            seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
-            self._seen, early = seen, True  # a second more tells what it is, where that is not plain
-            if seen is None or seen.contrast.p_value > SURE:
-                return None
-        if seen.names not in scored:
-            return None
-        best, since = since_when(scored[seen.names], seen.contrast)
-        if not calm(scored[seen.names], best.since, seen.contrast.p_value):
-            return None  # the air, not the vehicle
-        if self._at_rest(flight, now, seen.names, threshold):
-            self._seen = None
-            return None  # another law at rest, which is the vehicle's own
-        others = [
-            (scores, there)
-            for names, scores in scored.items()
-            if names != seen.names
-            if (there := at_once(scores, [*seen.looked.get(names, ()), *looked[names]], best.since))
-        ]
-        named = diagnosis([(scored[seen.names], best), *others])
-        if early and named.plain < PLAIN:
-            return None
-        self._seen = None
-        p_value = seen.contrast.p_value
-        axes = tuple(axis for axis in AXES if axis in named.axes)
-        alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
-        for axis in named.axes:
-            self._since[axis] = self._changed[axis] = best.since
-        self._bounds.append((best.since, alarm))
-        self._groups = {
-            axes: Group(axes, best.since, answers=group.answers) if set(axes) & set(named.axes) else group
-            for axes, group in self._groups.items()
-        }
-        return alarm
-
-    def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
-        """The alarm that the vehicle is not that of the earlier model, from a look that has fitted again.
-
-        What is promised is spent with time: a comparison may raise as many as its share of the time since the last.
-        """
-        axes = {
-            axis: one
-            for axis, one in state.axes.items()
-            if one.against and axis not in self._changed and axis not in self._unlike
-        }
-        every = [unlike for axis, one in axes.items() for unlike in compared(one, earlier, axis)]
-        if not every:
-            return None
-        threshold = self._false_comparisons * (state.time - self._compared) / 3600.0 / len(every)
-        self._compared = state.time
-        found = [one for one in every if one.p_value < threshold]
-        self._unlike |= {one.name.partition(".")[0] for one in found}
-        return another_vehicle(found, earlier, state.time) if found else None
-
-    def _at_rest(self, flight: Flight, now: float, names: Sequence[str], threshold: float) -> bool:
-        """Whether what was seen comes of x and y at rest, where many vehicles brake or hold their place.
-
-        Fitted to their answers to commands, they show no change; from then on only these count.
-        """
-        for axes, group in self._groups.items():
-            if group.followed is None or group.answers is not None or set(axes) & {"z", "yaw"}:
-                continue
-            if not any(name.split(".")[0] in axes for name in names):
-                continue
-            late = [float(one.optimum.point.delay[one.place]) for one in group.followed.estimates.values()]
-            apart = replace(group, answers=min(late))
-            part = apart.part(flight, max(group.since, now - LONGEST), now)
-            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - group.since):
-                continue
-            followed = refitted(part, axes, self._structure, group.followed.seen)
-            if followed.estimates and not any(
-                one.p_value < threshold for scores in _scores([followed], flight) for one in looked_for(scores)
-            ):
-                self._groups[axes] = replace(apart, followed=followed)
-                return True
-        return False
-
-    def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
-        """The state in words and numbers."""
-        known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
-        estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
-        words = {axis: said(one, axis) for axis, one in known.items() if one}
-        damping = {axis: one.ci95["damping"] for axis, one in words.items() if "damping" in one.ci95}
-        moving, air, self.courses = courses(flight, estimates, damping)
-        self.doubt = {}
-        axes = {
-            axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
-            for axis in flight.axes
-        }
-        if self._earlier:
-            axes = {axis: self._after(self._earlier, axis, one) for axis, one in axes.items()}
-        return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
-
-    def _after(self, earlier: Earlier, axis: str, out: TrackedAxis) -> TrackedAxis:
-        """An axis beside what the earlier model says of it; of one that has changed that says nothing."""
-        if axis in self._changed:
-            return out
-        out = replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
-        return out if axis in self._unlike else until_known(out, earlier, axis)
-
-    def _as_refitted(self) -> Model | None:
-        """The model of the last refits; the same one until there is another."""
-        parts = [group.followed for group in self._groups.values() if group.followed]
-        fits = tuple(part.fit for part in parts)
-        if [id(one) for one in fits] != [id(one) for one in self._model[0]]:
-            self._model = fits, together(parts)
-        return self._model[1]
-
-    def _axis(
-        self,
-        flight: Flight,
-        axis: str,
-        now: float,
-        followed: Followed | None,
-        words: Said | None,
-        motion: AxisNow | None,
-    ) -> TrackedAxis:
-        """What is known of one axis."""
-        knowledge, state = _knowledge(flight, axis, now, followed, words)
-        if axis in self._changed:
-            state = f"changed at {self._changed[axis]:.1f} s, {state}"
-        out = TrackedAxis(knowledge, state)
-        if followed and words:
-            structure = followed.fit.model.axes[axis].structure
-            out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
-        if motion is None or followed is None or words is None or not tells_wind(words.ci95_flight):
-            return out
-        error = self.doubt[axis] = coefficient_error(
-            flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight
-        )
-        return replace(
-            out,
-            wind=motion.wind,
-            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, error))),
-            gusts=motion.gusts,
-            velocity=motion.velocity,
-            ahead=motion.ahead,
-            ahead_ci95=_around(motion.ahead, motion.ahead_error),
-        )
-
-
-def _knowledge(
-    flight: Flight, axis: str, now: float, followed: Followed | None, words: Said | None
-) -> tuple[Knowledge, str]:
-    """What an axis is, in one word and in words."""
-    if not commands_axis(flight, axis):
-        return "not_excited", "not excited: no command moves it"
-    if followed is None or words is None:
-        return "learning", "learning"
-    if axis not in followed.estimates:
-        silent = followed.fit.model.axes[axis].status["input"] == "not_excited"
-        return ("not_excited", "not excited") if silent else ("learning", "learning")
-    quiet = _quiet(flight, axis, now)
-    if quiet > QUIET:
-        return "holding", f"holding (no excitation for {quiet:.0f} s)"
-    if all(words.values[name] is not None for name in ("input", "damping", "delay")):
-        return "known", "known"
-    return "not_identifiable", "not identifiable"
-
-
-def _around(value: float, error: float) -> Interval:
-    return value - NORMAL * error, value + NORMAL * error
-
-
-def _quiet(flight: Flight, axis: str, now: float) -> float:
-    """How long an axis has had the same command [s]."""
-    u = flight.command[:, AXES.index(axis)]
-    new = np.flatnonzero(np.diff(u))
-    return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
-
-
-def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
-    """Time between two instants in which commands of some axes were new, or had not yet had their answer [s]."""
-    u = flight.command[:, [AXES.index(axis) for axis in axes]]
-    new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
-    answered = np.minimum(np.append(new[1:], now), new + QUIET)
-    return float(np.maximum(answered - np.maximum(new, since), 0.0).sum())
-
-
-def _part(flight: Flight, since: float, now: float) -> Flight | None:
-    """The flight between two times; None where no segment lies there."""
-    if since <= flight.segments[0].start and now >= flight.segments[-1].end:
-        return flight
-    part = between(flight, since, now)
-    return part if part.segments and part.pose_time.size > 1 else None
-
-
-def _scores(followed: Sequence[Followed], flight: Flight) -> list[Scores]:
-    """The scores of each likelihood of some groups."""
-    return scores_of([part for one in followed for part in _likelihoods(one)], let_go(flight))
-
-
-def _likelihoods(followed: Followed) -> list[tuple[Estimates, Doubts]]:
-    """Those of a group, and what their laws were found wrong by."""
-    by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
-    for axis, estimate in followed.estimates.items():
-        by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
-    doubts = {axis: doubt_of(followed.fit.model.axes[axis]) for axis in followed.estimates}
-    return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

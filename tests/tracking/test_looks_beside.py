@@ -6,7 +6,7 @@ from streams import CARD, flown
 from rotorfit.core.errors import LinkError
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
-from rotorfit.tracking.looks import LooksBeside
+from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW
 
