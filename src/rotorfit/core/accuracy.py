@@ -1,33 +1,34 @@
-"""Accuracy: what is known about the uncertainty of a fit, as the model file keeps it."""
+"""Accuracy: the uncertainty of a fit, as the model file stores it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 COEFFICIENT_ERROR_LIMIT = 20.0
-"""Standard error in per cent of the value beyond which a coefficient is marked."""
+"""Standard error in per cent of the value above which a coefficient is marked."""
 
 INSENSITIVITY_LIMIT = 10.0
-"""Insensitivity in per cent beyond which a coefficient is marked: the fit hardly feels it, whatever the others do."""
+"""Insensitivity in per cent above which a coefficient is marked: the fit hardly depends on it."""
 
 CORRELATION_LIMIT = 0.9
-"""Correlation of two estimates beyond which they are marked as one."""
+"""Absolute correlation of two estimates above which the pair is marked as inseparable."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """One coefficient: five standard errors, and how they compare with its value.
+    """Standard errors of one coefficient by five methods, and their size relative to its value.
 
     Attributes:
-        value: The estimate, as in the predictor.
+        value: Estimate, as in the predictor.
         expected: Standard error from the expected information (Cramer-Rao).
-        observed: From the observed information, by differences of the score; None where that has no maximum here.
-        ragged: Whether the observed one depends on the step of the differences, and is not to be relied on.
-        sandwich: From the scatter of the score itself, autocorrelation allowed for.
-        bootstrap: From drawn flights; None where they were not asked for.
-        scatter: The expected one, widened by how much the flights disagree; None for fewer than two flights.
-        percent: The expected one in per cent of the value; None where the value is 0.
+        observed: Standard error from the observed information, by finite differences of the score; None where the
+            log-likelihood has no maximum here.
+        ragged: Whether `observed` depends on the step of the differences and is unreliable.
+        sandwich: Standard error from the scatter of the score itself, allowing for autocorrelation.
+        bootstrap: Standard error from resampled flights; None if the bootstrap was not requested.
+        scatter: `expected`, widened by the disagreement of the flights; None for fewer than two flights.
+        percent: `expected` in per cent of the value; None where the value is 0.
         insensitivity: 100 / (|value| sqrt(F)), F the information about this coefficient alone, in per cent.
-        disturbance: Largest correlation with a level of the disturbance, from the observed information; None as there.
+        disturbance: Largest correlation with a disturbance level, from the observed information; None like `observed`.
     """
 
     value: float
@@ -44,10 +45,10 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class FlightEstimate:
-    """What one flight alone says, the levels of the disturbance being those of all.
+    """Estimates from one flight alone, with the disturbance levels of the joint fit.
 
     Attributes:
-        flight: Its place among the model's flights.
+        flight: Index of the flight in the model's list.
         value: Coefficient name to estimate.
         stderr: Coefficient name to standard error.
     """
@@ -59,19 +60,19 @@ class FlightEstimate:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How the flights that serve an axis agree.
+    """Agreement of the flights that contribute to an axis.
 
     Attributes:
-        flights: What each says alone.
-        mean: Coefficient name to weighted mean (of the damping: in its logarithm).
+        flights: Estimates from each flight alone.
+        mean: Coefficient name to weighted mean (for the damping: of its logarithm).
         cochran: Coefficient name, and `steady_gain` and `total_lag` of the default structure, to Cochran's Q:
-            chi-square of one less than the flights where they agree.
-        i_squared: The same to the share of the scatter that is more than chance.
-        factor: Coefficient name to how many times more it scatters among flights than its error says, at least 1. For
-            a coefficient alone it is sqrt(Q / (flights - 1)); it holds, too, where no flight tells two of them apart.
-        ratio: Twice the log-likelihood that coefficients of their own would gain the flights.
-        freedom: Degrees of freedom of it.
-        p_value: How often flights that agree give as much.
+            chi-squared with one degree of freedom fewer than flights if they agree.
+        i_squared: The same names to the share of the scatter that exceeds chance.
+        factor: Coefficient name to the ratio of its scatter among flights to its standard error, at least 1. For a
+            single coefficient it is sqrt(Q / (flights - 1)); it is also defined where no flight separates two of them.
+        ratio: Twice the log-likelihood gained by giving each flight its own coefficients.
+        freedom: Degrees of freedom of `ratio`.
+        p_value: Probability of a ratio at least this large if the flights agree.
     """
 
     flights: tuple[FlightEstimate, ...]
@@ -86,14 +87,14 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Inseparable:
-    """Two coefficients whose estimates move together, and what is known of them all the same.
+    """Two coefficients whose estimates are strongly correlated, and the combination that is still identifiable.
 
     Attributes:
         pair: Their names.
-        correlation: Of the estimates.
-        combination: Name among the axis's combinations of what the data do tell; None where that is no better known.
-        value: Of the combination.
-        ci95: Its 95 % interval.
+        correlation: Correlation of the two estimates.
+        combination: Name of the axis's combination that the data do identify; None where it is no better known.
+        value: Value of the combination.
+        ci95: 95 % interval of the combination.
     """
 
     pair: tuple[str, str]
@@ -109,9 +110,9 @@ class AxisAccuracy:
 
     Attributes:
         coefficients: Coefficient name to its five standard errors.
-        correlation: Of (input, damping, delay), from the expected information, 3 rows of 3.
-        inseparable: Pairs that are correlated beyond the limit.
-        scatter: How its flights agree; None for fewer than two.
+        correlation: Correlation of (input, damping, delay), from the expected information, 3 rows of 3.
+        inseparable: Pairs whose correlation exceeds the limit.
+        scatter: Agreement of the flights; None for fewer than two.
     """
 
     coefficients: Mapping[str, Accuracy]
@@ -127,8 +128,8 @@ class Uncertainty:
     Attributes:
         axes: Axis name to its table, for axes with a predictor.
         observed_step: Step of the differences of the score, in expected standard errors.
-        bootstrap_flights: Flights drawn, and the seed of the draws.
-        bootstrap_seed: See there.
+        bootstrap_flights: Number of flights drawn.
+        bootstrap_seed: Seed of the draws.
         bootstrap_block: Length of the blocks of innovations that are drawn [s].
         sandwich_lag: Lag up to which the scores count as correlated [s].
     """
@@ -143,15 +144,15 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class PriorUse:
-    """What the card's prior did to one coefficient.
+    """Effect of the card's prior on one coefficient.
 
     Attributes:
-        mean: Of the prior.
-        sd: Of the prior; of the damping it stands for the share sd / mean of a normal logarithm.
-        data: What the flights alone say.
-        moved: How far the prior moved the estimate, in standard errors of the flights alone.
-        share: Of the information about the coefficient that is the prior's, 0 to 1.
-        conflict: Distance of the two in combined standard errors.
+        mean: Mean of the prior.
+        sd: Standard deviation of the prior; for the damping, sd / mean is that of its normally distributed logarithm.
+        data: Estimate from the flights alone.
+        moved: Shift of the estimate by the prior, in standard errors of the flights alone.
+        share: Prior's share of the information about the coefficient, 0 to 1.
+        conflict: Distance between prior and data in combined standard errors.
     """
 
     mean: float

@@ -1,4 +1,4 @@
-"""Card: what each command channel means, its limits, and which column is what."""
+"""Card: the meaning of each command channel, the vehicle's limits, and the column of each quantity."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,17 +9,17 @@ from rotorfit.core.display import html_table
 
 @dataclass(frozen=True)
 class Channel:
-    """Where one quantity comes from: (raw * scale + offset), then the unit.
+    """Source of one quantity: raw * scale + offset, then converted from `unit` to SI.
 
     Attributes:
         source: `TABLE:COLUMN`, `COLUMN`, `COLUMN[i]`, or a constant number.
         scale: Factor on the raw value.
-        offset: Added after the factor.
+        offset: Added after scaling.
         unit: One of the names in `frames.UNIT_SCALE`, or None where the value is SI or a fraction.
         meaning: For commands: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
         full_scale: For commands: the limit (a key of `Card.limits`) that the value is a fraction of.
-        others: What stands in its place in other versions of the same format, in the order of asking; the first of
-            all of them that a log holds is read: `card_columns.card_for`.
+        others: Alternatives in other versions of the same format, in order of preference; the first channel that the
+            log holds is read, see `card_columns.card_for`.
     """
 
     source: str | float
@@ -33,15 +33,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing that must hold while commands count.
+    """One condition under which commands count.
 
     Attributes:
-        channel: The column that tells.
-        equals: It holds while the column is one of these; empty with all else empty: while it is not 0.
-        above: It holds while the column is more than this; None where that is not asked.
-        opens: For events: it holds from an event of one of these numbers,
-        closes: until one of these.
-        optional: Whether logs without the column are taken without the condition.
+        channel: The column that is tested.
+        equals: The condition holds while the column is one of these; with all else empty, while it is not 0.
+        above: The condition holds while the column exceeds this; None if unused.
+        opens: For event columns: the condition holds from an event with one of these numbers on,
+        closes: until an event with one of these.
+        optional: Whether a log without the column is accepted, without the condition.
     """
 
     channel: Channel
@@ -54,7 +54,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a coefficient before a flight: its mean and standard deviation, SI per command of 1."""
+    """Prior of a coefficient: mean and standard deviation, in the coefficient's SI unit for a command of 1."""
 
     mean: float
     sd: float
@@ -65,30 +65,32 @@ class Card:
     """A vehicle and its set-up.
 
     Attributes:
-        name: For people.
-        frame: Of the pose: `ENU` (z up) or `NED`.
+        name: Name of the vehicle, for people.
+        frame: World frame of the pose: `ENU` (z up) or `NED`.
         command_frame: `heading` or `world`.
-        hold: Longest time that a command acts without a successor [s]; None for what `hold` judges.
+        hold: Longest time that a command acts without a successor [s]; None where `flights.command_hold` estimates it.
         command_time: Stamp of the commands.
         command: Axis name to channel, for the commanded axes only.
         pose_time: Stamp of the poses.
-        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`. x and y together, or z, are left out where
-            there is only their velocity.
-        velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel; with `velocity_frame`.
-        velocity_time: Its stamp; None for that of the table it stands in.
-        velocity_independent: Whether the velocity is a measurement of its own, beside the pose: neither came from the
-            other.
+        pose: `x`, `y`, `z`, and `yaw` or the four of `qw`, `qx`, `qy`, `qz`. x and y together, or z, are absent where
+            only their velocity is measured.
+        velocity: Optional onboard velocity, `x`, `y`, `z`, `yaw` to channel.
+        velocity_frame: Frame of its x and y, `heading` or `world`.
+        velocity_time: Stamp of the velocity; None for that of its table.
+        velocity_independent: Whether the velocity is an independent measurement: neither velocity nor pose was derived
+            from
+            the other.
         attitude: Optional onboard heading: `yaw`, or the four of `qw`, `qx`, `qy`, `qz`.
-        attitude_time: Its stamp; None likewise.
-        clock: Of a flight in several files: `own`, each file has its own, or `one`, all have the same.
-        reference: Optional: what a position controller was told.
+        attitude_time: Stamp of the heading; None for that of its table.
+        clock: For a flight in several files: `own` if each file has its own clock, `one` if all share one.
+        reference: Optional setpoint of a position controller, axis name to channel.
         window: Optional conditions (armed, in the air, under velocity control): commands count while all hold.
-        resets: Optional counters that move where an estimator steps its own pose: the flight is split there.
+        resets: Optional counters that change when an onboard estimator resets its pose: the flight is split there.
         limits: `tilt` [rad], `vertical_speed` [m/s], `yaw_rate` [rad/s], `speed` [m/s], as far as known.
-        prior: Axis to coefficient (`input`, `damping`, `delay`) to what is believed of it; used only where asked for.
-        raw: The whole card as parsed from TOML: what the model file stores.
-        fail_safe: What the vehicle does by itself when commands stop, for people; empty where the card does not say.
-        over: Built-in cards that are not proposed where this one makes a flight of the log, too.
+        prior: Axis to coefficient (`input`, `damping`, `delay`) to its prior; used only on request.
+        raw: The whole card as parsed from TOML, as the model file stores it.
+        fail_safe: What the vehicle does when commands stop, for people; empty where the card does not say.
+        over: Built-in cards that are not proposed where this one also reads a flight from the log.
     """
 
     name: str
@@ -128,7 +130,7 @@ class Card:
 
     @property
     def velocity_only(self) -> tuple[str, ...]:
-        """The axes of which there is a velocity and no pose, in the order of `AXES`."""
+        """Axes with a velocity but no pose, in the order of `AXES`."""
         return tuple(axis for axis in ("x", "y", "z") if axis not in self.pose)
 
 
@@ -140,7 +142,7 @@ LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS = (
 )
 
 KINDS = (LENGTH_UNITS, SPEED_UNITS, ANGLE_UNITS, RATE_UNITS)
-"""Units that can stand for each other."""
+"""Groups of units that convert into each other."""
 
 LIMIT_UNITS = {"tilt": ANGLE_UNITS, "vertical_speed": SPEED_UNITS, "yaw_rate": RATE_UNITS, "speed": SPEED_UNITS}
-"""Limit to the units that it may be given in, SI first."""
+"""Limit to the units in which it may be given, SI first."""

@@ -1,4 +1,4 @@
-"""Where compiled code is kept: numba, which must keep it, ends in a trace where it may write nowhere."""
+"""Cache folder of compiled code: numba fails with a traceback if it cannot write to one."""
 
 import os
 import tempfile
@@ -8,9 +8,10 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def keep_compiled_code() -> None:
-    """Gives numba a folder of the user's own for temporary files where neither installation nor home can be written.
+    """Points numba to a temporary folder of the user where neither the installation nor the home folder is writable.
 
-    That is so in an installation of somebody else's without a home. Before numba is imported: it looks once.
+    That happens in a shared installation run by a user without a home. Call it before numba is imported: numba reads
+    the environment variable once.
     """
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     if "NUMBA_CACHE_DIR" not in os.environ and not any(map(_writable, (PACKAGE / "__pycache__", Path(home) / "numba"))):
@@ -18,13 +19,13 @@ def keep_compiled_code() -> None:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a folder can be written to, or made."""
+    """Whether a folder can be written to or created."""
     there = next((one for one in (folder, *folder.parents) if os.path.lexists(one)), folder)
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 def _own_folder() -> Path:
-    """A folder that nobody else can write to, for compiled code that is found there is run: the same in every run."""
+    """Folder that only the user can write to, because numba executes code found there; the same in every run."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"rotorfit-compiled-{user}"
     try:

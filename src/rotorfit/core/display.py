@@ -1,6 +1,6 @@
-"""How nouns show themselves: data frames, tables of text and HTML, short texts of large values, figures.
+"""Display of nouns: data frames, tables in text and HTML, short texts of large values, figures.
 
-It knows no noun, so that every noun can use it. polars and matplotlib are imported when they are first needed.
+This module knows no noun, so that every noun can use it. polars and matplotlib are imported on first use.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SupportsHtml(Protocol):
-    """What has a text in HTML."""
+    """An object with an HTML representation."""
 
     def _repr_html_(self) -> str: ...
 
@@ -26,7 +26,7 @@ class SupportsHtml(Protocol):
 FrameLibrary = Literal["polars", "pandas"]
 
 LONG = 120
-"""Characters of a value beyond which a short text says only what it is."""
+"""Length in characters above which a collection is only counted."""
 
 
 def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
@@ -40,8 +40,8 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
         A `polars.DataFrame` or a `pandas.DataFrame`.
 
     Raises:
-        ValueError: Another library.
-        ModuleNotFoundError: pandas is not installed.
+        ValueError: The library is neither of them.
+        ModuleNotFoundError: pandas is requested but not installed.
     """
     if library == "polars":
         import polars as pl
@@ -57,7 +57,7 @@ def frame(columns: Mapping[str, Any], library: FrameLibrary = "polars") -> Any:
 
 
 def columns_of(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
-    """Rows as columns; without rows, empty ones."""
+    """Columns from rows; empty columns if there are no rows."""
     return {head: [row[place] for row in rows] for place, head in enumerate(heads)}
 
 
@@ -67,19 +67,19 @@ def counted(number: int, what: str) -> str:
 
 
 def number(value: float | None) -> str:
-    """A number with four digits; `-` where there is none."""
+    """A number with four significant digits; `-` for None."""
     return "-" if value is None else f"{value:#.4g}".rstrip(".")
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """`3.601 to 3.725`, an open end as `open`; empty where both are."""
+    """`3.601 to 3.725`, with `open` for an open end; empty where both are open."""
     if low is None and high is None:
         return ""
     return " to ".join("open" if end is None else number(end) for end in (low, high))
 
 
 def text_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A title over aligned columns."""
+    """A title above aligned columns."""
     widths = [max(len(row[place]) for row in (heads, *rows)) for place in range(len(heads))]
     lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in (heads, *rows))
     return "\n".join([title, *lines]) if rows else title
@@ -88,7 +88,7 @@ def text_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) 
 def html_table(
     title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], findings: Sequence[SupportsHtml] = ()
 ) -> str:
-    """The same as HTML, with the findings below; whatever a file says is escaped."""
+    """The same table as HTML, with the findings below it; all text is escaped."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>"
@@ -99,7 +99,7 @@ def html_table(
 
 
 def short_repr(value: Any) -> str:
-    """Text of a dataclass that may hold arrays or long collections: those are only counted."""
+    """Representation of a dataclass; arrays and long collections are only counted."""
     shown = (f"{field.name}={_short(getattr(value, field.name))}" for field in fields(value) if field.repr)
     return f"{type(value).__name__}({', '.join(shown)})"
 
@@ -113,7 +113,7 @@ def _short(value: Any) -> str:
 
 
 def _inside(value: Mapping[Any, Any] | Sequence[Any]) -> str:
-    """Text of a collection, its arrays counted, as far as it can still be short."""
+    """Text of a collection with its arrays counted; only as many entries as can still be short."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key!r}: {_short(part)}" for key, part in list(value.items())[:LONG]) + "}"
     return "(" + ", ".join(map(_short, value[:LONG])) + ")"
@@ -127,7 +127,7 @@ PREDICTOR_LOOKS: dict[str, dict[str, Any]] = {
     "coast": {"color": "#8a6d00", "linestyle": (0, (4, 1.5, 1, 1.5)), "marker": "o", "markersize": 3},
     "hold": {"color": "#6f42c1", "linestyle": (0, (1, 1.5)), "marker": "o", "markersize": 3},
 }
-"""Told apart without colour, too."""
+"""Line styles of the predictors, distinguishable without colour."""
 
 OTHER_LOOK: dict[str, Any] = {
     "marker": "D",
@@ -146,7 +146,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Line:
-    """A line: its name in the legend, x and y, shape (N,), and what matplotlib is told of it."""
+    """A line: its name in the legend, x and y, shape (N,), and its matplotlib properties."""
 
     name: str
     x: npt.NDArray[np.float64]
@@ -156,7 +156,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Band:
-    """What lies between two lines: its name in the legend, x, low and high, shape (N,), and its colour."""
+    """The area between two lines: its name in the legend, x, low and high, shape (N,), and its colour."""
 
     name: str
     x: npt.NDArray[np.float64]
@@ -169,8 +169,8 @@ class Band:
 class Panel:
     """Lines over one x axis.
 
-    `shaded` are ranges of x set apart, such as those where nothing is known; `bands` lie behind the lines; `moments`
-    are places of x to be marked, as alarms; `y_range` is what to show of y, None for all.
+    `shaded` are ranges of x drawn grey, such as those without data; `bands` lie behind the lines; `moments` are values
+    of x marked with a vertical line, such as alarms; `y_range` limits the y axis, None shows everything.
     """
 
     title: str
@@ -186,7 +186,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class IntervalMark:
-    """A value with its ends, an open one None; `other` is what it is compared with."""
+    """A value with the ends of its interval, None for an open one; `other` is the value it is compared with."""
 
     name: str
     value: float
@@ -197,12 +197,15 @@ class IntervalMark:
 
 
 def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]) -> tuple[Axes, ...]:
-    """Draws panels row by row, with one legend of all their names.
+    """Draws panels row by row, with one legend for all of them.
 
     Args:
-        panels: What to draw.
-        columns: Panels side by side.
+        panels: Panels to draw.
+        columns: Number of panels side by side.
         size: Width and height of a panel [inch].
+
+        Returns:
+            The matplotlib axes, row by row.
     """
     import matplotlib.pyplot as plt
 
@@ -233,11 +236,14 @@ def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]
 
 
 def interval_panels(panels: Sequence[tuple[str, Sequence[IntervalMark]]], other: str) -> tuple[Axes, ...]:
-    """Draws values with their intervals, a panel for each title, side by side.
+    """Draws values with their intervals, one panel for each title, side by side.
 
     Args:
-        panels: Title, and the values from top to bottom.
-        other: What the hollow marks are.
+        panels: Title and values, drawn from top to bottom; at least two panels.
+        other: Legend text of the hollow marks.
+
+    Returns:
+        The matplotlib axes, from left to right.
     """
     import matplotlib.pyplot as plt
     from matplotlib.lines import Line2D
@@ -261,7 +267,7 @@ def interval_panels(panels: Sequence[tuple[str, Sequence[IntervalMark]]], other:
 
 
 def _draw_interval(axes: Axes, row: int, each: IntervalMark, ends: tuple[float, float]) -> None:
-    """One value; an open end is an arrow at the end of the panel."""
+    """Draws one value; an open end is an arrow at the edge of the panel."""
     low, high = ends[0] if each.low is None else each.low, ends[1] if each.high is None else each.high
     axes.plot([low, high], [row, row], color=each.colour, linewidth=2.2, solid_capstyle="butt")
     axes.plot([each.value], [row], "o", color=each.colour, markersize=5)

@@ -1,4 +1,4 @@
-"""How often the error bands that a prediction stated held."""
+"""Coverage: how often the stated error bands of a prediction contained the truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often bands held.
+    """Coverage of error bands.
 
     Attributes:
-        nominal: Share of the errors that they are to hold.
-        coverage: Share that they held.
-        width: Mean half width, so that the band is prediction plus or minus this [m/s, m; rad/s, rad].
+        nominal: Share of the errors that the bands should contain.
+        coverage: Share that they contained.
+        width: Mean half width: the band is prediction plus or minus this [m/s, m; rad/s, rad].
     """
 
     nominal: float
@@ -21,12 +21,12 @@ class Coverage:
 
 @dataclass(frozen=True)
 class BandScore:
-    """Bands of one axis at one horizon.
+    """Coverage of the bands of one axis at one horizon.
 
     Attributes:
-        n: Predictions.
-        velocity: Of the velocity at the horizon, for each nominal share; empty for fewer than five predictions.
-        position: Of the position there; empty likewise, and where only the velocity is measured.
+        n: Number of predictions.
+        velocity: Velocity at the horizon, for each nominal share; empty for fewer than five predictions.
+        position: Position at the horizon; empty likewise, and where only the velocity is measured.
     """
 
     n: int

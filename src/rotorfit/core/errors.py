@@ -1,16 +1,16 @@
-"""What can go wrong, as a short tree of exceptions.
+"""The exceptions, as a short tree.
 
-    RotorfitError          the user can act: the command line prints one line and ends with 1
-    |-- LogError           a file that is missing, empty, damaged or of no known format
+    RotorfitError          the user can act: the command line prints one line and exits with status 1
+    |-- LogError           a file that is missing, empty, damaged or of an unknown format
     |-- CardError          a card that is wrong, or that names what the log does not hold
     |-- FlightError        a log that holds no usable flight: no pose, no commands, time that runs backwards
-    |-- ModelError         a model file that is missing, damaged, or too new; a model asked for what it does not hold
+    |-- ModelError         a model file that is missing, damaged or too new; a model without the requested axis
     |-- ExportError        a model that a format cannot hold, an unknown format
-    |-- VehicleError    a vehicle of the flight room that is wrong, or that nobody knows
+    |-- VehicleError       a vehicle of the flight room that is wrong or unknown
     |-- PlanError          a plan that cannot be made, read, or flown within its limits
-    `-- LinkError          a vehicle that cannot be reached, or that must not be flown as it stands
+    `-- LinkError          a vehicle that cannot be reached, or that must not be flown in its present state
 
-What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with its trace.
+What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with a traceback.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ class LogError(RotorfitError):
 
 
 class CardError(RotorfitError):
-    """The card is wrong or does not fit the log: unknown key, column that is not there, unit that nobody knows."""
+    """The card is wrong or does not fit the log: unknown key, missing column, unknown unit."""
 
 
 class FlightError(RotorfitError):
@@ -34,11 +34,11 @@ class FlightError(RotorfitError):
 
 
 class ModelError(RotorfitError):
-    """The model file cannot be used: missing, damaged, of a newer version, or without the axis that was asked for."""
+    """The model file cannot be used: missing, damaged, of a newer version, or without the requested axis."""
 
 
 class ExportError(RotorfitError):
-    """The model cannot be exported so: unknown format, no known axis, a structure that the format cannot hold."""
+    """The model cannot be exported: unknown format, no known axis, a structure that the format cannot hold."""
 
 
 class VehicleError(RotorfitError):
@@ -46,7 +46,7 @@ class VehicleError(RotorfitError):
 
 
 class PlanError(RotorfitError):
-    """The plan cannot be made or used: a damaged file, an envelope that it leaves, an axis without a command."""
+    """The plan cannot be made or used: a damaged file, a path outside the envelope, an axis without a command."""
 
 
 class LinkError(RotorfitError):
@@ -54,11 +54,11 @@ class LinkError(RotorfitError):
 
 
 class LinkOverError(LinkError):
-    """What was played back is over: nothing more will come, and nothing is wrong."""
+    """A replayed flight has ended: no more data will come, and nothing is wrong."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """`; nearest: 'this'`, the end of an error's text; nothing where nothing is known."""
+    """`; nearest: 'this'`, to end an error message; empty where no name is known."""
     by_lower = {option.lower(): option for option in known}
     match = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.0)
     return f"; nearest: {by_lower[match[0]]!r}" if match else ""

@@ -1,4 +1,4 @@
-"""Finding: one thing that the user should know about a flight or a fit, with its evidence."""
+"""Finding: one fact that the user should know about a flight or a fit, with its evidence."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ from typing import Literal
 Severity = Literal["info", "warning", "error"]
 
 DAMAGED = "log_damaged"
-"""The finding that is shown before all others: it is about what is not there."""
+"""The finding that is shown before all others: it concerns missing data."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was noticed, how it is known, what it does to the answer, and what helps.
+    """An observation, its evidence, its effect on the estimates, and a remedy.
 
     Attributes:
         code: Short stable name, `snake_case`, such as `damping_unstable`.
         severity: `info`, `warning`, or `error` (the numbers concerned must not be used).
         evidence: The numbers behind it, one sentence.
-        effect: What it does to which coefficient, one sentence.
+        effect: Its effect on which coefficient, one sentence.
         remedy: What to try, one sentence.
         axis: `x`, `y`, `z` or `yaw`; None where it concerns the flight as a whole.
     """
@@ -38,6 +38,6 @@ class Finding:
 
 
 def by_gravity(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Findings in the order error, warning, info; else as they come."""
+    """Sorts findings by severity: error, warning, info; otherwise the order is kept."""
     rank = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(findings, key=lambda finding: rank[finding.severity]))

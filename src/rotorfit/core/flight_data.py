@@ -1,4 +1,4 @@
-"""Flight: what a vehicle was told and where it was, on one clock, in SI units, with every repair as a note."""
+"""Flight: commands and poses of a vehicle on one clock, in SI units, with every repair as a note."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Note:
-    """A repair or a remark on a flight.
+    """A repair of the data, or a remark on a flight.
 
     Attributes:
         code: Short stable name, such as `stale_poses`.
@@ -45,31 +45,32 @@ class Note:
 
 
 ANSWER = 0.2
-"""Where the answer to a command is put after it [s], if commands are all that tells the offset: inside of the range of
-delays that the likelihood searches, whatever the delay is."""
+"""Delay assumed between a command and the response [s] where only the response reveals the clock offset: well inside
+the range of delays that the likelihood searches, whatever the true delay is."""
 
 AGREES = 0.002
-"""Offset that is none, whatever its interval says [s]."""
+"""Offset below which two clocks count as equal, whatever the interval [s]."""
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """How the clock of the commands stands to that of the poses, of a flight in several files.
+    """Offset between the clock of the commands and that of the poses, for a flight in several files.
 
     Attributes:
-        source: What told it: `onboard` (velocity or heading by the vehicle's own sensors), `command` (the answer to the
-            commands) or `none`.
-        offset: Added to a command's stamp at `middle`, it gives the stamp by the clock of the poses [s].
-        half_width: Of its 95 % interval [s]; 0 where only the answer to the commands told it, roughly.
-        drift: Growth of the offset a second; 0 likewise.
-        drift_half_width: Of its 95 % interval.
+        source: What revealed the offset: `onboard` (velocity or heading from the vehicle's own sensors), `command` (the
+            response to the commands) or `none`.
+        offset: Added to the stamp of a command at `middle`, it gives the stamp on the clock of the poses [s].
+        half_width: Half the 95 % interval of the offset [s]; 0 where only the response to the commands revealed it,
+            roughly.
+        drift: Change of the offset per second; 0 likewise.
+        drift_half_width: Half the 95 % interval of the drift.
         middle: Middle of the commands, counted from the first [s].
-        moved: Whether the stamps of the commands were moved.
-        stated: Why the clocks are taken to be one, as a clause; empty where each file has its own.
+        moved: Whether the stamps of the commands were shifted.
+        stated: Why the clocks are taken to be the same, as a clause; empty where each file has its own.
         explained: Witness to the share of its variance that the motion of the poses explains.
-        later: Onboard sensor that was left out, because it is late against the others, to by how much [s].
-        refused: Why the vehicle's own sensors did not tell the offset, as a clause; empty where they did, or there are
-            none.
+        later: Onboard sensor that was left out because it lags the others, to its lag [s].
+        refused: Why the vehicle's own sensors did not reveal the offset, as a clause; empty where they did, or where
+            there are none.
     """
 
     source: str
@@ -86,17 +87,17 @@ class Clocks:
 
     @property
     def includes_delay(self) -> bool:
-        """Whether the offset that was taken out holds the delay, too."""
+        """Whether the offset that was removed includes the delay."""
         return self.moved and self.source == "command"
 
     @property
     def with_delay(self) -> float:
-        """Offset and delay together, where only the answer to the commands told them: what was measured [s]."""
+        """Offset plus delay [s]: the measured quantity where only the response to the commands revealed the offset."""
         return self.offset + ANSWER
 
     @property
     def differs(self) -> bool:
-        """Whether the clocks were seen to differ beyond their intervals."""
+        """Whether the clocks differ by more than their intervals."""
         grown = abs(self.drift) * 2 * self.middle
         return self.source != "none" and (
             abs(self.offset) > max(self.half_width, AGREES)
@@ -106,16 +107,16 @@ class Clocks:
 
 @dataclass(frozen=True)
 class Velocity:
-    """What the vehicle itself measured of its velocity, on its own clock.
+    """Velocity measured by the vehicle itself, on its own clock.
 
     Attributes:
         time: Strictly increasing stamps, shape (V,) [s].
-        value: World x, y, z and the rate of yaw, shape (V, 4), NaN for axes without [m/s, rad/s].
-        grain: To what each is rounded where that is coarse, else 0, shape (4,) [m/s, rad/s].
-        alone: Axes of which there is no position: only this.
-        late: How late each is against the pose, shape (4,) [s]; None as long as that has not been looked at.
-        late_error: Half the 95 % interval of that, shape (4,) [s]; None likewise.
-        onboard: Whether x and y were measured forward and left, and turned into the world by the heading.
+        value: World x, y, z and yaw rate, shape (V, 4), NaN for axes without a measurement [m/s, rad/s].
+        grain: Rounding step of each axis where it is coarse, else 0, shape (4,) [m/s, rad/s].
+        alone: Axes that have a velocity but no position.
+        late: Lag of each axis behind the pose, shape (4,) [s]; None until it has been estimated.
+        late_error: Half the 95 % interval of `late`, shape (4,) [s]; None likewise.
+        onboard: Whether x and y were measured forward and left, and rotated into the world frame by the heading.
     """
 
     time: Array
@@ -130,26 +131,26 @@ class Velocity:
 
     @property
     def rounding(self) -> Array:
-        """Variance that the rounding adds to each, shape (4,): that of a uniform error [m^2/s^2, rad^2/s^2]."""
+        """Variance added by the rounding of each axis, that of a uniform error, shape (4,) [m^2/s^2, rad^2/s^2]."""
         return np.asarray(self.grain**2 / 12)
 
     def of(self, axes: tuple[str, ...]) -> bool:
-        """Whether it was measured on all of these axes."""
+        """Whether the velocity was measured on all of these axes."""
         return bool(self.time.size) and all(np.isfinite(self.value[0, AXES.index(axis)]) for axis in axes)
 
     def true_time(self, axis: str) -> Array:
-        """When the velocity of an axis was what it says, on the clock of the poses, shape (V,) [s]."""
+        """Times at which the velocity of an axis was valid, on the clock of the poses, shape (V,) [s]."""
         return self.time if self.late is None else self.time - self.late[AXES.index(axis)]
 
     def between(self, low: float, high: float) -> Velocity:
-        """What lies between two times [s]."""
+        """The part between two times, both included [s]."""
         inside = (self.time >= low) & (self.time <= high)
         return replace(self, time=self.time[inside], value=self.value[inside])
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch in which the commands are known: from its first command to its last plus its hold [s]."""
+    """An interval without a gap in the commands: from its first command to its last plus the hold [s]."""
 
     start: float
     end: float
@@ -163,23 +164,23 @@ class Flight:
         path: The log's path as given.
         sha256: Hex digest of the log.
         card: The card that was applied.
-        span: Start and end that were asked for, within the common window [s].
+        span: Start and end of the requested part, within the common window [s].
         axes: The commanded axes, in the order of `AXES`.
-        command_time: Strictly increasing stamps, shape (M,) [s]. A command holds until the next one.
+        command_time: Strictly increasing stamps, shape (M,) [s]. A command is held until the next one.
         command: x, y, z, yaw commands in the heading frame after the card's scale, shape (M, 4); 0 where not commanded.
         pose_time: Strictly increasing stamps of the fresh poses, shape (N,) [s].
-        position: World x, y, z, shape (N, 3) [m]; of an axis that has only a velocity, that velocity summed up, for
-            drawings and for the methods that look at nothing else.
+        position: World x, y, z, shape (N, 3) [m]; for an axis with only a velocity, its integral, for plots and for
+            methods that use positions only.
         yaw: Unwrapped heading, shape (N,) [rad].
-        segments: Where the commands are known, in order, not overlapping.
+        segments: Intervals in which the commands are known, in order, not overlapping.
         notes: Every repair, with its count.
-        reference: What a position controller was told, held onto the commands' stamps, shape (M, 4), NaN for axes that
-            the card does not name and before the first value; None where it names none.
-        clocks: How the clock of the commands stood to that of the poses; None where they are from one file.
-        velocity: What the vehicle itself measured of its velocity, where the estimator is to use it.
-        findings: What its log and the motion tell before any fit; empty where nobody has looked.
-        stamp_error: Half of the 95 % interval of what stamps corrected by their arrivals leave unknown between commands
-            and poses [s]; 0 where they are as the senders gave them.
+        reference: Setpoint of a position controller, held onto the commands' stamps, shape (M, 4), NaN for axes that
+            the card does not name and before the first value; None where the card names none.
+        clocks: Offset between the clocks of commands and poses; None where both are from one file.
+        velocity: Velocity measured by the vehicle itself, where the estimator is to use it.
+        findings: Findings from the log and the motion before any fit; empty where no check was run.
+        stamp_error: Half the 95 % interval of the remaining offset between commands and poses where stamps were
+            corrected by their arrival times [s]; 0 where stamps are as sent.
     """
 
     path: str
@@ -217,17 +218,17 @@ class Flight:
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """The poses as a data frame, with the command that was held at each.
+        """The poses as a data frame, with the command in force at each.
 
         Args:
             library: `polars`, or `pandas`, which must be installed.
 
         Returns:
-            A `DataFrame` of the columns `time` [s], `x`, `y`, `z` [m], `yaw` [rad] and `command_x` to `command_yaw`,
+            A `DataFrame` with the columns `time` [s], `x`, `y`, `z` [m], `yaw` [rad] and `command_x` to `command_yaw`,
             in the heading frame; NaN where the command is not known.
 
         Raises:
-            ModuleNotFoundError: pandas is asked for and not installed.
+            ModuleNotFoundError: pandas is requested but not installed.
         """
         held = np.searchsorted(self.command_time, self.pose_time, side="right") - 1
         known = np.any([(self.pose_time >= s.start) & (self.pose_time <= s.end) for s in self.segments], axis=0)
@@ -237,7 +238,7 @@ class Flight:
         return frame({"time": self.pose_time, **pose, **sent}, library)
 
     def plot(self) -> tuple[Axes, ...]:
-        """Draws commands, position and heading over time; grey where the commands are not known.
+        """Draws commands, position and heading over time; shaded grey where the commands are not known.
 
         Returns:
             The three matplotlib axes, from top to bottom.
@@ -261,25 +262,25 @@ class Flight:
 
     @property
     def velocity_only(self) -> tuple[str, ...]:
-        """Axes of which there is a velocity and no position."""
+        """Axes with a velocity but no position."""
         return self.velocity.alone if self.velocity else ()
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """The axes that the flight commands with anything but zero."""
+        """The commanded axes with at least one non-zero command."""
         return tuple(a for k, a in enumerate(AXES) if a in self.axes and bool(np.any(self.command[:, k])))
 
     @property
     def duration(self) -> float:
-        """Length of the segments together [s]."""
+        """Total length of the segments [s]."""
         return float(np.sum([segment.end - segment.start for segment in self.segments]))
 
 
 LONGEST_GAP = 1.0
-"""Hole in the poses across which nothing is scored or drawn [s]."""
+"""Gap in the poses across which nothing is scored or drawn [s]."""
 
 MIN_DURATION = 2.0
-"""Shortest flight [s]: what the prediction protocol gives to the filter before it scores."""
+"""Shortest flight [s]: the settling time of the filter in the prediction protocol."""
 
 SLOWEST_POSES = 1.0
-"""Median period of the poses [s] beyond which their clock is taken to lack its unit."""
+"""Median sampling period of the poses [s] above which the unit of their clock is taken to be missing."""

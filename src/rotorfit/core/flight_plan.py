@@ -1,8 +1,8 @@
-"""Flown: how a flight ended and what it left; Status: how it is going.
+"""Plan: one flight before it is flown: the signals on each axis, where, how fast, and the belief about the vehicle.
 
-Plan: one flight before it is flown: which signal on which axis, where, how fast, and what is believed of the drone.
+Status: the progress of a flight. Flown: its outcome.
 
-A plan is a TOML file that a person can read, edit and send on.
+A plan is stored as a TOML file that a person can read, edit and pass on.
 """
 
 from collections.abc import Mapping
@@ -36,12 +36,12 @@ class Sines:
 
 @dataclass(frozen=True)
 class Chirp:
-    """A sine whose frequency moves from one end to the other at a constant rate of its logarithm.
+    """A sine whose frequency sweeps exponentially from start to end (a logarithmic chirp).
 
     Attributes:
         amplitude: In the unit of the signal.
         frequency: Start and end [rad/s].
-        duration: Over which the frequency moves [s].
+        duration: Length of the sweep [s]; past it the frequency keeps growing.
     """
 
     amplitude: float
@@ -51,10 +51,10 @@ class Chirp:
 
 @dataclass(frozen=True)
 class Steps:
-    """Levels, each held from its time on until the next one; 0 before the first.
+    """Piecewise constant levels, each held until the next one; 0 before the first.
 
     Attributes:
-        time: Increasing, shape (K,) [s].
+        time: Start of each level, increasing, shape (K,) [s].
         level: Shape (K,), in the unit of the signal.
     """
 
@@ -66,7 +66,7 @@ Signal = Sines | Chirp | Steps
 
 
 def value(signal: Signal, t: Array) -> Array:
-    """The signal at times t since its own start, shape (N,) [s]."""
+    """The signal at times t since its own start, shape (N,) [s]; shape (N,), in the unit of the signal."""
     if isinstance(signal, Sines):
         amplitude, frequency, phase = (np.array(each) for each in (signal.amplitude, signal.frequency, signal.phase))
         return np.asarray(np.sin(np.multiply.outer(t, frequency) + phase) @ amplitude)
@@ -79,7 +79,7 @@ def value(signal: Signal, t: Array) -> Array:
 
 
 def motion(signal: Signal, t: Array) -> tuple[Array, Array, Array]:
-    """The signal at times t, shape (N,) [s], with its first and second derivative; those of steps are 0."""
+    """The signal at times t, shape (N,) [s], and its first and second derivatives, each shape (N,); 0 for steps."""
     if isinstance(signal, Sines):
         amplitude, frequency, phase = (np.array(each) for each in (signal.amplitude, signal.frequency, signal.phase))
         angle = np.multiply.outer(t, frequency) + phase
@@ -111,9 +111,9 @@ class AxisExcitation:
         axis: `x`, `y`, `z` or `yaw`.
         target: What the signal is: the `command` of the axis [unit of the card's command], or the `position` that the
             feedback tracks, as an offset from the start, forward and left of the heading there [m, rad].
-        start: When it begins, from the start of the plan [s].
-        duration: How long it lasts [s].
-        signal: As a function of the time since `start`.
+        start: Start, from the start of the plan [s].
+        duration: Length [s].
+        signal: Function of the time since `start`.
     """
 
     axis: str
@@ -125,17 +125,18 @@ class AxisExcitation:
 
 @dataclass(frozen=True)
 class Feedback:
-    """A tracking controller on the measured pose; its command is added to that of the signals.
+    """A tracking controller on the measured pose; its command is added to those of the signals.
 
     u = (stiffness (reference - pose) + damping (reference' - velocity) + reference'' + b reference') / input, in the
-    heading frame, with the velocity from filtered differences of the measured poses and the believed input and damping
-    b of the vehicle. The reference is what excitations of the target `position` say, else the pose at the start.
+    heading frame, with the velocity from filtered differences of the measured poses and the vehicle's input and
+    damping b as believed. The reference is given by the excitations with target `position`, else by the pose at the
+    start.
 
     Attributes:
         axes: The axes on which it acts.
         stiffness: For each of x, y, z, yaw [1/s^2].
-        damping: For each of x, y, z, yaw, beyond what the vehicle damps by itself [1/s].
-        filter_time: Time constant of the velocity's filter [s].
+        damping: For each of x, y, z, yaw, in addition to the vehicle's own [1/s].
+        filter_time: Time constant of the velocity filter [s].
     """
 
     axes: tuple[str, ...]
@@ -146,14 +147,14 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Space:
-    """What the flight must stay within, and where it starts.
+    """Limits that the flight must respect, and its start.
 
     Attributes:
         lower: Corner of the box with the smallest x, y, z, in the world frame of the poses [m].
         upper: The opposite corner [m].
-        start: x, y, z [m] and yaw [rad] of the hover that the plan begins with.
-        speed: Largest speed along x and y together [m/s].
-        climb: Largest speed along z [m/s].
+        start: x, y, z [m] and yaw [rad] of the hover at the start of the plan.
+        speed: Largest horizontal speed, x and y combined [m/s].
+        climb: Largest vertical speed [m/s].
     """
 
     lower: tuple[float, float, float]
@@ -168,18 +169,18 @@ class Plan:
     """One flight before it is flown.
 
     Attributes:
-        name: For people, and for files.
-        design: How the signals came about: `two_sines`, `optimal` and so on.
-        card: The whole card whose commands are planned: meaning and limits.
-        rate: Commands a second.
-        duration: Of the plan, without take-off and landing [s].
-        ramp: The commands of the signals grow from 0 and fade to 0 over so long at both ends of each [s].
-        excitations: What is flown.
-        feedback: None for an open loop on all axes.
+        name: For people, and for file names.
+        design: How the signals were designed: `two_sines`, `optimal` and so on.
+        card: The whole card whose commands are planned: meanings and limits.
+        rate: Command rate [Hz].
+        duration: Length of the plan, without take-off and landing [s].
+        ramp: Time over which the commands of each signal fade in at its start and out at its end [s].
+        excitations: The signals to fly.
+        feedback: None for open loop on all axes.
         space: Fence and limits.
-        belief: What is believed of the vehicle, as `belief` stores it; planning and feedback use it.
-        predicted: What planning expects: standard errors, path, speeds, as `planning` stores them.
-        seed: Of all that was drawn.
+        belief: Belief about the vehicle, as stored by `belief`; planning and feedback use it.
+        predicted: What planning expects: standard errors, path, speeds, as stored by `planning`.
+        seed: Seed of all random draws.
     """
 
     name: str
@@ -207,10 +208,10 @@ class Plan:
         return html_table(repr(self), heads, rows)
 
     def plot(self) -> "tuple[Axes, ...]":
-        """Draws the signals over time, with their ramps and without the feedback; see `rotorfit plan --picture`.
+        """Draws the signals over time, with their ramps but without the feedback; see `rotorfit plan --picture`.
 
         Returns:
-            The matplotlib axes: one for the signals that are commands, one for those that are positions to track.
+            The matplotlib axes: one panel for signals that are commands, one for those that are positions to track.
         """
         t = np.arange(0.0, self.duration, 1 / self.rate)
         panels = []
@@ -229,11 +230,11 @@ Three = tuple[Array, Array, Array]
 
 
 def command_at(plan: Plan, t: Array) -> Array:
-    """The signals that are commands, with their ramps, at times from the start of the plan.
+    """The command signals, with their ramps, at times from the start of the plan.
 
     Args:
-        plan: What is flown.
-        t: Shape (N,) [s].
+        plan: The plan.
+        t: Times, shape (N,) [s].
 
     Returns:
         Forward, left, up, counter-clockwise, shape (N, 4) [unit of the card's command].
@@ -247,14 +248,15 @@ def command_at(plan: Plan, t: Array) -> Array:
 
 
 def reference_at(plan: Plan, t: Array) -> Three:
-    """What the feedback tracks at times from the start of the plan, as an offset from where it began.
+    """The reference that the feedback tracks, at times from the start of the plan, as an offset from the start pose.
 
     Args:
-        plan: What is flown.
-        t: Shape (N,) [s].
+        plan: The plan.
+        t: Times, shape (N,) [s].
 
     Returns:
-        Position, velocity and acceleration, forward, left, up and counter-clockwise of the start, each shape (N, 4).
+        Position [m, rad], velocity [m/s, rad/s] and acceleration [m/s^2, rad/s^2], forward, left, up and
+        counter-clockwise of the start, each shape (N, 4).
     """
     position, velocity, acceleration = np.zeros((3, t.size, 4))
     for excitation in plan.excitations:
@@ -269,10 +271,10 @@ def reference_at(plan: Plan, t: Array) -> Three:
 
 
 def window(excitation: AxisExcitation, ramp: float, t: Array) -> Three:
-    """The factor that grows from 0 to 1 and fades again, with its first and second derivative, each shape (N,).
+    """Window factor that ramps from 0 to 1 and back, with its first and second derivatives, each shape (N,).
 
-    10 s^3 - 15 s^4 + 6 s^5 of the share s of the ramp: the least polynomial at whose ends velocity and acceleration
-    vanish, so that a ramped position can be tracked. 0 outside the excitation.
+    10 s^3 - 15 s^4 + 6 s^5 of the fraction s of the ramp: the polynomial of least degree whose first and second
+    derivatives vanish at both ends, so that a ramped position can be tracked. 0 outside the excitation.
     """
     since, left = t - excitation.start, excitation.start + excitation.duration - t
     inside = ((since >= 0) & (left > 0)).astype(float)
@@ -298,7 +300,7 @@ class Ending:
 
 @dataclass(frozen=True)
 class Jitter:
-    """By how much commands left later than they were due: median, 99th percentile, largest [s]."""
+    """Lateness of the commands against their due times: median, 99th percentile, maximum [s]."""
 
     p50: float
     p99: float
@@ -307,15 +309,15 @@ class Jitter:
 
 @dataclass(frozen=True)
 class Status:
-    """How a flight is going.
+    """Progress of a flight.
 
     Attributes:
         phase: `take-off`, `approach` or `plan`.
-        time: Since the phase began [s].
-        duration: Of the plan [s].
+        time: Time since the phase began [s].
+        duration: Duration of the plan [s].
         pose: x, y, z [m], yaw [rad]; None before the first.
-        room: Distance to the fence, braking distance included [m].
-        battery: 0 to 1; None where nobody says.
+        room: Distance to the fence, less the braking distance [m].
+        battery: 0 to 1; None if the vehicle does not report it.
     """
 
     phase: str
@@ -328,20 +330,20 @@ class Status:
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight that has ended.
+    """Outcome of a flight.
 
     Attributes:
         reason: `completed`, or what ended it, see `Ending`.
         text: The same for people.
-        duration: Of the plan, as far as it was flown [s].
-        jitter: Of the commands, by the clock of the link; says nothing where that clock is simulated.
-        late: Commands that came more than three periods late.
-        commands: Sent.
-        poses: Received.
-        outliers: Poses that could not be true.
-        landed: Whether a landing was asked for and the link took it.
-        path: Of the recording.
-        notes: What a user should know of it.
+        duration: Length of the plan that was flown [s].
+        jitter: Lateness of the commands by the clock of the link; meaningless where that clock is simulated.
+        late: Number of commands sent more than three periods late.
+        commands: Number of commands sent.
+        poses: Number of poses received.
+        outliers: Number of implausible poses.
+        landed: Whether a landing was requested and the link accepted it.
+        path: Path of the recording.
+        notes: What a user should know about the flight.
     """
 
     reason: str

@@ -36,11 +36,11 @@ UNIT_SCALE: Mapping[str, float] = MappingProxyType(
         "ns": 1e-9,
     }
 )
-"""Factor from a unit that a card may name to SI."""
+"""Factor to SI from each unit that a card may name."""
 
 
 def heading_from_world(vector: Array, yaw: Array) -> Array:
-    """Resolves horizontal world vectors in the heading frame: R(yaw)^T v.
+    """Rotates horizontal world vectors into the heading frame: R(yaw)^T v.
 
     Args:
         vector: Horizontal world components, shape (..., 2).
@@ -56,14 +56,14 @@ def heading_from_world(vector: Array, yaw: Array) -> Array:
 
 
 def world_from_heading(vector: Array, yaw: Array) -> Array:
-    """Resolves heading-frame vectors in the world: R(yaw) v.
+    """Rotates heading-frame vectors into the world frame: R(yaw) v.
 
     Args:
-        vector: Forward and left components, shape (N, 2).
-        yaw: Heading, shape (N,) [rad].
+        vector: Forward and left components, shape (..., 2).
+        yaw: Heading, shape (...) [rad].
 
-    Returns:
-        Horizontal world components, shape (N, 2), in the unit of `vector`.
+        Returns:
+            Horizontal world components, shape (..., 2), in the unit of `vector`.
 
     Source: paper, eq. (3).
     """
@@ -71,8 +71,8 @@ def world_from_heading(vector: Array, yaw: Array) -> Array:
 
 
 def yaw_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> Array:
-    """Heading of a body whose attitude is the quaternion (w, x, y, z), each of shape (N,), in (-pi, pi] [rad].
+    """Heading of a body with attitude quaternion (w, x, y, z), each of shape (N,), in [-pi, pi] [rad].
 
-    The quaternion need not be of unit length. Source: the z-y-x Euler angles, yaw = atan2(R21, R11).
+    The quaternion need not be normalised. Source: the z-y-x Euler angles, yaw = atan2(R21, R11).
     """
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

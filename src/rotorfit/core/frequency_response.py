@@ -1,4 +1,4 @@
-"""FrequencyResponse of a flight, the model's beside it, and the test of a law against it."""
+"""FrequencyResponse of a flight, compared with the model's, and the test of a law against it."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,18 +15,19 @@ Instrument = Literal["command", "tones", "reference", "none"]
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """The response of one axis on one flight; K frequencies, none where it cannot be told.
+    """Frequency response of one axis on one flight at K frequencies; K = 0 where it cannot be estimated.
 
     Attributes:
-        axis: Name.
+        axis: `x`, `y`, `z` or `yaw`.
         frequency: Increasing, shape (K,) [rad/s].
-        response: Velocity per command, shape (K,).
-        stderr: Standard error of its gain, and of its phase times its gain, shape (K, 2).
-        quantile: 97.5 % point of Student's t for the degrees of freedom that tell the standard error, shape (K,).
-        coherence: Share of the motion's power that the command explains there, shape (K,).
-        instrument: What moved the vehicle from outside any loop: `tones` of the command, in an open loop the whole
-            `command`, else the `reference`; `none`.
-        why_none: Where there is no response, why.
+        response: Complex velocity per command, shape (K,) [m/s or rad/s per unit of the command].
+        stderr: Standard errors of the gain, and of gain times phase, shape (K, 2).
+        quantile: 97.5 % point of Student's t for the degrees of freedom of the standard errors, shape (K,).
+        coherence: Share of the motion's power that the command explains at each frequency, shape (K,).
+        instrument: Signal that excites the vehicle from outside any loop: `tones` of the command; the whole `command`
+            in
+            an open loop; else the `reference`; `none`.
+        why_none: Why there is no response; empty where there is one.
     """
 
     axis: str
@@ -40,20 +41,20 @@ class FrequencyResponse:
 
     @property
     def gain(self) -> Array:
-        """Shape (K,)."""
+        """Magnitude of the response, shape (K,)."""
         return np.asarray(np.abs(self.response), np.float64)
 
     @property
     def gain_band(self) -> Array:
-        """Ends of the 95 % bands of the gain, shape (K, 2)."""
+        """Ends of the 95 % bands of the gain, not below 0, shape (K, 2)."""
         half = self.quantile * self.stderr[:, 0]
         return np.asarray(np.stack([np.maximum(self.gain - half, 0), self.gain + half], axis=1), np.float64)
 
     @property
     def phase(self) -> Array:
-        """Continuous over the frequency, and as near to zero at rest as whole turns make it, shape (K,) [rad].
+        """Unwrapped phase, shifted by half turns to be nearest to zero at zero frequency, shape (K,) [rad].
 
-        Half turns where the input is negative: the delay is that of the answer, whatever its sign.
+        Half turns, because the sign of the input must not change the delay of the response.
         """
         phase = np.asarray(np.unwrap(np.angle(self.response)), np.float64)
         w = self.frequency
@@ -62,12 +63,12 @@ class FrequencyResponse:
 
     @property
     def delay(self) -> Array:
-        """By which a sine of that frequency comes later, -phase / frequency, shape (K,) [s]."""
+        """Phase delay -phase / frequency, shape (K,) [s]."""
         return np.asarray(-self.phase / self.frequency)
 
     @property
     def delay_band(self) -> Array:
-        """Ends of its 95 % bands, shape (K, 2) [s]; infinite where the phase can be anything."""
+        """Ends of the 95 % bands of the delay, shape (K, 2) [s]; infinite where the phase is undetermined."""
         ratio = self.quantile * self.stderr[:, 1] / self.gain
         half = np.where(ratio < 1, np.arcsin(np.minimum(ratio, 1)), np.inf) / self.frequency
         return np.stack([self.delay - half, self.delay + half], axis=1)
@@ -75,15 +76,15 @@ class FrequencyResponse:
 
 @dataclass(frozen=True)
 class LawTest:
-    """Whether a law can have the response that a flight shows.
+    """Test whether a law is compatible with the measured response of a flight.
 
     Attributes:
-        statistic: Q over its degrees of freedom: 1 is about what noise gives.
-        freedom: Real numbers that the bands tell less coefficients that were free.
-        noise_freedom: Of the F distribution's denominator.
+        statistic: Q over its degrees of freedom: about 1 for noise alone.
+        freedom: Real numbers in the bands less free coefficients.
+        noise_freedom: Degrees of freedom of the denominator of the F distribution.
         p: p-value of the law.
-        worst: Frequency at which the law misses the band most [rad/s].
-        worst_sigmas: By how many standard errors.
+        worst: Frequency of the largest misfit [rad/s].
+        worst_sigmas: That misfit in standard errors.
     """
 
     statistic: float
@@ -96,14 +97,14 @@ class LawTest:
 
 @dataclass(frozen=True)
 class ResponseComparison:
-    """The response of an axis on one flight beside the model's.
+    """The measured response of an axis on one flight compared with the model's.
 
     Attributes:
-        flight: The flight's own response.
-        model: The model's at the same frequencies, shape (K,); None where its law has none.
-        gain_band: Ends of the 95 % bands of the model's gain, shape (K, 2); NaN where they are not known.
-        delay_band: The same of its delay [s].
-        law: Test of the law; None where there are no more numbers than coefficients, or no response.
+        flight: The response measured on the flight.
+        model: The model's response at the same frequencies, shape (K,); None where its law has none.
+        gain_band: Ends of the 95 % bands of the model's gain, shape (K, 2); NaN where unknown.
+        delay_band: Ends of the 95 % bands of the model's delay, shape (K, 2) [s].
+        law: Test of the law; None without a response, or with no more numbers than coefficients.
     """
 
     flight: FrequencyResponse
@@ -114,12 +115,12 @@ class ResponseComparison:
 
     @property
     def model_gain(self) -> Array:
-        """Shape (K,)."""
+        """Magnitude of the model's response, shape (K,)."""
         return np.zeros(0) if self.model is None else np.abs(self.model)
 
     @property
     def model_delay(self) -> Array:
-        """Of the model's phase nearest to the flight's, shape (K,) [s]."""
+        """Phase delay of the model, with its phase unwrapped to be nearest to the flight's, shape (K,) [s]."""
         if self.model is None:
             return np.zeros(0)
         phase = self.flight.phase + np.angle(self.model / self.flight.response)

@@ -1,4 +1,4 @@
-"""Levels of disturbance and noise: what they are by what was measured, where they are searched, where they start.
+"""Levels of disturbance and noise: their names for each kind of measurement, their search ranges, their start values.
 
 Structures: the laws that an axis may obey, and the parameters that each adds to gain, damping and delay.
 
@@ -8,11 +8,12 @@ One general law holds them all; along one axis of the heading frame, with the de
     T q' = w - q,   v' = q - b (1 - m + m |v| / V) v - k v' + c        first-order lag T of the attitude loop
     T v'' + v' + b v = w + Z dw/dt + c                                 second order instead
 
-u' and v' of the second and third term being those of the other horizontal axis. A structure says which of the further
-parameters are estimated; the others stand where they do nothing (s = D = h = m = k = T = Z = 0, L without bound).
+u' and v' in the last terms of the first and second lines are those of the other horizontal axis. A structure states
+which of the further parameters are estimated; the others keep the values at which they have no effect
+(s = D = h = m = k = T = Z = 0, L infinite).
 
-The steady gain is g / b under every linear law. The total lag, minus the slope of the phase at rest, is tau + T + 1 / b
-with a lag on the input and tau + 1 / b - Z of a second order.
+The steady gain is g / b under every linear law. The total lag, minus the slope of the phase at zero frequency, is
+tau + T + 1 / b with a lag on the input and tau + 1 / b - Z for a second order.
 """
 
 import functools
@@ -26,7 +27,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
 
 Measured = Literal["position", "velocity", "both"]
-"""What the blocks of a record hold."""
+"""What the blocks of poses contain."""
 
 LEVELS_OF: dict[Measured, tuple[str, ...]] = {
     "position": ("wind_power", "pose_variance", "wind_damping", "wind_overlap"),
@@ -34,19 +35,19 @@ LEVELS_OF: dict[Measured, tuple[str, ...]] = {
     "both": ("wind_power", "pose_variance", "wind_damping", "wind_overlap", "velocity_variance"),
 }
 """Names of the L levels: q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1], and r_v [unit^2/s^2], the variance
-of one velocity besides its rounding."""
+of one velocity measurement without its rounding."""
 
 LEVEL_RANGE = np.log(np.array([[1e-9, 1e4], [1e-12, 1e-2], [0.05, 200.0], [1e-3, 1.0]]))
-"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa."""
+"""Logarithmic bounds of the disturbance levels q, r, alpha, kappa, shape (4, 2)."""
 
 START_LEVELS = np.log(np.array([0.1, 1e-7, 2.5, 0.64]))
-"""Where the levels start."""
+"""Start values of the logarithmic levels q, r, alpha, kappa, shape (4,)."""
 
 VELOCITY_RANGE = np.log(np.array([1e-9, 1.0]))
-"""Logarithmic bounds of the variance of a velocity [m^2/s^2]."""
+"""Logarithmic bounds of the variance of a velocity, shape (2,) [m^2/s^2]."""
 
 START_VELOCITY = np.log(1e-3)
-"""Where it starts."""
+"""Its start value."""
 
 
 @functools.cache
@@ -61,7 +62,7 @@ def level_range(measured: Measured) -> Array:
 
 
 def start_levels(measured: Measured) -> Array:
-    """Where the L levels start, shape (L,)."""
+    """Start values of the L logarithmic levels in the order of `LEVELS_OF`, shape (L,)."""
     if measured == "both":
         return np.append(START_LEVELS, START_VELOCITY)
     out: Array = START_LEVELS.copy()
@@ -74,8 +75,8 @@ def start_levels(measured: Measured) -> Array:
     GAIN, DAMPING, DELAY, TRIM, LAG, ASYMMETRY, LEVEL, DEAD, SHARE, SPEED, CROSS_INPUT, CROSS_DAMPING, ORDER, KICKS,
     ZERO,
 ) = range(15)  # fmt: skip
-"""Places of a law's numbers: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the input, 2 second
-order); what acts on the velocity besides linear damping (1 quadratic drag, 2 the other axis); and Z."""
+"""Indices into the vector of the general law: g, b, tau, c, T, s, L, D, m, V, h, k; order of the lag (0 none, 1 on the
+input, 2 second order); terms in the velocity besides linear damping (1 quadratic drag, 2 the other axis); and Z."""
 
 LAW_SIZE = 15
 
@@ -85,15 +86,15 @@ class Extra:
     """A parameter that a structure adds.
 
     Attributes:
-        name: In the model file.
-        place: In the law.
-        low: Least value that is searched.
-        high: Largest.
-        logarithmic: Whether it is estimated by its logarithm.
-        estimated: Whether it is estimated at all; else it is a constant that goes with the others.
+        name: Name in the model file.
+        place: Index in the vector of the general law.
+        low: Lower bound of the search.
+        high: Upper bound of the search.
+        logarithmic: Whether its logarithm is estimated.
+        estimated: Whether it is estimated at all; else it is a constant derived from the others.
         unit: `s`, `1/s`, `speed` (m/s or rad/s), `command` (that of the command), `gain` (acceleration per command), or
-            empty for a number.
-        closed: Whether the largest value is one like any other, so that an interval may end there.
+            empty for a dimensionless number.
+        closed: Whether the upper bound is an admissible value, so that an interval may end there.
     """
 
     name: str
@@ -106,7 +107,7 @@ class Extra:
     closed: bool = False
 
     def coordinate(self, value: float) -> float:
-        """What the estimator moves: the value or its logarithm."""
+        """Coordinate that the estimator varies: the value or its logarithm."""
         return float(np.log(value)) if self.logarithmic else value
 
     def value(self, coordinate: float) -> float:
@@ -119,13 +120,13 @@ class Structure:
     """A law with the parameters that it leaves free besides gain, damping and trim.
 
     Attributes:
-        name: As asked for on the command line.
-        law: The equation, in words of one line.
+        name: Name on the command line.
+        law: The equation, as one line of text.
         extras: Further parameters.
         delayed: Whether the delay is estimated; else it is 0.
-        order: Of the lag: 0 none, 1 on the input, 2 of the velocity itself.
+        order: Order of the lag: 0 none, 1 on the input, 2 of the velocity itself.
         linear: Whether the motion is linear in commands and state.
-        tried: Axes for which `auto` tries it.
+        tried: Axes for which `auto` tries the structure.
     """
 
     name: str
@@ -143,7 +144,7 @@ class Structure:
 
     @property
     def kicks(self) -> int:
-        """What acts on the velocity besides linear damping: 1 quadratic drag, 2 the other axis."""
+        """Terms in the velocity besides linear damping: 1 quadratic drag, 2 the other axis."""
         places = {extra.place for extra in self.extras}
         return (SHARE in places) + 2 * (CROSS_DAMPING in places)
 
@@ -163,7 +164,7 @@ _CROSS = (
 )
 
 AVERAGED = "averaged"
-"""Asks for the default: delay and lag, or a second order with a zero where the data ask for it; see `law_average`."""
+"""Selects the default: delay and lag, or a second order with a zero where the data require it; see `law_average`."""
 
 FIRST_ORDER_DELAY = Structure("first_order_delay", "v' = g u(t - tau) - b v + c")
 
@@ -209,14 +210,14 @@ STRUCTURES: Mapping[str, Structure] = {
         ),
     )
 }  # fmt: skip
-"""Every structure by its name, simple ones first."""
+"""Every structure by its name, simplest first."""
 
 
 def structure_named(name: str) -> Structure:
-    """The structure of a name.
+    """The structure with a given name.
 
     Raises:
-        ModelError: There is none.
+        ModelError: No structure has this name.
     """
     if name not in STRUCTURES:
         raise ModelError(f"no such structure: {name!r}; structures are {', '.join(STRUCTURES)}")
@@ -226,15 +227,15 @@ def structure_named(name: str) -> Structure:
 def law_of(
     structure: Structure, gain: float, damping: float, delay: float, extra: Mapping[str, float], trim: float = 0.0
 ) -> Array:
-    """The numbers of the general law, shape (LAW_SIZE,).
+    """The vector of the general law, shape (LAW_SIZE,).
 
     Args:
-        structure: Which parameters are there.
-        gain: g.
+        structure: Structure that defines the parameters.
+        gain: g [m/s^2 or rad/s^2 per unit of the command].
         damping: b [1/s].
         delay: tau [s].
-        extra: Name to value of its further parameters.
-        trim: c.
+        extra: Name to value of the further parameters.
+        trim: c [m/s^2 or rad/s^2].
     """
     law = np.zeros(LAW_SIZE)
     law[[GAIN, DAMPING, DELAY, TRIM, LEVEL]] = gain, damping, delay, trim, np.inf
@@ -245,9 +246,10 @@ def law_of(
 
 
 DELAY_RANGE = (-0.1, 0.6)
-"""Delays that are searched [s]. Below zero, because a bound at zero biases; a negative optimum is a finding."""
+"""Range of delays that is searched [s]. It extends below zero because a bound at zero biases; a negative optimum is a
+finding."""
 
 
 def given_by_law(structure: str) -> tuple[str, ...]:
-    """Coefficients that a law states, which the data say nothing of: the delay of a law without one."""
+    """Coefficients fixed by the law, about which the data say nothing: the delay, for a law without one."""
     return () if structure_named(structure).delayed else ("delay",)

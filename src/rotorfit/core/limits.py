@@ -1,11 +1,11 @@
-"""Settings: what a command of 1 asks of the vehicle, by its card, and how gains change when the limits do.
+"""Settings: what a command of 1 asks of the vehicle, according to its card, and how gains scale with the limits.
 
 | meaning of the channel | a command of 1 asks for | expectation |
 |---|---|---|
 | fraction of the tilt limit t | that tilt | acceleration 9.81 tan(t) |
 | tilt in rad | one radian, small tilts | acceleration 9.81 m/s^2 per rad |
-| fraction of a speed or rate limit | that speed or rate | it is the steady one |
-| speed in m/s, rate in rad/s | one of them | steady gain 1 |
+| fraction of a speed or rate limit | that speed or rate | equal to the steady one |
+| speed in m/s, rate in rad/s | one unit of it | steady gain 1 |
 
 Source: at constant height the thrust m g / cos(t) has the horizontal part m g tan(t).
 """
@@ -53,7 +53,7 @@ class Meaning:
 
     Attributes:
         asked: `tilt`, `velocity`, `vertical_speed` or `yaw_rate`; None where the card does not say.
-        limit: The limit that a command of 1 is the whole of, a key of `Card.limits`; None for commands in SI.
+        limit: The limit that corresponds to a command of 1, a key of `Card.limits`; None for commands in SI.
         setting: Value of that limit [rad, m/s or rad/s]; None where the card does not give it.
         reason: Why `asked` is None.
     """
@@ -66,7 +66,7 @@ class Meaning:
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with its 95 % interval; what is not known, also an open end, is None."""
+    """A number with its 95 % interval; an unknown value and an open end are None."""
 
     value: float | None
     ci95: tuple[float | None, float | None] = (None, None)
@@ -74,15 +74,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A physical quantity of an axis beside what the card makes one expect, SI.
+    """A physical quantity of an axis compared with the value expected from the card, SI.
 
     Attributes:
-        measured: At full command, or per unit of a command in SI; None where it cannot be told.
+        measured: At full command, or per unit of a command in SI; None where it is unknown.
         unit: As text, such as `m/s^2`, or `m/s^2 per rad`.
         expected: From the card's meaning and limits.
         ratio: Measured over expected.
-        implied_limit: The setting of the limit that would make measured what is expected [rad, m/s or rad/s].
-        reason: Why something above is None.
+        implied_limit: Setting of the limit at which the expected value would equal the measured one [rad, m/s or
+            rad/s].
+        reason: Why a value above is None.
     """
 
     measured: Figure | None
@@ -95,11 +96,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Conversion:
-    """That a model was converted to other limits after the fit.
+    """Conversion of a model to other limits after the fit.
 
     Attributes:
-        limits: The `[limits]` of the card under which its flights were flown, as that card had them.
-        factor: Axis name to what its gains were multiplied by since the fit.
+        limits: The `[limits]` of the card under which its flights were flown, as given in that card.
+        factor: Axis name to the factor by which its gains were multiplied since the fit.
     """
 
     limits: Mapping[str, Any]
@@ -109,7 +110,7 @@ class Conversion:
 def meaning_of(card: Card, axis: str) -> Meaning:
     """What the commands of an axis ask for.
 
-    Where the card gives no `meaning`, its `full_scale` or `unit` tells it. Contradictions are a reason, not a guess.
+    Where the card gives no `meaning`, its `full_scale` or `unit` implies it. A contradiction is reported as a reason.
     """
     channel = card.command.get(axis)
     if channel is None:
@@ -127,7 +128,7 @@ def meaning_of(card: Card, axis: str) -> Meaning:
 
 
 def _contradiction(channel: Channel, asked: str) -> str | None:
-    """What does not go together in a channel that means `asked`."""
+    """The contradiction in a channel that means `asked`; None if there is none."""
     if channel.full_scale and channel.unit:
         return f"a fraction of {channel.full_scale} has no unit {channel.unit!r}"
     alike = _SPEEDS if asked in _SPEEDS else (asked,)
@@ -139,7 +140,7 @@ def _contradiction(channel: Channel, asked: str) -> str | None:
 
 
 def expectation(meaning: Meaning) -> float | None:
-    """What a command of 1 is expected to reach; None where the card does not tell.
+    """The value that a command of 1 is expected to reach; None where the card does not tell.
 
     Returns:
         For a tilt the acceleration [m/s^2, or m/s^2 per rad]; else the steady speed or rate [m/s, rad/s, or 1].
@@ -152,12 +153,12 @@ def expectation(meaning: Meaning) -> float | None:
 
 
 def limit_that_gives(meaning: Meaning, reached: float) -> float:
-    """The setting of the limit under which a command of 1 is expected to reach this; inverse of `expectation`."""
+    """The setting of the limit at which a command of 1 is expected to reach this value: inverts `expectation`."""
     return math.atan(reached / GRAVITY) if meaning.asked == "tilt" else reached
 
 
 def gain_factor(limit: str, before: float, after: float) -> float:
-    """What gains are multiplied by when a limit changes: tan(t') / tan(t) for the tilt, the ratio for speeds and rates.
+    """Factor on the gains when a limit changes: tan(t') / tan(t) for the tilt, the ratio for speeds and rates.
 
     Args:
         limit: A key of `Card.limits`.
@@ -168,12 +169,12 @@ def gain_factor(limit: str, before: float, after: float) -> float:
 
 
 def limits_from_text(text: str) -> dict[str, Any]:
-    """Limits from `tilt=20deg,vertical_speed=2,yaw_rate=100deg/s`, in the form that `[limits]` of a card has.
+    """Parses limits from `tilt=20deg,vertical_speed=2,yaw_rate=100deg/s` into the form of `[limits]` in a card.
 
-    A number without a unit is SI. Whether unit and size are possible is for the card to check.
+    A number without a unit is SI. The card checks units and magnitudes.
 
     Raises:
-        CardError: Not of that form, or a limit that nobody knows (the nearest is named).
+        CardError: Wrong syntax, a limit given twice, or an unknown limit (the nearest is named).
     """
     limits: dict[str, Any] = {}
     for part in text.split(","):
@@ -204,16 +205,16 @@ PEOPLE: Mapping[str, tuple[str, float]] = {
     "yaw_rate": ("deg/s", 180 / math.pi),
     "speed": ("m/s", 1.0),
 }
-"""Unit in which people give a limit, and the factor from SI."""
+"""Unit in which people state a limit, and the factor from SI."""
 
 
 def disagreement(one: Card, other: Card, whose: tuple[str, str] = ("the plan's card", "the vehicle's")) -> str:
-    """Where two cards take the same command for different things; empty where they agree as far as both tell.
+    """Describes where two cards interpret the same command differently; empty where they agree as far as both tell.
 
     Args:
-        one: Of a plan, or of a log.
-        other: Of the vehicle as it is set, or of a model.
-        whose: What the two are called.
+        one: Card of a plan or a log.
+        other: Card of the vehicle as it is set, or of a model.
+        whose: How to name the two.
     """
     first, second = whose
     for axis in one.command:
@@ -235,12 +236,12 @@ LIMIT_OF = {"tilt": "tilt", "velocity": "speed", "vertical_speed": "vertical_spe
 
 @dataclass(frozen=True)
 class CommandMeaning:
-    """What the command of an axis is, as the export takes it.
+    """What the command of an axis means, for the exports.
 
     Attributes:
         text: In words, with its limit where the card has one.
         unit: `fraction`, an SI unit, or `unit of command`.
-        limit: Largest size; None where the card does not tell.
+        limit: Largest magnitude; None where the card does not tell.
     """
 
     text: str
@@ -249,7 +250,7 @@ class CommandMeaning:
 
 
 def command_of(card: Card, axis: str, physical: bool = False) -> CommandMeaning:
-    """What the command of an axis is by a card; with `physical`, in SI where the card's are fractions."""
+    """What the command of an axis means by a card; with `physical`, in SI even where the card has fractions."""
     meaning: Meaning = meaning_of(card, axis)
     if meaning.asked is None:
         return CommandMeaning(

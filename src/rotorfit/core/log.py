@@ -1,4 +1,4 @@
-"""Log: what a file holds, as recorded: named tables of columns."""
+"""Log: the content of a file as recorded: named tables of columns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rotorfit.core.display import counted, html_table, short_repr
 
 Column = npt.NDArray[Any]
-"""A column: shape (N,), or (N, M) / (M, N) for a matrix as MAT files hold them. Any numeric type, as recorded."""
+"""A column: shape (N,), or (N, M) / (M, N) for a matrix in a MAT file. Any type, as recorded."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Table:
     """Columns that were recorded together.
 
     Attributes:
-        name: Topic, message name, or the file's stem where a file holds one table.
+        name: Topic, message name, or the file's stem for a file that holds one table.
         columns: Name to values, as recorded: no unit, sign or type is changed. Nested message fields are dotted
             (`pose.position.x`); stamps of messages (`header.stamp`, `log_time`) are int64 nanoseconds. All columns of
             a bag's table have N rows; those of a MAT file need not.
@@ -33,11 +33,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in flight.
+    """An event in flight.
 
     Attributes:
         time: By the recorder's clock [ns].
-        text: What.
+        text: Description.
     """
 
     time: int
@@ -51,17 +51,19 @@ class Log:
     Attributes:
         path: Where it was read from.
         format: Name of the format, a key of `files.logs.FORMATS`, such as `csv` or `rosbag1`; or `simulated`.
-        sha256: Hex digest of the file (of a folder: of the bytes of its files in the order of their names).
+        sha256: Hex digest of the file (for a folder: of the bytes of its files in the order of their names).
         tables: Name to table, in the order of the file.
         skipped: Tables that exist but were not decoded: name to the reason, the type and the count of messages.
         notes: What was recovered on reading, and which columns were left out, one line each.
-        attached: What `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit` (version).
-        events: What it noted in flight, in order.
-        file_of: Table to the file that it is from, where several files were joined; else empty.
-        retimed: Table and column of a clock to the stamps that stand in its place, shape (N,) [ns]: moved onto another
-            clock, or straightened. Empty as read.
+        attached: Texts that `rotorfit fly` wrote beside the samples: `plan` and `card` (TOML), `link`, `rotorfit`
+            (version).
+        events: Events that `rotorfit fly` recorded in flight, in order.
+        file_of: Table to its file where several files were joined; else empty.
+        retimed: Table and column of a clock to the stamps that replace it, shape (N,) [ns]: shifted onto another clock,
+            or
+            corrected by arrival times. Empty as read.
         damage: What was lost because the file is damaged or cut short, one line each.
-        units: Table and column to the unit that the log itself says its numbers have, one of `frames.UNIT_SCALE`.
+        units: Table and column to the unit stated by the log itself, one of `frames.UNIT_SCALE`.
     """
 
     path: Path
@@ -90,18 +92,18 @@ class Log:
 
 @dataclass(frozen=True)
 class Sample:
-    """One stamped value of one stream of a live link; the same whether it comes from a vehicle, a simulator or a log.
+    """One stamped value of a live link's stream, in the same form from a vehicle, a simulator or a replayed log.
 
     Attributes:
         stream: `pose`: x, y, z [m], then the quaternion w, x, y, z, world z up. `velocity`: x, y, z [m/s] and yaw rate
             [rad/s] by the vehicle's own sensors, heading frame. `command`: forward, left, up, counter-clockwise, as
-            they were sent. `battery`: what is left, 0 to 1. `obeys`: 1 while the vehicle obeys the commands, 0
-            while its autopilot takes off, lands or flies by itself. `said`: no numbers, but what the vehicle, or the
-            link, has to say.
-        stamp: When it was measured, by the sender's clock [ns].
-        received: When it arrived, by the link's clock [ns].
+            they were sent. `battery`: remaining charge, 0 to 1. `obeys`: 1 while the vehicle obeys the commands, 0
+            while its autopilot takes off, lands or flies by itself. `said`: a text message of the vehicle or the link,
+            without numbers.
+        stamp: Time of measurement, by the sender's clock [ns].
+        received: Time of arrival, by the link's clock [ns].
         values: The numbers.
-        text: Of `said`.
+        text: Text of a `said` sample.
     """
 
     stream: Literal["pose", "velocity", "command", "battery", "obeys", "said"]

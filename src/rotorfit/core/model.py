@@ -1,4 +1,4 @@
-"""Model: coefficients with their uncertainty, disturbance levels, and where they come from."""
+"""Model: coefficients with their uncertainty, disturbance levels, and provenance."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ Interval = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of coefficients that can be known when its parts cannot.
+    """A combination of coefficients that can be identifiable when its parts are not.
 
     Attributes:
-        value: The estimate.
-        ci95: 95 % interval of the vehicle's; an open end is None.
-        ci95_flight: The same of the flights of the fit alone; None where nothing was told apart.
+        value: Estimate.
+        ci95: 95 % interval for the vehicle; an open end is None.
+        ci95_flight: 95 % interval for the flights of the fit alone; None where the two were not separated.
     """
 
     value: float
@@ -60,19 +60,19 @@ class Combination:
 
 @dataclass(frozen=True)
 class Spread:
-    """How far a coefficient or combination differs from flight to flight of one vehicle.
+    """Variation of a coefficient or combination from flight to flight of one vehicle.
 
     Attributes:
-        source: `flights`, where several told it together with the prior; `prior`, where there was one.
-        sd: Standard deviation between flights: of the logarithm where `logarithmic`, else in its unit.
-        prior_sd: Scale of the prior on it, from recorded vehicles.
-        flights_sd: What the flights alone say, by restricted maximum likelihood; None for one.
-        flights: How many told it.
-        p_value: Of flights that do not differ giving more; None for one.
-        next_flight: 95 % interval of what another flight would give, without its own noise.
-        logarithmic: Whether the spread is that of the logarithm.
-        each: What each flight of the fit says alone and its standard error, on the same scale; None where it says
-            nothing. Empty for one flight.
+        source: `flights` where several flights and the prior gave it; `prior` where there was one flight.
+        sd: Standard deviation between flights: of the logarithm where `logarithmic`, else in the coefficient's unit.
+        prior_sd: Scale of its prior, from recorded vehicles.
+        flights_sd: Estimate from the flights alone, by restricted maximum likelihood; None for one flight.
+        flights: Number of flights that gave it.
+        p_value: Probability that flights without variation scatter at least as much; None for one flight.
+        next_flight: 95 % interval for another flight, without its own noise.
+        logarithmic: Whether `sd` is that of the logarithm.
+        each: Estimate from each flight of the fit alone and its standard error, on the same scale; None where the
+            flight gives none. Empty for one flight.
     """
 
     source: str
@@ -88,14 +88,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A test of an axis that spoke against its numbers, and what was made of it.
+    """A test of an axis that contradicts its numbers, and the consequence.
 
     Attributes:
         test: Short stable name: `follows_command`, `time`, `size`, `speed`, `method`.
-        strength: What was found, one sentence.
-        p_value: Of a law that is right giving more.
-        sd: Coefficient or combination to the standard deviation that it adds, on the scale of its `Spread`.
-        refutes: Whether no widening expresses it.
+        strength: The result of the test, one sentence.
+        p_value: Probability of a result at least this extreme if the law is right.
+        sd: Coefficient or combination to the standard deviation that the test adds, on the scale of its `Spread`.
+        refutes: Whether no widening of the intervals can account for it.
     """
 
     test: str
@@ -107,10 +107,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Predictor:
-    """The likelihood's own point of an axis: what simulation and prediction use.
+    """The likelihood's own estimate for an axis: what simulation and prediction use.
 
     Attributes:
-        input: g.
+        input: g [m/s^2 or rad/s^2 per unit of the command].
         damping: b [1/s].
         delay: tau [s].
         extra: Further parameters of its structure by name.
@@ -124,21 +124,21 @@ class Predictor:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A structure that was tried for an axis, and how it compares with the one it had to beat.
+    """A structure that was tried for an axis, compared with its rival.
 
     Attributes:
         structure: Name.
-        parameters: How many it estimates for the axis.
-        log_likelihood: Less that of the default structure.
-        bic: Bayesian information criterion less that of the default structure, over `samples`.
-        velocity: Held-out RMSE of 1 s velocity predictions [m/s or rad/s]; None where none could be made.
+        parameters: Number of parameters that it estimates for the axis.
+        log_likelihood: Difference from the default structure.
+        bic: Bayesian information criterion over `samples`, difference from the default structure.
+        velocity: Held-out RMSE of 1 s velocity predictions [m/s or rad/s]; None where no prediction was possible.
         position: Held-out RMSE of the end points of 5 s predictions [m or rad]; None likewise.
         rival: The structure that it had to beat; empty for the first.
-        velocity_change: Mean of its squared velocity errors less the rival's, as a share of the rival's mean, and the
-            standard error of that; None where there is none.
-        position_change: The same of the squared end point errors.
-        verdict: What follows, in a sentence.
-        chosen: Whether the model has this one.
+        velocity_change: Mean squared velocity error less the rival's, as a share of the rival's, and the standard error
+            of that; None without a rival.
+        position_change: The same for the squared end point errors.
+        verdict: The conclusion, one sentence.
+        chosen: Whether the model uses this structure.
     """
 
     structure: str
@@ -156,15 +156,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A law of the default family, with what the data make of it.
+    """A law of the default family, with its weight given the data.
 
     Attributes:
         structure: Name.
-        weight: Its share among the laws of the family, 0 to 1, by their evidence.
-        log_likelihood: Less that of the first-order law with a delay.
-        predictor: Its point.
-        stderr: What is estimated of it, coefficients and then further parameters, to standard error.
-        correlation: Of those, in that order.
+        weight: Its posterior weight among the laws of the family, 0 to 1.
+        log_likelihood: Difference from the first-order law with a delay.
+        predictor: Its estimate.
+        stderr: Name of each estimated parameter, coefficients first, then further parameters, to standard error.
+        correlation: Correlation of those parameters, in that order.
     """
 
     structure: str
@@ -176,23 +176,23 @@ class Weighed:
 
     @property
     def covariance(self) -> Array:
-        """Of the names of `stderr`."""
+        """Covariance of the parameters named in `stderr`, in that order, shape (n, n)."""
         error = np.array(list(self.stderr.values()))
         return np.array(self.correlation) * np.outer(error, error)
 
 
 @dataclass(frozen=True)
 class Plain:
-    """The first-order law's coefficients of an axis that has another: what the paper's eight are compared with.
+    """The first-order coefficients of an axis with another law, for comparison with the paper's eight.
 
     Attributes:
-        input: g.
+        input: g [m/s^2 or rad/s^2 per unit of the command].
         damping: b [1/s].
         delay: tau [s].
         stderr: Coefficient name to standard error.
         ci95: Coefficient name to 95 % interval.
         status: Coefficient name to status.
-        law: The likelihood's own point with its covariance, whatever the statuses; None in old files.
+        law: The likelihood's own estimate with its covariance, whatever the statuses; None in old files.
     """
 
     input: float | None
@@ -209,13 +209,14 @@ class Mode:
     """An optimum of the likelihood that the search found.
 
     Attributes:
-        delay: [s].
-        damping: [1/s].
-        input: g.
-        log_likelihood: Less that of the best optimum.
-        starts: How many starts ended here.
-        prediction: RMSE of 1 s velocity predictions on the training flights [unit/s]; None where it was not needed.
-        chosen: Whether the model is this one.
+        delay: tau [s].
+        damping: b [1/s].
+        input: g [m/s^2 or rad/s^2 per unit of the command].
+        log_likelihood: Difference from the best optimum.
+        starts: Number of starting points that converged to it.
+        prediction: RMSE of 1 s velocity predictions on the training flights [m/s or rad/s]; None where it was not
+            needed.
+        chosen: Whether the model uses this optimum.
     """
 
     delay: float
@@ -229,38 +230,40 @@ class Mode:
 
 @dataclass(frozen=True)
 class Axis:
-    """What is known of one axis: a = input u(t - delay) - damping v.
+    """Estimates for one axis of v' = input u(t - delay) - damping v + trim, or of its `structure`.
 
     Attributes:
-        input: g, in m/s^2 (yaw: rad/s^2) per unit of the command; None where the data cannot tell.
+        input: g, in m/s^2 (yaw: rad/s^2) per unit of the command; None where it is not identifiable.
         damping: b [1/s].
         delay: tau [s].
         stderr: Coefficient name to standard error.
-        ci95: Coefficient name to 95 % interval of the vehicle's; an open end is None.
+        ci95: Coefficient name to 95 % interval for the vehicle; an open end is None.
         status: Coefficient name to `ok`, `not_excited`, `not_identifiable`, `refuted`, `diverged` or `too_short`.
-        trim: Constant acceleration in the heading frame, one per flight; None where a flight did not serve this axis.
+        trim: Constant acceleration in the heading frame, one per flight [m/s^2, yaw rad/s^2]; None where a flight was
+            not used for this axis.
         noise: `wind_power`, `pose_variance`, `wind_damping`, `wind_overlap` and `trim_variance` of the disturbance;
-            `velocity_variance` beside or in place of that of the pose, where a velocity was measured.
+            `velocity_variance` in addition to or instead of `pose_variance` where a velocity was measured.
         predictor: What simulation uses; None where the axis is not excited.
-        combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; of other structures
-            further ones; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`; of clocks
-            whose offset is not known, `offset_plus_delay` [s] instead of `total_lag`.
+        combinations: `steady_gain` (g / b) and `total_lag` (delay, lag and 1 / b together) [s]; further ones for other
+            structures; where the structure was chosen, `delay_plus_lag` [s] of `first_order_delay_lag`; for clocks
+            with an unknown offset, `offset_plus_delay` [s] instead of `total_lag`.
         modes: Optima of the likelihood, the chosen one first.
-        profile: Delays [s] and the log-likelihood, less its maximum, re-maximised over everything else at each.
-        profile_fall: How far it falls to the ends of the delay's interval.
+        profile: Delays [s] and the profile log-likelihood at each, less its maximum.
+        profile_fall: Fall of the profile at the ends of the delay's interval.
         structure: Name of its law.
-        extra: Further parameters of that law, published as the coefficients are; their standard errors, intervals and
+        extra: Further parameters of that law, published like the coefficients; their standard errors, intervals and
             statuses stand beside those of the coefficients.
-        plain: Coefficients of the first-order law with a delay where this one is another.
-        laws: Of the default family, those that the data do not rule out, the chosen one first; intervals hold what all
-            of them say. Empty where the structure was asked for.
-        lag_prior: Share of what is known of the lag that its prior says, 0 to 1; None where no prior was used.
+        plain: Coefficients of the first-order law with a delay, where this axis has another law.
+        laws: The laws of the default family that the data do not rule out, the chosen one first; the intervals cover
+            all of them. Empty where a structure was requested.
+        lag_prior: Share of the information about the lag that comes from its prior, 0 to 1; None where no prior was
+            used.
         candidates: Structures that were tried, where the structure was chosen.
-        samples: Effective number of independent innovations that the candidates' criterion counts; None likewise.
-        ci95_flight: Coefficient name to 95 % interval of the flights of the fit alone: what noise and wind leave
-            unknown. Empty where nothing was told apart, and `ci95` is both.
-        spread: Coefficient or combination to how far it differs from flight to flight.
-        evidence: Tests that spoke against the numbers.
+        samples: Effective number of independent innovations used by the candidates' criterion; None likewise.
+        ci95_flight: Coefficient name to 95 % interval for the flights of the fit alone: the uncertainty from noise and
+            wind. Empty where the two were not separated, and `ci95` is both.
+        spread: Coefficient or combination to its variation from flight to flight.
+        evidence: Tests that contradict the numbers.
     """
 
     input: float | None
@@ -304,7 +307,7 @@ def weighed(
     weight: float = 1.0,
     log_likelihood: float = 0.0,
 ) -> Weighed:
-    """A law with the covariance of what is estimated of it, shape (n, n), under its names."""
+    """A `Weighed` law from the covariance of its estimated parameters, shape (n, n), in the order of `names`."""
     error = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(error, error)
     return Weighed(
@@ -318,7 +321,7 @@ def weighed(
 
 
 def unknown_axis(status: str) -> Axis:
-    """An axis of which nothing is known, and why."""
+    """An axis without any estimate; `status` says why."""
     nothing = dict.fromkeys(COEFFICIENTS)
     return Axis(
         input=None,
@@ -335,11 +338,11 @@ class Source:
     """A flight that the model was fitted to.
 
     Attributes:
-        path: As given.
-        sha256: Of the log.
-        span: Seconds of its common window.
+        path: Path of the log as given.
+        sha256: Hex digest of the log.
+        span: Start and end of the part used, within its common window [s].
         notes: Repairs.
-        axes: The axes that it served.
+        axes: The axes that it was used for.
     """
 
     path: str
@@ -357,20 +360,23 @@ class Model:
         card: The card that was applied.
         structure: Name of the model structure; `mixed` where the axes have different ones.
         method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
-        axes: Axis name to what is known of it, for all four axes.
-        covariance_names: Rows of the covariance, such as `x.input`, over (input, damping, delay) of the excited axes.
+        axes: Axis name to its estimates, for all four axes.
+        covariance_names: Row names of the covariance, such as `x.input`, over (input, damping, delay) of the excited
+            axes.
         covariance: Shape (P, P).
-        paper: gamma of the paper's method on the same data, shape (8,), None where it gives no number.
+        paper: gamma by the paper's method on the same data, shape (8,), None where it gives no number.
         findings: What the user should know.
-        flights: What it was fitted to.
+        flights: The flights that it was fitted to.
         rotorfit: Version that wrote it.
-        uncertainty: The accuracy table; None where it was not asked for.
-        prior: Coefficient, such as `x.input`, to what the card's prior did to it; None where no prior was used.
+        uncertainty: The accuracy table; None if it was not requested.
+        prior: Coefficient, such as `x.input`, to the effect of the card's prior on it; None where no prior was used.
         conversion: Set where the model was converted to other limits than those of its flights.
-        leave_one_out: Proof by leaving out each flight in turn, in the plain types of the file; None where it was not
-            asked for. See `leave_one_out.LeaveOneOut`.
-        paper_noise: Axis name to the levels of the disturbance at the paper's coefficients: its predictions start from
-            a filter of their own. None for files of versions that did not write them.
+        leave_one_out: Cross-validation that leaves out each flight in turn, in the plain types of the file; None if it
+            was
+            not requested. See `leave_one_out.LeaveOneOut`.
+        paper_noise: Axis name to the disturbance levels at the paper's coefficients, for the filter from which the
+            paper's
+            predictions start. Empty for files of versions that did not write them.
     """
 
     card: Card
@@ -400,17 +406,17 @@ class Model:
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """The coefficients as a data frame, a row each.
+        """The coefficients as a data frame, one row each.
 
         Args:
             library: `polars`, or `pandas`, which must be installed.
 
         Returns:
-            A `DataFrame` of the columns `axis`, `coefficient`, `estimate`, `stderr`, `low` and `high` of the 95 %
-            interval, `status`, `structure`; null where the data cannot tell, and for open ends.
+            A `DataFrame` with the columns `axis`, `coefficient`, `estimate`, `stderr`, `low` and `high` of the 95 %
+            interval, `status`, `structure`; null where not identifiable, and for open ends.
 
-        Raises:
-            ModuleNotFoundError: pandas is asked for and not installed.
+            Raises:
+                ModuleNotFoundError: pandas is requested but not installed.
         """
         heads = ("axis", "coefficient", "estimate", "stderr", "low", "high", "status", "structure")
         return frame(columns_of(heads, self._rows()), library)
@@ -455,7 +461,7 @@ class Model:
 
 
 def with_findings(model: Model, findings: Sequence[Finding]) -> Model:
-    """The model with these findings."""
+    """A copy of the model with these findings."""
     return replace(model, findings=tuple(findings))
 
 
@@ -463,7 +469,7 @@ def predictor_of(model: Model, axis: str) -> Predictor:
     """The predictor of an axis.
 
     Raises:
-        ModelError: If the axis was not excited.
+        ModelError: The axis was not excited.
     """
     predictor = model.axes[axis].predictor
     if predictor is None:
@@ -474,10 +480,10 @@ def predictor_of(model: Model, axis: str) -> Predictor:
 
 
 def first_order(model: Model, axis: str) -> Weighed:
-    """An axis as a first-order law with a delay: its own law, or the one that stands beside another.
+    """An axis as a first-order law with a delay: its own law, or the one stored beside another law.
 
     Raises:
-        ModelError: If the axis was not excited.
+        ModelError: The axis was not excited.
     """
     point, plain = predictor_of(model, axis), model.axes[axis].plain
     if plain is not None and plain.law is not None:

@@ -1,4 +1,4 @@
-"""Physics of a model: accelerations, speeds and times beside what the card makes one expect of them."""
+"""Physics of a model: accelerations, speeds and times, compared with what the card leads one to expect."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from rotorfit.core.limits import PEOPLE, Figure, Meaning, Quantity, expectation,
 from rotorfit.core.model import Axis, Model
 
 QUANTITIES = ("acceleration", "steady_speed", "time_constant", "total_lag")
-"""What is said of every axis, in this order."""
+"""The quantities of every axis, in this order."""
 
 _PER = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
 
@@ -19,19 +19,19 @@ def physics(model: Model) -> dict[str, dict[str, Quantity]]:
 
     `acceleration` is the input gain, `steady_speed` the steady gain: at full command where commands are fractions of a
     limit, per unit of command where they are SI. `time_constant` is 1 / damping, `total_lag` delay + 1 / damping.
-    A tilt has an expected acceleration, a commanded speed or rate an expected steady speed; see `settings`.
+    A tilt implies an expected acceleration, a commanded speed or rate an expected steady one; see docs/settings.md.
 
     Args:
-        model: Of any method.
+        model: A model of any method.
 
-    Returns:
-        Axis name to `QUANTITIES`. What the card or the data do not tell is None, with a reason.
+        Returns:
+            Axis name to `QUANTITIES` to quantity. A value that neither card nor data determine is None, with a reason.
     """
     return {axis: _quantities(model, axis) for axis in AXES}
 
 
 def compared(model: Model, axis: str) -> Quantity:
-    """The quantity of an axis that its card says something about: of a tilt the acceleration, else the steady speed."""
+    """The quantity of an axis that its card states: the acceleration for a tilt, else the steady speed."""
     asked = meaning_of(model.card, axis).asked
     return _quantities(model, axis)["acceleration" if asked == "tilt" else "steady_speed"]
 
@@ -50,7 +50,7 @@ def _quantities(model: Model, axis: str) -> dict[str, Quantity]:
 
 
 def _quantity(measured: Figure | None, unit: str, meaning: Meaning, expects: bool, why: str | None) -> Quantity:
-    """A quantity per command, compared with the card's expectation where there is one of it."""
+    """A quantity per command, compared with the card's expectation if `expects`."""
     if meaning.asked is None:
         return Quantity(None, f"{unit} per unit of command", reason=meaning.reason)
     if not expects:
@@ -71,7 +71,7 @@ def _time(measured: Figure | None, why: str | None) -> Quantity:
 
 
 def mapped(figure: Figure, rising: Callable[[float], float]) -> Figure:
-    """A rising function of a figure, its ends carried over; what is None stays so."""
+    """An increasing function of a figure, applied to its value and its ends; None stays None."""
     value, low, high = (None if part is None else rising(part) for part in (figure.value, *figure.ci95))
     return Figure(value, (low, high))
 
@@ -81,7 +81,7 @@ def _input(axis: Axis) -> Figure | None:
 
 
 def _steady(axis: Axis) -> Figure | None:
-    """The steady gain; of the paper's method, which has no interval of it, the bare number."""
+    """The steady gain; the bare ratio for the paper's method, which gives no interval for it."""
     known = _combination(axis, "steady_gain")
     if known is None and axis.input is not None and axis.damping is not None and axis.damping > 0:
         return Figure(axis.input / axis.damping)
@@ -94,7 +94,7 @@ def _combination(axis: Axis, name: str) -> Figure | None:
 
 
 def _time_constant(axis: Axis) -> Figure | None:
-    """1 / b; an end of the damping at or below 0 leaves the upper end open."""
+    """1 / b; an end of the damping at or below 0 gives an open upper end."""
     if not axis.predictor or (axis.damping is not None and axis.damping <= 0):
         return None
     low, high = (None if end is None or end <= 0 else 1 / end for end in axis.ci95["damping"])
@@ -102,14 +102,14 @@ def _time_constant(axis: Axis) -> Figure | None:
 
 
 def _why(axis: Axis, name: str) -> str | None:
-    """Why a coefficient has no number."""
+    """Why a coefficient is missing; None where it is known."""
     if name == "damping" and axis.damping is not None and axis.damping <= 0:
         return "the damping is not positive"
     return None if axis.status[name] == "ok" else f"{name}: {axis.status[name]}"
 
 
 def _why_not(axis: Axis, name: str) -> str | None:
-    """Why a combination has no interval."""
+    """Why a combination has no closed interval; None where it has one."""
     if not axis.predictor:
         return _why(axis, "input")
     part = axis.combinations.get(name)
@@ -126,9 +126,9 @@ class PhysicsRow:
         axis: Name.
         name: One of `QUANTITIES`.
         unit: As text.
-        measured: With its interval.
-        expected: None where the card has no expectation.
-        ratio: Measured over expected; None with it.
+        measured: Value with its interval.
+        expected: None where the card implies no expectation.
+        ratio: Measured over expected; None likewise.
     """
 
     axis: str
@@ -140,9 +140,11 @@ class PhysicsRow:
 
 
 def physics_rows(model: Model) -> tuple[PhysicsRow, ...]:
-    """What is worth a table: what the card has a word on, and time constants; only axes whose commands have a meaning.
+    """Rows of the table of physics: what the card has an expectation for, and the time constants.
 
-    What the table of coefficients shows already (steady gain without expectation, total lag) is left out.
+    Only axes whose commands have a meaning. Quantities that the table of coefficients shows already (steady gain
+    without
+    expectation, total lag) are left out.
     """
     rows = []
     for axis, quantities in physics(model).items():
@@ -160,7 +162,7 @@ def physics_rows(model: Model) -> tuple[PhysicsRow, ...]:
 
 
 def _for_people(unit: str) -> tuple[str, float]:
-    """A shorter unit, rates of yaw in degrees, speeds per speed without one; and the factor."""
+    """A unit for people and the factor to it: yaw rates in degrees, no unit for speed per speed."""
     if unit == "rad/s":
         return "deg/s", 180 / math.pi
     over, per, under = unit.partition(" per ")
@@ -172,7 +174,7 @@ def _scaled(figure: Figure, factor: float) -> Figure:
 
 
 def implied_limits(model: Model) -> tuple[str, ...]:
-    """For each axis whose card names a limit without its setting: which setting the gain would mean, a line each."""
+    """One line for each axis whose card names a limit without its setting: the setting that the gain implies."""
     lines = []
     for axis in AXES:
         meaning, implied = meaning_of(model.card, axis), compared(model, axis).implied_limit
@@ -183,7 +185,7 @@ def implied_limits(model: Model) -> tuple[str, ...]:
 
 
 def people(figure: Figure, limit: str) -> str:
-    """A setting of a limit with its interval, for people: `20.7 deg (20.1 to 21.3)`."""
+    """A limit setting with its interval, for people: `20.7 deg (20.1 to 21.3)`."""
     unit, factor = PEOPLE[limit]
     value, low, high = (None if v is None else f"{factor * v:.3g}" for v in (figure.value, *figure.ci95))
     interval = f" ({low or 'open'} to {high or 'open'})" if low or high else ""

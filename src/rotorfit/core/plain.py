@@ -1,7 +1,7 @@
-"""Texts from strangers, TOML and JSON, as plain types; and values as TOML writes them.
+"""Untrusted texts in TOML and JSON, parsed to plain types; values formatted as TOML.
 
-What no card, model or plan has ends in a ValueError of one line: nesting without end, integers that are no float,
-names as long as a book. Whoever reads a file turns it into its own error.
+Input that no card, model or plan contains (unlimited nesting, integers beyond 64 bits, names of book length) raises a
+ValueError of one line. The reader of each kind of file turns it into its own error.
 """
 
 import json
@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 DEEPEST = 32
-"""Most levels of sections and lists in one another."""
+"""Maximum nesting of sections and lists."""
 
 LARGEST_TOML = 4 << 20
-"""Bytes of a text in TOML: a draft with the names of 40,000 columns below it."""
+"""Maximum bytes of a TOML text: enough for a draft with the names of 40,000 columns in its comments."""
 
 LARGEST_JSON = 64 << 20
-"""Bytes of a text in JSON: fifty times the largest model."""
+"""Maximum bytes of a JSON text: fifty times the largest model."""
 
 LONGEST_NAME = 1000
-"""Most characters of a name, or of a value that an error shows."""
+"""Maximum characters of a name, or of a value shown in an error."""
 
 _INTEGERS = range(-(1 << 63), 1 << 63)
 
@@ -32,7 +32,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udf
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; what can be no path, as it is too long or holds a zero byte, is none."""
+    """Whether a file exists; a text that cannot be a path (too long, or with a null byte) is no file."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -40,11 +40,11 @@ def is_file(path: Path) -> bool:
 
 
 def plain_toml(text: str) -> dict[str, Any]:
-    """The sections and keys of a text in TOML.
+    """Parses a TOML text into its sections and keys.
 
     Raises:
-        ValueError: Not TOML, or what no card or plan has: sections deeper than `DEEPEST`, an integer of more than 64
-            bits, more than `LARGEST_TOML`.
+        ValueError: Not TOML, or beyond what a card or plan contains: nesting deeper than `DEEPEST`, an integer of more
+            than 64 bits, a text longer than `LARGEST_TOML`.
     """
     _check_length(text, LARGEST_TOML)
     if max(run.count(".") for run in _BETWEEN_NAMES.split(text)) > LONGEST_NAME:  # tomllib takes squares of that time
@@ -60,10 +60,11 @@ def plain_toml(text: str) -> dict[str, Any]:
 
 
 def plain_json(text: str | bytes) -> Any:
-    """The value of a text in JSON.
+    """Parses a JSON text.
 
     Raises:
-        ValueError: Not JSON, or what no model has: as of `plain_toml`; NaN and infinities, which are no JSON.
+        ValueError: Not JSON, or beyond what a model contains, as in `plain_toml`; NaN and infinities, which are not
+            JSON.
     """
     _check_length(text, LARGEST_JSON)
     try:
@@ -84,7 +85,7 @@ _TOO_LARGE = "an integer of more than 64 bits"
 
 
 def _told(error: ValueError) -> str:
-    """What is wrong; Python's own bound on the digits of an integer is told as ours."""
+    """The message of a parsing error; Python's own limit on the digits of an integer is reported like ours."""
     return _TOO_LARGE if "integer string conversion" in str(error) else line_of(error)
 
 
@@ -104,7 +105,7 @@ def _check_length(text: str | bytes, most: int) -> None:
 
 
 def _check(raw: Any) -> None:
-    """Raises where a value is none that a file of ours has; level by level, for a deep one must not end in a trace."""
+    """Raises ValueError on a value that our files never contain; iterative, so that deep nesting cannot recurse."""
     level = [raw] if isinstance(raw, dict | list) else [[raw]]
     for _ in range(DEEPEST + 1):
         names = [name for one in level if isinstance(one, dict) for name in one]
@@ -120,28 +121,28 @@ def _check(raw: Any) -> None:
 
 
 def toml_text(text: str) -> str:
-    """A text as it stands in TOML, between quotation marks; what is no character (of a file's name) becomes one."""
+    """A text as a quoted TOML string; lone surrogates (from file names) become replacement characters."""
     quoted = json.dumps(re.sub("[\ud800-\udfff]", "\ufffd", text), ensure_ascii=False)
     return quoted.replace("\x7f", "\\u007f")
 
 
 def visible(text: str) -> str:
-    """A text with what would move a terminal's cursor, end a comment, or be no character, as its escape."""
+    """A text with escapes for control, bidirectional-override and surrogate characters."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def line_of(error: object, most: int = LONGEST_NAME) -> str:
-    """An error, or any text, as one visible line of bounded length."""
+    """An error, or any text, as one line of bounded length without control characters."""
     line = visible(" ".join(str(error).split()))
     return line if len(line) <= most else f"{line[: most - 1]}…"
 
 
 def text_of(path: Path) -> str:
-    """The text of a small file, of which no more is read than the largest model has.
+    """Reads a small text file; reading stops at the size of the largest model.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is no text, or too large.
+        OSError: The file cannot be read.
+        ValueError: It is not UTF-8 text, or too large.
     """
     with path.open("rb") as file:
         data = file.read(LARGEST_JSON + 1)
@@ -153,12 +154,12 @@ def text_of(path: Path) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, and no truth value; whole numbers must fit a float."""
+    """Whether a value is a finite number and not a bool; an integer must fit a float."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def shown(value: Any) -> str:
-    """A value for an error's text: one short line, whatever it is."""
+    """A value for an error message: one short line."""
     if isinstance(value, dict | list | tuple) and value:
         return f"{'a section' if isinstance(value, dict) else 'a list'} of {len(value)}"
     if isinstance(value, int) and value not in _INTEGERS:
@@ -167,7 +168,7 @@ def shown(value: Any) -> str:
 
 
 def place_of(keys: tuple[str | int, ...]) -> str:
-    """A place inside a file: `axes.x.ci95.input[1]`; a key that is no plain word is quoted."""
+    """A location inside a file: `axes.x.ci95.input[1]`; a key that is not a plain word is quoted."""
     parts = []
     for key in keys:
         plain = isinstance(key, str) and key.isascii() and key.replace("_", "").isalnum()
@@ -176,7 +177,7 @@ def place_of(keys: tuple[str | int, ...]) -> str:
 
 
 def check_finite(raw: Any) -> None:
-    """Refuses plain types in which a number is not finite; errors as `plain_toml`, with the place."""
+    """Raises ValueError, with the location, on a number in plain types that is not finite, or on too deep nesting."""
     waiting: list[tuple[Any, tuple[str | int, ...]]] = [(raw, ())]
     while waiting:
         value, place = waiting.pop()

@@ -1,4 +1,4 @@
-"""Progress: what a long computation tells its caller, and parts of it."""
+"""Progress of a long computation, reported to its caller."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ Progress = Callable[[float, str], None]
 
 
 def part_of(progress: Progress | None, place: int, of: int) -> Progress | None:
-    """Progress of one of several equal parts."""
+    """Maps the progress of one of several equal parts onto the whole; None stays None."""
     if progress is None:
         return None
     outer = progress

@@ -1,4 +1,4 @@
-"""Innovations of a model on a flight, their correlations, and the tests of them."""
+"""Innovations of a model on a flight, their correlations, and their tests."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from rotorfit.core.frames import Array
 
 @dataclass(frozen=True)
 class Innovations:
-    """One-step innovations of an axis on one flight, standardised. B blocks of poses.
+    """Standardised one-step innovations of an axis on one flight, for B blocks of poses.
 
     Attributes:
         time: Shape (B,) [s].
-        innovation: Shape (B,): white and of unit variance where the model is right.
-        past: The command of the axis k blocks before, for k = 1 ... L, up to a second back, shape (B, L).
-        sensitivity: Change of the innovations by -1 times a change of input, log damping and delay, as far as trim and
-            start cannot make up for it, shape (B, 3).
+        innovation: Shape (B,): white and of unit variance if the model is right.
+        past: Command of the axis k blocks before, for k = 1 ... L, up to one second, shape (B, L).
+        sensitivity: Negative derivative of the innovations with respect to input, log damping and delay, with the part
+            that trim and initial state can absorb removed, shape (B, 3).
     """
 
     time: Array
@@ -29,12 +29,12 @@ class Innovations:
 
 @dataclass(frozen=True)
 class Correlogram:
-    """Correlations over the lag with 95 % bands of their own.
+    """Correlations over the lag, each with its own 95 % band.
 
     Attributes:
         lag: Shape (L,) [s].
         value: Shape (L,).
-        band: Half width of the band of each, shape (L,): wider where the variance changes or neighbours go together.
+        band: Half width of each band, shape (L,): wider where the variance changes or neighbours are correlated.
     """
 
     lag: Array
@@ -49,21 +49,21 @@ class ResidualTests:
     """The tests of one axis on one flight.
 
     Attributes:
-        n: Innovations.
-        lags: How many lags, up to a second, the test of whiteness takes.
-        ljung_box: Its classic statistic, chi-squared with `lags` degrees of freedom if the innovations are white.
-        ljung_box_p: p-value of it.
-        white_p: The same where the variance may change during the flight: what the verdict takes.
-        command_freedom: How many independent past commands, up to a second back, the second test takes.
-        command_p: p-value of the innovations not following them; None where the axis was not commanded.
+        n: Number of innovations.
+        lags: Number of lags, up to one second, in the test of whiteness.
+        ljung_box: Classic Ljung-Box statistic, chi-squared with `lags` degrees of freedom if the innovations are white.
+        ljung_box_p: Its p-value.
+        white_p: p-value of the test that allows the variance to change during the flight; the verdict uses this one.
+        command_freedom: Number of independent past commands, up to one second, in the second test.
+        command_p: p-value of independence from the past commands; None where the axis was not commanded.
         command_peak: Largest correlation with a past command, in units of its 95 % band.
-        command_peak_lag: Its lag [s].
-        variance_ratio: Mean square of the innovations with the levels of the fit; 1 if wind and noise are those of
-            the fit.
-        variance_ci95: Its 95 % interval, what the fit knows of its levels included.
-        optimism: Coefficient name to the factor by which its interval would be too narrow for innovations like these.
-        white: Whether nothing speaks against whiteness at 95 %.
-        follows_command: Whether they follow the past commands, at 95 %; None where there were none.
+        command_peak_lag: Lag of that correlation [s].
+        variance_ratio: Mean square of the innovations at the levels of the fit; 1 if wind and noise equal those of the
+            fit.
+        variance_ci95: Its 95 % interval, including the uncertainty of the levels.
+        optimism: Coefficient name to the factor by which its interval would be too narrow for such innovations.
+        white: Whether whiteness is not rejected at 95 %.
+        follows_command: Whether the innovations depend on past commands, at 95 %; None where there were none.
     """
 
     n: int

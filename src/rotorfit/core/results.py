@@ -1,4 +1,4 @@
-"""Results: Fit with the paper's regression, Validation with scores, paired tests and tests of the residuals."""
+"""Results: Fit with the paper's regression, Validation with scores, paired tests and residual tests."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ PaperStatus = Literal["ok", "not_excited", "not_identifiable", "too_short"]
 
 @dataclass(frozen=True)
 class Motion:
-    """What the regression sees of a flight: the N pose stamps where the command is known and a whole window fits.
+    """Input of the regression from one flight: the N pose stamps at which the command is known and a whole window fits.
 
     Attributes:
         time: Stamps, shape (N,) [s].
         yaw: Heading, shape (N,) [rad].
-        command: The command that is held at the stamp, x, y, z, yaw, in the heading frame, shape (N, 4).
+        command: Command held at the stamp, x, y, z, yaw, in the heading frame, shape (N, 4).
         velocity: x, y, z, yaw, in the HEADING frame, shape (N, 4) [m/s, rad/s].
         acceleration: x, y, z, yaw, in the WORLD frame, shape (N, 4) [m/s^2, rad/s^2].
     """
@@ -62,23 +62,23 @@ class Motion:
 
 @dataclass(frozen=True)
 class PaperFit:
-    """Result of the paper's regression. Axes of length 8 are gamma_1 .. gamma_8: input and damping of x, y, z, yaw.
+    """Result of the paper's regression. Length 8 is gamma_1 .. gamma_8: input and damping of x, y, z, yaw.
 
     Attributes:
         gamma: Shape (8,); NaN for an axis without numbers.
         stderr: Shape (8,), from `covariance`.
-        covariance: Shape (8, 8), valid under autocorrelated residuals (Newey and West), NaN as in `gamma`.
+        covariance: Shape (8, 8), robust to autocorrelated residuals (Newey and West), NaN as in `gamma`.
         covariance_ols: Shape (8, 8), the textbook sigma^2 (X^T X)^-1; far too small here, kept for comparison.
-        status: Requested axis to what became of it.
+        status: Requested axis to its status.
         reason: Axis whose status is not `ok` to the reason, one sentence.
-        r_squared: Axis to the share of the variance of its acceleration that is explained, x and y along the heading.
+        r_squared: Axis to the explained share of the variance of its acceleration, x and y in the heading frame.
         condition: Axis to the condition number of its equation, columns scaled to unit length.
         lag: Axis to the lag up to which autocorrelation of the residuals enters `covariance` [s].
         rows: Axis to the number of pose stamps used.
         half_width: Half the width of the window [s].
         degree: Degree of the polynomial.
-        motions: Measured accelerations, one a flight, in the order of the flights.
-        modelled: Accelerations by eq. (6) at the same stamps, WORLD frame, one of shape (N, 4) a flight. Together with
+        motions: Measured accelerations, one element per flight, in the order of the flights.
+        modelled: Accelerations by eq. (6) at the same stamps, WORLD frame, shape (N, 4) per flight. Together with
             `motions` they are the paper's Figure 4; see `modelled_acceleration` for axes without numbers.
     """
 
@@ -138,15 +138,16 @@ class AxisScore:
 
 @dataclass(frozen=True)
 class StartErrors:
-    """Squared errors start by start, over all segments of a flight; what a paired test compares. S starts.
+    """Squared errors for each start, over all segments of a flight, for the paired tests; S starts.
 
-    Their sums give the scores: velocity RMSE = sqrt(velocity.sum() / steps.sum()), position RMSE = sqrt(mean position).
+    The scores follow from their sums: velocity RMSE = sqrt(velocity.sum() / steps.sum()), position RMSE =
+    sqrt(mean position).
 
     Attributes:
-        start: Shape (S,) [s].
-        velocity: Sum over the steps up to the horizon, shape (S, 4) [m^2/s^2 or rad^2/s^2].
-        steps: How many steps that are, shape (S, 4).
-        position: Of the end point, shape (S, 4) [m^2 or rad^2].
+        start: Start times, shape (S,) [s].
+        velocity: Squared velocity errors summed over the steps up to the horizon, shape (S, 4) [m^2/s^2 or rad^2/s^2].
+        steps: Number of those steps, shape (S, 4).
+        position: Squared errors of the end point, shape (S, 4) [m^2 or rad^2].
     """
 
     start: Array
@@ -158,7 +159,7 @@ class StartErrors:
 
 
 def student_quantile(freedom: float) -> float:
-    """97.5 % point of Student's distribution."""
+    """97.5 % point of Student's t distribution."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, 0.975))
@@ -166,12 +167,12 @@ def student_quantile(freedom: float) -> float:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pose that was left out.
+    """A pose that was excluded as an outlier.
 
     Attributes:
-        time: Of the pose [s].
-        axis: On which it is furthest off, in standard deviations.
-        size: How far it lies from where the filter expected it [m or rad].
+        time: Stamp of the pose [s].
+        axis: Axis of the largest deviation in standard deviations.
+        size: Distance from the filter's prediction [m or rad].
     """
 
     time: float
@@ -180,26 +181,26 @@ class Outlier:
 
 
 Outliers = tuple[tuple[Outlier, ...], ...]
-"""Of each flight."""
+"""Outliers of each flight."""
 
 BRAKING_LEVEL = 1e-4
-"""p-value below which it is a finding."""
+"""p-value below which braking is a finding."""
 
 LEAST_BRAKING = 0.3
-"""Further damping that is said, as a share of the law's own, and at the least [1/s]."""
+"""Least further damping that is reported, as a share of the law's own damping (at least 1 [1/s])."""
 
 
 @dataclass(frozen=True)
 class Braking:
-    """The test of one axis.
+    """Test of one axis for further damping while its command is zero.
 
     Attributes:
-        further: Damping that acts beside the law's own while the command is zero [1/s]; of one linearised step.
-        error: Its standard error.
-        probability: Of so much of it by chance.
-        share: Of the flights, in which the command is zero.
-        damping: Of the law [1/s].
-        delay: Of the law [s].
+        further: Damping in addition to the law's own while the command is zero, from one linearised step [1/s].
+        error: Its standard error [1/s].
+        probability: p-value of no further damping.
+        share: Share of the flights during which the command is zero.
+        damping: Damping of the law [1/s].
+        delay: Delay of the law [s].
     """
 
     further: float
@@ -211,7 +212,7 @@ class Braking:
 
     @property
     def acts(self) -> bool:
-        """Whether it brakes beyond doubt, and by much beside the damping of the law."""
+        """Whether the further damping is significant and large compared with the law's."""
         return self.probability < BRAKING_LEVEL and self.further > LEAST_BRAKING * max(self.damping, 1.0)
 
 
@@ -223,10 +224,12 @@ class Fit:
         model: Coefficients, intervals, statuses.
         flights: In the order of `model.flights`.
         paper: The paper's regression on the same flights.
-        estimates: Axis name to the maximum of its likelihood, an `Estimate` of the estimation; none for other methods.
-        remarks: Axis name to what a rung says of its numbers: why there is none, which instrument, whether it is valid.
-        outliers: Poses of each flight that the robust method left out.
-        braking: Axis that obeys another law while its command is zero to the test that says so, and the time of the
+        estimates: Axis name to the maximum of its likelihood, an `Estimate` of the estimation; empty for other methods.
+        remarks: Axis name to remarks of a rung on its numbers: why there is none, which instrument, whether it is
+            valid.
+        outliers: Poses of each flight that the robust method excluded.
+        braking: Axis that obeys another law while its command is zero, to the test that shows it and the duration of
+            the
             parts that it was fitted to [s].
     """
 
@@ -252,17 +255,17 @@ Quantity = Literal["velocity", "position"]
 
 @dataclass(frozen=True)
 class Difference:
-    """Errors of a first predictor less those of a second on the same starts; None where there is no number.
+    """Errors of a first predictor less those of a second on the same starts.
 
     Attributes:
-        n: Pairs of predictions.
+        n: Number of pairs of predictions.
         rmse: Difference of the RMSE [m/s, m; rad/s, rad]: negative where the first is better.
-        rmse_stderr: Its standard error, by the delta method.
-        freedom: Degrees of freedom of that.
-        p: Two-sided, by Student's t.
-        mse: Difference of the mean squares, in the same units squared.
-        mse_stderr: Its standard error.
-        verdict: Of the first: `better`, `worse`, `no_difference_shown` at 95 %, or `too_short` for a standard error.
+        rmse_stderr: Its standard error, by the delta method; None if there are too few pairs.
+        freedom: Degrees of freedom of `rmse_stderr`; None likewise.
+        p: Two-sided p-value, by Student's t; None likewise.
+        mse: Difference of the mean squared errors, in the same units squared.
+        mse_stderr: Its standard error; None likewise.
+        verdict: On the first: `better`, `worse`, `no_difference_shown` at 95 %, or `too_short` for a standard error.
     """
 
     n: int
@@ -276,7 +279,7 @@ class Difference:
 
     @property
     def rmse_ci95(self) -> tuple[float, float] | None:
-        """95 % interval of the difference of the RMSE, by Student's t: it holds 0 where no difference is shown."""
+        """95 % interval of the difference of the RMSE, by Student's t: it contains 0 where no difference is shown."""
         if self.rmse_stderr is None or self.freedom is None:
             return None
         half = student_quantile(self.freedom) * self.rmse_stderr
@@ -285,12 +288,12 @@ class Difference:
 
 @dataclass(frozen=True)
 class Paired:
-    """One axis and quantity at one horizon.
+    """Paired test of one axis and quantity at one horizon.
 
     Attributes:
-        flights: One each; None where one of the two predicts nothing, or fewer than five starts are common.
-        pooled: Those that count together, weighted by their predictions; None where none does.
-        agreement: p-value of the difference being the same on all that count; None for fewer than two.
+        flights: One per flight; None where one of the two predicts nothing, or fewer than five starts are common.
+        pooled: All flights that count, weighted by their number of predictions; None where none counts.
+        agreement: p-value that the difference is the same on all flights that count; None for fewer than two.
     """
 
     flights: tuple[Difference | None, ...]
@@ -300,11 +303,11 @@ class Paired:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two predictors on the same flights.
+    """Paired test of two predictors on the same flights.
 
     Attributes:
-        first: Name of the one that is judged.
-        second: Name of the one that it is judged against.
+        first: Name of the predictor that is judged.
+        second: Name of the predictor that it is compared with.
         axes: Axis name to horizon [s] as `%g` to `velocity` and `position`.
     """
 
@@ -318,12 +321,12 @@ class FlightScores:
     """Prediction errors on one flight.
 
     Attributes:
-        path: Of its log.
-        span: Seconds of its common window.
-        axes: Axis name to errors; None in place of every number of an axis that has no model.
+        path: Path of its log.
+        span: Start and end of the part used, within its common window [s].
+        axes: Axis name to errors; for an axis without a model every number is None.
         heading: `predicted` by the model's own yaw, or `measured` where it has none.
-        fitted: Whether the model was fitted to part of this very stretch: then the scores prove nothing.
-        moved: The axes that the flight commands, and does not merely hold where another one moves them.
+        fitted: Whether the model was fitted to part of this stretch: then the scores prove nothing.
+        moved: The axes that the flight excites itself, rather than merely holding while another axis moves them.
     """
 
     path: str
@@ -337,22 +340,22 @@ class FlightScores:
 SCORE_COLUMNS = (
     "flight", "fitted", "axis", "moved", "predictor", "horizon", "velocity_rmse", "position_rmse", "n", "fit_percent",
 )  # fmt: skip
-"""Of the rows of a validation."""
+"""Columns of the rows of a validation."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One coefficient in the fits that each leave out one flight.
+    """One coefficient across the fits that each leave out one flight.
 
     Attributes:
-        axis: Name.
+        axis: `x`, `y`, `z` or `yaw`.
         name: `input`, `damping`, `delay`, `steady_gain` or `total_lag`.
-        values: One each flight that is left out, the predictor's own; None where the flight does not move the axis, or
-            the others cannot tell.
+        values: The predictor's value for each left-out flight; None where that flight does not move the axis, or the
+            others do not identify it.
         low: The smallest.
         high: The largest.
-        jackknife_stderr: Standard error of a fit to all flights, by how much it changes when one is missing; None
-            unless every flight that moves the axis can be left out.
+        jackknife_stderr: Jackknife standard error of the fit to all flights; None unless every flight that moves the
+            axis can be left out.
     """
 
     axis: str
@@ -368,18 +371,19 @@ class Validation:
     """Prediction errors of a model and of the naive baselines on the same flights.
 
     Attributes:
-        flights: Of the model, one each.
-        baselines: `hold` (the world velocity of the start is kept), `paper` (the paper's coefficients of the model's
-            training flights, without delay, with a filter, trim and start of their own) and `coast` (the same
-            coefficients from the state of the model's filter, without trim and disturbance), each one each flight.
-        errors: `model`, `hold`, `paper` and `coast` to the errors behind the scores, start by start: a mapping a
+        flights: Scores of the model, one element per flight.
+        baselines: `hold` (the world velocity at the start is kept), `paper` (the paper's coefficients of the model's
+            training flights, without delay, with their own filter, trim and initial state) and `coast` (the same
+            coefficients from the state of the model's filter, without trim and disturbance), each one element per
+            flight.
+        errors: `model`, `hold`, `paper` and `coast` to the errors behind the scores, start by start: one mapping per
             flight, from the horizon; NaN for an axis without a model.
         paired: The model against each baseline.
-        residuals: A mapping a flight, from the axes that it commands and the model knows to tests of the innovations.
-        findings: What the tests of the innovations and of the frequency responses say, in words.
-        responses: A mapping a flight, from the same axes to their frequency responses beside the model's.
-        bands: A mapping a flight, from the axes that the model knows and the horizons to how often the error bands
-            that the predictor stated held.
+        residuals: One mapping per flight, from the axes that it commands and the model knows to the innovation tests.
+        findings: Findings from the tests of the innovations and of the frequency responses.
+        responses: One mapping per flight, from the same axes to their frequency responses compared with the model's.
+        bands: One mapping per flight, from the axes that the model knows and the horizons to the coverage of the error
+            bands that the predictor stated.
     """
 
     flights: tuple[FlightScores, ...]
@@ -402,23 +406,23 @@ class Validation:
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """The errors of predictions as a data frame, a row for each flight, axis, predictor and horizon.
+        """The prediction errors as a data frame, one row for each flight, axis, predictor and horizon.
 
         Args:
             library: `polars`, or `pandas`, which must be installed.
 
         Returns:
-            A `DataFrame` of the columns `flight`, `fitted` (the model knows the flight), `axis`, `moved` (the flight
-            moves it), `predictor` (`model`, `hold`, `paper`, `coast`), `horizon` [s], `velocity_rmse`, `position_rmse`
-            [SI], `n` and `fit_percent`; null where there is no number.
+            A `DataFrame` with the columns `flight`, `fitted` (the model was fitted to part of it), `axis`, `moved` (the
+            flight excites the axis), `predictor` (`model`, `hold`, `paper`, `coast`), `horizon` [s], `velocity_rmse`
+            [m/s or rad/s], `position_rmse` [m or rad], `n` and `fit_percent`; null where there is no number.
 
-        Raises:
-            ModuleNotFoundError: pandas is asked for and not installed.
+            Raises:
+                ModuleNotFoundError: pandas is requested but not installed.
         """
         return frame(columns_of(SCORE_COLUMNS, self.rows()), library)
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """The rows of `to_frame`, of the columns `SCORE_COLUMNS`."""
+        """The rows of `to_frame`, with the columns `SCORE_COLUMNS`."""
         everyone = {"model": self.flights, **self.baselines}
         scores = [
             ((flight.path, flight.fitted, axis, axis in flight.moved, predictor), score)
@@ -433,10 +437,10 @@ class Validation:
         ]
 
     def plot(self) -> tuple[Axes, ...]:
-        """Draws the errors of predictions over the horizon, a line for each flight that moves the axis.
+        """Draws the prediction errors over the horizon, one line for each flight that moves the axis.
 
         Returns:
-            The matplotlib axes: errors of the velocity of each axis, then of its position.
+            The matplotlib axes: velocity errors of each axis, then position errors.
 
         Raises:
             FlightError: No flight moves an axis.
@@ -465,7 +469,7 @@ class Validation:
         return lines
 
     def _table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
-        """Title, heads and rows: errors of the velocity at the horizon nearest to 1 s, of the axes that are moved."""
+        """Title, heads and rows: velocity errors of the moved axes at the horizon nearest to 1 s."""
         horizons = {horizon for flight in self.flights for score in flight.axes.values() for horizon in score.horizons}
         if not horizons:
             return "Validation on no flight", (), []

@@ -1,4 +1,4 @@
-"""Tracked: what is known of a vehicle at one moment of its flight; Alarm: that it is another one since; Regime."""
+"""Tracked: what is known of a vehicle at one moment of its flight; Alarm: a change of the vehicle; Regime; Track."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ if TYPE_CHECKING:
     from rotorfit.core.model import Interval, Model
 
 Knowledge = Literal["learning", "known", "holding", "not_identifiable", "not_excited"]
-"""What an axis is: too short a flight so far, all coefficients told, none commanded for a while (the last values hold),
-commanded but not told, or not moved by its commands."""
+"""State of an axis: flight too short so far; all coefficients told; not commanded for a while, so that the last values
+hold; commanded but not identifiable; not moved by its commands."""
 
 Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "another_vehicle", "other"]
-"""What a change probably is; see `docs/track.md`."""
+"""Probable cause of a change; see `docs/track.md`."""
 
 QUANTITIES = ("input", "damping", "delay", "lag", "steady_gain", "total_lag")
-"""What an axis has, in the order of the lines that `rotorfit track --jsonl` prints."""
+"""The quantities of an axis, in the order of the lines that `rotorfit track --jsonl` prints."""
 
 
 @dataclass(frozen=True)
 class TrackedAxis:
-    """One axis at one moment.
+    """State of one axis at one moment.
 
     Attributes:
         knowledge: In one word.
         state: In words, such as `holding (no excitation for 12 s)`.
         values: Name of `QUANTITIES` to its estimate; None where it is not told.
-        ci95: The same to the 95 % interval of the vehicle, on this flight or another; an open end is None.
-        ci95_flight: The same to the interval of this flight alone: of a vehicle that obeys its law exactly.
+        ci95: The same to the 95 % interval for the vehicle, on this flight or another; an open end is None.
+        ci95_flight: The same to the interval for this flight alone, assuming a vehicle that obeys its law exactly.
         structure: Name of the law.
-        wind: Acceleration that the commands do not explain, the trim with it [m/s^2, rad/s^2]; None where unknown.
+        wind: Acceleration that the commands do not explain, including the trim [m/s^2, rad/s^2]; None where unknown.
         wind_ci95: Its 95 % interval.
-        gusts: Standard deviation of the velocity that gusts give the vehicle [m/s, rad/s]; None where unknown.
-        velocity: World x, y, z and the rate of yaw [m/s, rad/s]; None where unknown.
-        ahead: The same a second later, if the last command holds; None where unknown.
+        gusts: Standard deviation of the velocity caused by gusts [m/s, rad/s]; None where unknown.
+        velocity: World x, y, z or the yaw rate [m/s, rad/s]; None where unknown.
+        ahead: Velocity one second later, if the last command holds [m/s, rad/s]; None where unknown.
         ahead_ci95: Its 95 % band.
-        earlier: Name of the earlier model that the values are from; empty where this flight tells them.
-        against: Name of `QUANTITIES` to the ratio of what this flight tells to what the earlier model did, of `delay`,
-            `lag` and `total_lag` the difference [s], with its 95 % interval; only where both tell it.
+        earlier: Name of the earlier model that the values are from; empty where they are from this flight.
+        against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`
+            and `total_lag` the difference [s], with its 95 % interval; only where both tell it.
     """
 
     knowledge: Knowledge = "learning"
@@ -79,7 +79,7 @@ class TrackedAxis:
     against: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:
-        """As a line of JSON holds it."""
+        """The state as a line of JSON holds it."""
         return {
             "state": self.state,
             **{name: self.values.get(name) for name in QUANTITIES},
@@ -102,11 +102,11 @@ class AxisMotion:
     """The motion of one axis at one pose.
 
     Attributes:
-        velocity: World x, y, z or the rate of yaw [m/s, rad/s].
-        wind: Acceleration that the commands do not explain, the trim with it [m/s^2, rad/s^2].
+        velocity: World x, y, z or the yaw rate [m/s, rad/s].
+        wind: Acceleration that the commands do not explain, including the trim [m/s^2, rad/s^2].
         wind_ci95: Its 95 % interval.
-        gusts: Standard deviation of the velocity that gusts give the vehicle [m/s, rad/s].
-        ahead: Velocity a second later, if the last command holds.
+        gusts: Standard deviation of the velocity caused by gusts [m/s, rad/s].
+        ahead: Velocity one second later, if the last command holds [m/s, rad/s].
         ahead_ci95: Its 95 % band.
     """
 
@@ -118,7 +118,7 @@ class AxisMotion:
     ahead_ci95: tuple[float, float]
 
     def to_mapping(self) -> dict[str, Any]:
-        """By the names that a state has in JSON."""
+        """The motion under the names that a state has in JSON."""
         return {
             "velocity": self.velocity,
             "wind": self.wind,
@@ -131,18 +131,18 @@ class AxisMotion:
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion at the last pose, by the coefficients of the last look.
+    """The motion at the last pose, with the coefficients of the last look.
 
     Attributes:
-        time: Of the pose, in the seconds of the flight.
-        axes: Axis name to its motion; those only whose damping is told.
+        time: Stamp of the pose, in seconds of the flight.
+        axes: Axis name to its motion, for the axes whose damping is told.
     """
 
     time: float
     axes: Mapping[str, AxisMotion]
 
     def to_mapping(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """The motion as JSON holds it."""
         return {
             "type": "motion",
             "time": self.time,
@@ -152,13 +152,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Air:
-    """The mean wind of the last half minute, where commands are tilts and damping is drag.
+    """Mean wind over the last half minute, where commands are tilts and damping is drag.
 
-    Attributes:
-        speed: [m/s].
-        speed_ci95: [m/s].
-        direction: Where it blows to, from the world's x counter-clockwise [rad].
-        direction_ci95: [rad].
+    speed: Wind speed [m/s].
+    speed_ci95: Its 95 % interval [m/s].
+    direction: Direction that the wind blows towards, counter-clockwise from the world's x [rad].
+    direction_ci95: Its 95 % interval [rad].
     """
 
     speed: float
@@ -168,12 +167,12 @@ class Air:
 
     @property
     def told(self) -> bool:
-        """Whether it is told from still air, which has no direction."""
+        """Whether the wind is distinguishable from still air, which has no direction."""
         begin, end = self.direction_ci95
         return self.speed_ci95[0] > 0 and end - begin < 2 * np.pi * (1 - 1e-9)
 
     def to_mapping(self) -> dict[str, Any]:
-        """As a line of JSON holds it."""
+        """The wind as a line of JSON holds it."""
         return {
             "speed": self.speed,
             "speed_ci95": list(self.speed_ci95),
@@ -184,18 +183,18 @@ class Air:
 
 @dataclass(frozen=True)
 class Alarm:
-    """The vehicle, or what measures it, is not what it was.
+    """A detected change of the vehicle, or of what measures it.
 
     Attributes:
         time: When it was raised [s].
-        axes: Which axes changed.
-        cause: What it probably is.
-        since: 95 % interval of when it happened [s].
-        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; of `delay` and `trim` the difference
+        axes: The axes that changed.
+        cause: Probable cause.
+        since: 95 % interval of the time of the change [s].
+        change: `AXIS.QUANTITY` to the 95 % interval of the ratio of new to old; for `delay` and `trim` the difference
             [s, m/s^2 or rad/s^2].
-        confidence: Share of the evidence that the named cause has among all that were compared.
-        p_value: Of a vehicle that did not change giving as much, before the number of looks is counted.
-        why: Why this cause and not the others, a sentence.
+        confidence: Share of the evidence for this cause among all that were compared.
+        p_value: Probability of at least as much evidence without a change, before correction for the number of looks.
+        why: Why this cause and not the others, one sentence.
     """
 
     time: float
@@ -208,7 +207,7 @@ class Alarm:
     why: str
 
     def to_mapping(self) -> dict[str, Any]:
-        """As a line of JSON holds it."""
+        """The alarm as a line of JSON holds it."""
         return {
             "type": "alarm",
             "time": self.time,
@@ -223,7 +222,7 @@ class Alarm:
 
 
 def alarm_from_mapping(mapping: Mapping[str, Any]) -> Alarm:
-    """The alarm whose attributes a file holds."""
+    """The alarm from its attributes as stored in a file."""
     pairs = {name: tuple(mapping[name]) for name in ("axes", "since")}
     change = {name: tuple(ends) for name, ends in mapping["change"].items()}
     return Alarm(**{**mapping, **pairs, "change": change})
@@ -231,13 +230,13 @@ def alarm_from_mapping(mapping: Mapping[str, Any]) -> Alarm:
 
 @dataclass(frozen=True)
 class Regime:
-    """A stretch of flight in which the vehicle was one and the same.
+    """A stretch of flight in which the vehicle did not change.
 
     Attributes:
-        start: [s].
-        end: [s].
-        model: Fitted to it; None where it was too short.
-        begun_by: The alarm that began it; None for the first.
+        start: Start [s].
+        end: End [s].
+        model: Model fitted to it; None where it was too short.
+        begun_by: The alarm at its start; None for the first.
     """
 
     start: float
@@ -248,17 +247,17 @@ class Regime:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What is known at one moment.
+    """State of a tracked vehicle at one moment.
 
     Attributes:
-        time: In the seconds of the flight.
-        axes: Axis name to what is known of it.
-        alarms: Raised since the state before.
+        time: In seconds of the flight.
+        axes: Axis name to its state.
+        alarms: Alarms raised since the previous state.
         regime: Number of the regime, from 0.
         regime_start: When it began [s].
-        air: The mean wind; None where it is not known, or damping is no drag.
-        model: As of the last refit of each axis: what `validate`, `tune` and `export` take; None before the first.
-        landed: Whether it is the last, after a last fit of what there is.
+        air: The mean wind; None where it is unknown, or where damping is not drag.
+        model: Model of the last refit of each axis, for `validate`, `tune` and `export`; None before the first.
+        landed: Whether it is the last state, after a final fit of all data.
     """
 
     time: float
@@ -271,7 +270,7 @@ class Tracked:
     landed: bool = False
 
     def to_mapping(self) -> dict[str, Any]:
-        """As a line of JSON holds it."""
+        """The state as a line of JSON holds it."""
         return {
             "type": "state",
             "time": self.time,
@@ -282,10 +281,10 @@ class Tracked:
 
 
 TIMELINE = ("input", "damping", "delay")
-"""The quantities that a figure of the whole flight shows."""
+"""The quantities shown in a figure of the whole flight."""
 
 WIDEST = 6.0
-"""A picture is not scaled to intervals so many times as wide as their median: the first seconds know little."""
+"""A plot ignores intervals wider than this many times their median when it sets its scale: they are wide at first."""
 
 
 @dataclass(frozen=True)
@@ -306,7 +305,7 @@ class Timeline:
 
     @property
     def shown(self) -> tuple[float, float] | None:
-        """What a picture shows: all but the ends of intervals out of all proportion; None without values."""
+        """Range of the y axis, ignoring the ends of disproportionately wide intervals; None without values."""
         told = np.isfinite(self.value)
         if not told.any():
             return None
@@ -321,10 +320,10 @@ class Timeline:
 
 @dataclass(frozen=True, repr=False)
 class Track:
-    """A whole flight as it was tracked.
+    """A whole tracked flight.
 
     Attributes:
-        states: One a second, in order; the last is that of the end, after a last fit.
+        states: One per second, in order; the last is at the end, after a final fit.
         regimes: In order, each with its model.
     """
 
@@ -333,20 +332,20 @@ class Track:
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """All that were raised, in order."""
+        """All alarms, in order."""
         return tuple(alarm for state in self.states for alarm in state.alarms)
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the axes that a command moved, in the order of the states."""
+        """Names of the axes moved by a command, in the order of the states."""
         names = dict.fromkeys(name for state in self.states for name in state.axes)
         return tuple(n for n in names if any(_at(state, n).knowledge != "not_excited" for state in self.states))
 
     def timeline(self, axis: str, name: str) -> Timeline:
-        """One quantity of one axis over the flight, as far as this flight told it: nothing of an earlier model.
+        """One quantity of one axis over the flight, as told by this flight; values of an earlier model are left out.
 
         Args:
-            axis: Its name.
+            axis: `x`, `y`, `z` or `yaw`.
             name: One of `QUANTITIES`, or `wind`.
         """
         every = [TrackedAxis() if (one := _at(state, axis)).earlier else one for state in self.states]
@@ -381,19 +380,19 @@ class Track:
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """What was known as a data frame, a row for each second and axis.
+        """The states as a data frame, one row for each state and axis.
 
         Args:
             library: `polars`, or `pandas`, which must be installed.
 
         Returns:
-            A `DataFrame` of the columns `time` [s], `regime`, `axis`, `knowledge`, `state` in words, `earlier`, the
-            model that the numbers are from where it is not this flight, `structure`; of
-            each quantity `NAME`, `NAME_low` and `NAME_high`, the ends of its 95 % interval; `wind`, `wind_low`,
-            `wind_high`, `gusts`, `velocity`, `ahead`, `ahead_low`, `ahead_high`; null where unknown, and for open ends.
+            A `DataFrame` with the columns `time` [s], `regime`, `axis`, `knowledge`, `state` in words, `earlier` (the
+            model that the values are from, if not this flight), `structure`; for each quantity `NAME`, `NAME_low` and
+            `NAME_high`, the ends of its 95 % interval; `wind`, `wind_low`, `wind_high`, `gusts`, `velocity`, `ahead`,
+            `ahead_low`, `ahead_high`; null where unknown, and for open ends.
 
         Raises:
-            ModuleNotFoundError: pandas is asked for and not installed.
+            ModuleNotFoundError: pandas is requested but not installed.
         """
         with_ends = [(name, f"{name}_low", f"{name}_high") for name in (*QUANTITIES, "wind", "ahead")]
         heads = ("time", "regime", "axis", "knowledge", "state", "earlier", "structure", "gusts", "velocity")
@@ -410,12 +409,13 @@ class Track:
         return frame(columns_of([*heads, *(head for three in with_ends for head in three)], rows), library)
 
     def plot(self) -> tuple[Axes, ...]:
-        """Draws input, damping and delay of each axis over the flight with their 95 % intervals.
+        """Draws input, damping and delay of each axis over the flight, with their 95 % intervals.
 
         Every second regime is grey; alarms are vertical lines.
 
         Returns:
-            The matplotlib axes, row by row: a row for each quantity, a column for each axis that commands moved.
+            The matplotlib axes, row by row: one row for each quantity, one column for each moved axis; empty without
+            one.
         """
         units = {"damping": "1/s", "delay": "s"}
         grey = [(one.start, one.end) for one in self.regimes[1::2]]

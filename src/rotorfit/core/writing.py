@@ -1,4 +1,4 @@
-"""Writing: a file is the old one or the new one, whole, whatever happens meanwhile: a full disk, a kill, no power."""
+"""Atomic writing: after a full disk, a kill or a power failure a file is either the old one or the new one, whole."""
 
 import os
 import shutil
@@ -9,18 +9,18 @@ from tempfile import NamedTemporaryFile
 
 
 def write_whole(path: str | Path, content: str | bytes, keep: bool = True) -> Path | None:
-    """Writes a file beside its place, syncs it and puts it there.
+    """Writes a temporary file beside the target, syncs it, and moves it into place.
 
     Args:
-        path: Where it goes; a link is followed, what is no ordinary file (a terminal, a pipe) is written to.
-        content: Text is written as UTF-8; signs that it has no place for, of paths that are no text, as `?`.
-        keep: Whether what it replaces is kept, with a tilde behind its name.
+        path: Target; a symbolic link is followed; anything but a regular file (a terminal, a pipe) is written directly.
+        content: Text is written as UTF-8; lone surrogates, from paths that are not text, become `?`.
+        keep: Whether a replaced file is kept, with a tilde after its name.
 
     Returns:
-        Where the earlier file is kept; None where there was none, or the same.
+        Path of the kept earlier file; None where there was none, or its content was the same.
 
     Raises:
-        OSError: It cannot be written, with its name; what was there is as it was.
+        OSError: It cannot be written; the error names the file, and the earlier content is unchanged.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     place = Path(path).resolve()
@@ -45,7 +45,7 @@ def _replaced(place: Path, named: Path, data: bytes, keep: bool) -> Path | None:
 
 
 def _beside(place: Path, data: bytes) -> Path:
-    """A file with these bytes, on the disk, in the folder of its later place and with the rights of what is there."""
+    """A synced file with these bytes in the folder of the target, with the permissions of the file it will replace."""
     with NamedTemporaryFile(dir=place.parent, prefix=f".{place.name[:100]}.", suffix=".new", delete=False) as file:
         new = Path(file.name)
         with _gone_on_failure(new):
@@ -57,7 +57,7 @@ def _beside(place: Path, data: bytes) -> Path:
 
 
 def _copied(place: Path, earlier: Path) -> None:
-    """A second name for a file, in place of what has that name; a copy where the disk knows no second names."""
+    """Hard-links a file under a second name, replacing what is there; copies it where links are unsupported."""
     if earlier.exists() and earlier.samefile(place):  # a kill came between two renames; one onto itself does nothing
         return
     second = place.with_name(f".{place.name[:100]}.{os.getpid()}.old")
@@ -72,7 +72,7 @@ def _copied(place: Path, earlier: Path) -> None:
 
 @contextmanager
 def _gone_on_failure(path: Path) -> Iterator[None]:
-    """Leaves no half-written file behind, whatever stops the work: a full disk, Ctrl-C."""
+    """Removes a half-written file, whatever interrupts the work: a full disk, Ctrl-C."""
     done = False
     try:
         yield
@@ -84,7 +84,7 @@ def _gone_on_failure(path: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """The names in a folder reach the disk, too; some file systems cannot be asked."""
+    """Syncs the names in a folder to the disk; file systems that do not support it are ignored."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
