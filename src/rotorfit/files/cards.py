@@ -1,4 +1,4 @@
-"""TOML -> Card: every key checked, the nearest name offered for one that nobody knows."""
+"""TOML -> Card: every key is checked; for an unknown one the nearest known name is suggested."""
 
 import functools
 import math
@@ -52,13 +52,13 @@ def load_card(name_or_path: str | Path) -> Card:
     """Loads a built-in card by its name, or a card from a TOML file.
 
     Args:
-        name_or_path: Name as `builtin_cards` lists them, or path of a TOML file.
+        name_or_path: Name as listed by `builtin_cards`, or path of a TOML file.
 
     Returns:
         The card, checked.
 
     Raises:
-        CardError: Neither a name nor a file; not TOML; or what `card_from_mapping` refuses.
+        CardError: Neither a known name nor a file; not TOML; or refused by `card_from_mapping`.
     """
     built_in, name_or_path = _builtin_files(), str(name_or_path)
     if name_or_path in built_in:
@@ -94,7 +94,7 @@ def builtin_card_text(name: str) -> str:
     """The TOML text of a built-in card.
 
     Raises:
-        CardError: There is none of that name; the nearest is named.
+        CardError: No card has this name; the nearest is suggested.
     """
     known = _builtin_files()
     if name not in known:
@@ -103,7 +103,7 @@ def builtin_card_text(name: str) -> str:
 
 
 def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
-    """Checks a card as parsed from TOML or as stored in a model file.
+    """Checks a card as parsed from TOML or stored in a model file.
 
     Args:
         raw: The sections and keys of a card.
@@ -113,8 +113,8 @@ def card_from_mapping(raw: Mapping[str, Any], where: str) -> Card:
         The card; its `raw` is the argument.
 
     Raises:
-        CardError: A key that nobody knows (the nearest is named), a wrong type, an unknown unit or meaning, or one of
-            `[command]`, `[pose]` and their essential keys is missing.
+        CardError: An unknown key (the nearest is suggested), a wrong type, an unknown unit or meaning, or a missing
+            `[command]` or `[pose]`, or one of their essential keys.
     """
     place = f"card {where}"
     _check_keys(raw, ("name", "frame", "clock", "fail_safe", "over", *_SECTIONS), place)
@@ -244,7 +244,7 @@ def _channels(raw: Mapping[str, Any], units: Mapping[str, tuple[str, ...]], plac
 
 
 def _recorded(section: Mapping[str, Any], key: str, units: tuple[str, ...], place: str) -> Channel:
-    """A channel that must be there and cannot be a constant: a clock, the window."""
+    """A required channel that must not be a constant, such as a clock or the window."""
     if key not in section:
         raise CardError(f"{place}: {key} is missing: which column?")
     channel = _channel(section[key], f"{place} {key}", units)
@@ -286,7 +286,7 @@ def _resets(value: Any, place: str) -> tuple[Channel, ...]:
 
 
 def _pose(section: Mapping[str, Any], velocity: Mapping[str, Any], place: str) -> dict[str, Channel]:
-    """x, y, z, and yaw or qw, qx, qy, qz; x with y, or z, may be missing where there is their velocity."""
+    """x, y, z, and yaw or qw, qx, qy, qz; x together with y, or z, may be missing where their velocity is given."""
     heading = _heading(section, place)
     missing = [axis for axis in ("x", "y", "z") if axis not in section]
     unknown = [axis for axis in missing if axis not in velocity]
@@ -337,7 +337,7 @@ def _limit_in_si(key: str, value: Any, place: str) -> float:
 
 
 def _priors(value: Any, place: str) -> dict[str, Prior]:
-    """What is believed of one axis."""
+    """The priors of one axis."""
     if not isinstance(value, Mapping):
         raise CardError(
             f"{place}: must be coefficients, as in {{ input = {{ mean = 4.0, sd = 0.5 }} }}, not {shown(value)}"

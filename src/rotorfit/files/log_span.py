@@ -1,4 +1,4 @@
-"""Which part of a log is wanted: `LOG@T0:T1`."""
+"""The requested part of a log: `LOG@T0:T1`."""
 
 import math
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ WHOLE: Span = (None, None)
 
 @dataclass(frozen=True)
 class LogSpan:
-    """A log and the part of it that is wanted, in seconds of its common window."""
+    """A log and its requested part, in seconds of its common window; None for an open end."""
 
     path: str
     span: Span
 
 
 def parse_span(text: str) -> Span:
-    """`T0:T1` in seconds, either side may be empty.
+    """Parses `T0:T1` in seconds; either side may be empty.
 
     Raises:
-        LogError: If it is not of that form.
+        LogError: Not of that form, not finite, or T0 is not before T1.
     """
     start, colon, end = text.partition(":")
     try:
@@ -40,10 +40,10 @@ def parse_span(text: str) -> Span:
 
 
 def parse_log(text: str, default: Span = WHOLE) -> LogSpan:
-    """`LOG` or `LOG@T0:T1`; a file of that very name wins.
+    """Parses `LOG` or `LOG@T0:T1`; if a file has the whole text as its name, that file is meant.
 
     Raises:
-        LogError: What follows the `@` of a file that is there is no span.
+        LogError: The text after the `@` of an existing file is not a span.
     """
     name, at, span = text.rpartition("@")
     meant = ":" in span or all(map(is_there, parts_of(name)))

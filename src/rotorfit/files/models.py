@@ -1,4 +1,4 @@
-"""The model file: JSON, versioned, no pickle, no NaN. Model -> file -> the same model, everything checked."""
+"""The model file: versioned JSON, no pickle, no NaN. A model survives writing and reading unchanged; all is checked."""
 
 import json
 from collections.abc import Mapping
@@ -28,12 +28,16 @@ VERSION = 1
 
 
 def save(model: Model, path: str | Path) -> Path | None:
-    """Writes a model file (JSON, without NaN); returns where the one that it replaces is kept, if there was one."""
+    """Writes a model file (JSON, without NaN) and returns the path where a replaced file is kept, or None.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     return write_whole(path, json.dumps(to_mapping(model), indent=1, allow_nan=False) + "\n")
 
 
 def lost_axes(kept: Path | None, model: Model) -> tuple[str, ...]:
-    """Axes that an earlier model, kept beside, has numbers for and this one has not; none where there is none."""
+    """Axes that the replaced, kept model has numbers for and this one has not; empty where none was kept."""
     if kept is None:
         return ()
     try:
@@ -47,13 +51,13 @@ def load(path: str | Path) -> Model:
     """Reads a model file.
 
     Args:
-        path: Of a file written by `save` or `rotorfit fit -o`.
+        path: A file written by `save` or `rotorfit fit -o`.
 
     Returns:
         The model.
 
     Raises:
-        ModelError: If it is missing, no model file, or of a newer version.
+        ModelError: The file is missing, damaged, not a model file, or of another version.
     """
     try:
         raw = plain_json(text_of(Path(path)))
@@ -67,7 +71,11 @@ def load(path: str | Path) -> Model:
 
 
 def is_model_file(path: str | Path) -> bool:
-    """Whether a file is a model, by content."""
+    """Whether a file is a model, by its content.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
     with Path(path).open("rb") as file:
         head = file.read(4096)
     return head.lstrip()[:1] == b"{" and FORMAT.encode() in head
@@ -97,13 +105,13 @@ def to_mapping(model: Model) -> dict[str, Any]:
 
 
 def _paper_mapping(model: Model) -> dict[str, Any]:
-    """The paper's coefficients, and the noise of predictions by them where it is known: old models have none."""
+    """The paper's coefficients, with the noise of their predictions where it is known: old models have none."""
     noise = {axis: dict(levels) for axis, levels in model.paper_noise.items()}
     return {"gamma": list(model.paper), **({"noise": noise} if noise else {})}
 
 
 def _axis_mapping(axis: Axis) -> dict[str, Any]:
-    """An axis as plain types; what only other structures have is left out where it is empty."""
+    """An axis as plain types; what only other structures use is omitted where it is empty."""
     raw = asdict(axis)
     if raw["predictor"] and not raw["predictor"]["extra"]:
         del raw["predictor"]["extra"]
@@ -117,10 +125,10 @@ def _axis_mapping(axis: Axis) -> dict[str, Any]:
 
 
 def from_mapping(raw: Any, where: str) -> Model:
-    """A model from the plain types of a model file.
+    """Builds a model from the plain types of a model file.
 
     Raises:
-        ModelError: If it is not one, or of a newer version.
+        ModelError: Not a model, damaged, or of another version.
     """
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         raise ModelError(f"{where}: not a rotorfit model; give a file written by `rotorfit fit -o`")
@@ -154,7 +162,7 @@ class _Scored:
 
 @dataclass(frozen=True)
 class _LeaveOneOut:
-    """As `leave_one_out.leave_one_out_mapping` writes it, which stands above this module."""
+    """As written by `leave_one_out.leave_one_out_mapping`, which belongs to a layer above this module."""
 
     flights: tuple[FlightScores, ...]
     baselines: Mapping[str, _Scored]
@@ -165,8 +173,9 @@ class _LeaveOneOut:
 
 @dataclass(frozen=True)
 class _ModelFile:
-    """What a model file holds; `gamma` and `physics` are for readers of the file and follow from the rest. Earlier
-    versions wrote no more than has no default here.
+    """Content of a model file; `gamma` and `physics` are for readers of the file and follow from the rest.
+
+    Fields with a default are those that earlier versions did not write.
     """
 
     format: str
@@ -189,10 +198,10 @@ class _ModelFile:
 
 
 def _model(read: _ModelFile, raw: Mapping[str, Any], where: str) -> Model:
-    """The model of a file whose types are right.
+    """Builds the model from a file whose types are right.
 
     Raises:
-        ValueError: Values that no model can have, with their place.
+        ValueError: A value is impossible; the error names its location.
     """
     _same("axes", read.axes, AXES)
     for name, axis in read.axes.items():
@@ -229,7 +238,7 @@ def _same(place: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
 
 
 def _check_axis(axis: Axis, place: tuple[str, ...]) -> None:
-    """What the types alone cannot tell of an axis."""
+    """Checks what the types alone do not guarantee for an axis."""
     law = _law(axis.structure, (*place, "structure"))
     known = {*COEFFICIENTS, *(extra.name for extra in law.extras)}
     _check_published(axis, known, place)
@@ -258,7 +267,7 @@ def _law(name: str, place: tuple[str | int, ...]) -> Structure:
 
 
 def _check_published(known: Any, names: set[str], place: tuple[str, ...]) -> None:
-    """Errors, intervals and statuses of an axis are of its law's coefficients, each of the first-order law's there."""
+    """Checks that errors, intervals and statuses name coefficients of the law, and all of the first-order law's."""
     for part in ("stderr", "ci95", "status", "ci95_flight", "extra"):
         given = getattr(known, part, {})
         for name in given:
@@ -287,7 +296,7 @@ def _check_predictor(point: Predictor, law: Structure, place: tuple[str | int, .
 
 
 _BOUNDS = {"input": 1e6, "damping": 1e4, "delay": 60.0}
-"""Beyond these no vehicle is."""
+"""Magnitudes that no vehicle exceeds; delay in s, damping in 1/s."""
 
 
 def _check_noise(noise: Mapping[str, float], place: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""The plan file: TOML that a person can read and edit. Plan -> file -> the same plan, everything checked."""
+"""The plan file: TOML that a person can read and edit. A plan survives writing and reading unchanged."""
 
 import hashlib
 import math
@@ -19,20 +19,20 @@ FORMAT = "rotorfit-plan"
 VERSION = 1
 
 RATES = (5.0, 500.0)
-"""Commands a second that can be flown: below, autopilots take a pause for a lost link (PX4 after half a second); above,
-the period is near what an ordinary kernel keeps."""
+"""Command rates that can be flown [Hz]: below, autopilots take a pause for a lost link (PX4 after half a second);
+above, the period approaches what an ordinary kernel can keep."""
 
 LONGEST = 1800.0
-"""Longest plan [s]: no battery of these vehicles lasts longer."""
+"""Longest plan [s]: no battery of such vehicles lasts longer."""
 
 FASTEST = 30.0
-"""Fastest that a plan may allow, along any axis [m/s]."""
+"""Largest speed that a plan may allow, along any axis [m/s]."""
 
 WIDEST, FARTHEST = 500.0, 1e7
-"""Longest side of a box, and how far from the origin it may be, of a map for example [m]."""
+"""Longest side of a box, and the largest coordinate of a corner, such as on a map [m]."""
 
 STIFFEST = 100.0
-"""Stiffness [1/s^2] and damping [1/s] of a feedback; with a delay of 0.1 s a tenth of it swings already."""
+"""Largest stiffness [1/s^2] and damping [1/s] of a feedback; with a delay of 0.1 s a tenth of it already oscillates."""
 
 SLOWEST = 5.0
 """Longest delay and filter [s]."""
@@ -41,13 +41,14 @@ LARGEST = 100.0
 """Largest amplitude or level of a signal [unit of the command, m or rad]."""
 
 GAINS = (1e-3, 1e3)
-"""What a command of 1 may be believed to do, in m/s^2 or rad/s^2, whatever its sign; above, also of damping [1/s]."""
+"""Range of a believed input's magnitude [m/s^2 or rad/s^2 per command]; the upper bound also limits damping [1/s]."""
 
 MOST_STEPS, MOST_SAMPLES = 100_000, 2e7
-"""Levels of a signal; commands of a plan times sines of its signals, which are worked out before it is flown."""
+"""Most levels of a signal; most commands of a plan times sines of its signals, all of which are computed before the
+flight."""
 
 PLAN_MARK = b'"rotorfit-plan"'
-"""What the first bytes of a plan hold."""
+"""Bytes found near the start of every plan file."""
 
 _KEYS = (
     "format", "version", "rotorfit", "name", "design", "seed", "rate", "duration", "ramp", "excitations", "space",
@@ -65,7 +66,7 @@ _SPACE = ("lower", "upper", "start", "speed", "climb")
 _FEEDBACK = ("axes", "stiffness", "damping", "filter_time")
 
 SEAL = "# as written: "
-"""Begins the last line of a plan, a checksum of what stands above it."""
+"""Start of the last line of a plan file: a checksum of the text above it."""
 
 HEAD = """\
 # A flight for `rotorfit fly`. Times in s, lengths in m, angles in rad; axes are forward, left, up, counter-clockwise.
@@ -75,22 +76,26 @@ HEAD = """\
 
 
 def save_plan(plan: Plan, path: str | Path) -> Path | None:
-    """Writes a plan file; returns where the one that it replaces is kept, if there was one."""
+    """Writes a plan file and returns the path where a replaced file is kept, or None.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     return write_whole(path, plan_text(plan))
 
 
 def plan_text(plan: Plan) -> str:
-    """The plan as TOML, with a few words at its head; its last line tells whether it was edited since."""
+    """The plan as TOML, with a short header; the checksum on its last line shows whether it was edited since."""
     import tomli_w
 
     return _sealed(HEAD + tomli_w.dumps(plan_mapping(plan)))
 
 
 def check_plan_destination(path: Path) -> None:
-    """Refuses to write over anything but a plan as it was written: plans are made to be edited.
+    """Refuses to overwrite anything but an unedited plan, because plans are made to be edited.
 
     Raises:
-        PlanError: The path is taken by something else, an edited plan for example, or its folder does not exist.
+        PlanError: The path holds something else, such as an edited plan, or its folder does not exist.
     """
     if path.exists() and not _as_written(path):
         raise PlanError(
@@ -118,13 +123,13 @@ def load_plan(path: str | Path) -> Plan:
     """Reads a plan file.
 
     Args:
-        path: Of a file written by `save` or `rotorfit plan -o`, edited or not.
+        path: A file written by `save_plan` or `rotorfit plan -o`, edited or not.
 
     Returns:
         The plan.
 
     Raises:
-        PlanError: Missing, not TOML, of a newer version, with an unknown key, or with a value that cannot be flown.
+        PlanError: Missing, not TOML, of another version, with an unknown key, or with a value that cannot be flown.
     """
     try:
         text = text_of(Path(path))
@@ -138,7 +143,7 @@ def load_plan(path: str | Path) -> Plan:
 
 
 def plan_from_text(text: str, where: str) -> Plan:
-    """A plan from the text of its file; errors as `load_plan`."""
+    """Parses the text of a plan file; raises as `load_plan` does."""
     try:
         raw = plain_toml(text)
     except ValueError as error:
@@ -147,7 +152,7 @@ def plan_from_text(text: str, where: str) -> Plan:
 
 
 def plan_mapping(plan: Plan) -> dict[str, Any]:
-    """The plan as plain types; what has no feedback has no such section."""
+    """The plan as plain types; without feedback there is no such section."""
     space, feedback = plan.space, plan.feedback
     return {
         "format": FORMAT,
@@ -201,7 +206,7 @@ def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
 
     Args:
         raw: The keys of a plan.
-        where: File, for the error's text.
+        where: Name of the file, for the error message.
 
     Raises:
         PlanError: As `load_plan`.
@@ -234,7 +239,7 @@ def plan_from_mapping(raw: Mapping[str, Any], where: str) -> Plan:
 
 
 def _check_together(plan: Plan, place: str) -> None:
-    """What each part alone cannot tell."""
+    """Checks that the parts fit together."""
     _check_sense(plan, place)
     commanded = card_from_mapping(plan.card, place).command
     acting = plan.feedback.axes if plan.feedback else ()
@@ -250,7 +255,7 @@ def _check_together(plan: Plan, place: str) -> None:
 
 
 def _check_sense(plan: Plan, place: str) -> None:
-    """Refuses numbers that no flight has, before anything is drawn or allocated by them."""
+    """Refuses implausible values before anything of their size is drawn or allocated."""
     space, feedback = plan.space, plan.feedback
     sizes = [high - low for low, high in zip(space.lower, space.upper, strict=True)]
     asked: list[tuple[str, float, float]] = [
@@ -278,7 +283,7 @@ def _check_sense(plan: Plan, place: str) -> None:
 
 
 def _bounds(signal: Signal, rate: float) -> dict[str, tuple[float, float]]:
-    """What a signal has of each kind, and the most that it may; commands tell no frequency beyond half their rate."""
+    """Each property of a signal with its upper bound; frequencies may not exceed half the command rate (Nyquist)."""
     if isinstance(signal, Steps):
         return {"level": (max(map(abs, signal.level)), LARGEST), "time": (len(signal.time), MOST_STEPS)}
     amplitudes = signal.amplitude if isinstance(signal, Sines) else (signal.amplitude,)
@@ -289,7 +294,7 @@ def _bounds(signal: Signal, rate: float) -> dict[str, tuple[float, float]]:
 
 
 def _check_believed(plan: Plan, place: str) -> None:
-    """What feedback, braking and the guard divide by and count on; `belief_from_mapping` checks the rest."""
+    """Checks what feedback, braking and the guard divide by and rely on; `belief_from_mapping` checks the rest."""
     try:
         check_finite([plan.belief, plan.predicted])
     except ValueError as error:
@@ -387,7 +392,7 @@ def _space(raw: Mapping[str, Any], place: str) -> Space:
 
 
 def _check(raw: Mapping[str, Any], known: Iterable[str], place: str) -> None:
-    """Refuses a key that nobody knows, and names the nearest."""
+    """Refuses an unknown key and suggests the nearest."""
     for key in raw:
         if key not in known:
             raise PlanError(f"{place}: unknown key {shown(key)}{nearest(key, known)}")

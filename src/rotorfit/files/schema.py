@@ -1,8 +1,8 @@
-"""Schema: plain types of a file -> frozen dataclasses, whose annotations say what may stand there.
+"""Schema: plain types of a file -> frozen dataclasses, as specified by their annotations.
 
-Known keys only, the types of the annotations and no others, finite numbers; what is wrong is told with its place inside
-the file, `axes.x.ci95.input[1]: must be a finite number, not 'a'`. The classes are those of the core, which no library
-for schemata could take as they stand: msgspec ignores unknown keys of dataclasses and names no key of a mapping.
+Only known keys, only the annotated types, only finite numbers; an error names its location inside the file,
+`axes.x.ci95.input[1]: must be a finite number, not 'a'`. The classes are those of the core, which no schema library
+could use as they stand: msgspec ignores unknown keys of dataclasses and does not name the key of a mapping.
 """
 
 import functools
@@ -18,31 +18,34 @@ from rotorfit.core.flight_data import Note
 from rotorfit.core.plain import is_number, place_of, shown
 
 MOST = 1_000_000
-"""Parts of one list or section."""
+"""Most items of one list or section."""
 
 LONGEST = 100_000
-"""Signs of a text."""
+"""Most characters of a text."""
 
 _KEY = re.compile(r"[A-Za-z0-9_.]{1,64}")
-"""Names of axes, coefficients, horizons: nothing that means something in a language of exports."""
+"""Names of axes, coefficients, horizons: no character that is special in the language of an export."""
 
 _NAMED = {"Note": Note, "Finding": Finding}
-"""Names of annotations that modules import for the checker of types only."""
+"""Annotation names that modules import for type checking only."""
 
 Place = tuple[str | int, ...]
 
 
 def structured(raw: Any, kind: Any, place: Place = ()) -> Any:
-    """A value of a type from plain types.
+    """Converts plain types to a value of the annotated type.
 
     Args:
         raw: As parsed from JSON.
-        kind: A frozen dataclass, or what its annotations hold: mappings from names, tuples, unions with None,
+        kind: A frozen dataclass, or an annotation of its fields: mappings from names, tuples, unions with None,
             literals, numbers, texts, Any.
-        place: Where it stands in its file.
+        place: Location in the file.
+
+    Returns:
+        The value; dataclasses are constructed, everything else is checked.
 
     Raises:
-        ValueError: In one line, with the place inside the file.
+        ValueError: In one line, with the location inside the file.
     """
     if kind is Any:
         return raw
@@ -96,7 +99,7 @@ def _record(raw: Any, kind: Any, place: Place) -> Any:
 
 @functools.cache
 def _fields_of(kind: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Types of the fields by name, and those that must be there."""
+    """Types of the fields by name, and the names of the required ones."""
     hints = get_type_hints(kind, localns=_NAMED)
     own = fields(kind)
     needed = tuple(one.name for one in own if one.default is MISSING and one.default_factory is MISSING)

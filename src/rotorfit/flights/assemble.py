@@ -1,6 +1,6 @@
-"""Log + Card -> Flight: commands and pose, each on its own clock, SI, one frame, every repair noted.
+"""Log + Card -> Flight: commands and poses, each on its own clock, SI, one frame, every repair noted.
 
-Commands that a vehicle on the ground does not answer: told to climb and not off it yet, or told to sink and down.
+Commands that a vehicle on the ground does not follow, climb before take-off or descent after landing, are dropped.
 """
 
 from collections.abc import Iterator
@@ -26,24 +26,24 @@ from rotorfit.flights.stamps import Mask, Stamps
 from rotorfit.flights.streams import Stream, closed, commands_of, keep_samples, poses_of, reference_of
 
 LEAST = 1.0
-"""Time for which a command must go unanswered [s]: delays of velocity-commanded vehicles are below half of it."""
+"""Time for which a command must have no response [s]: delays of velocity-commanded vehicles are below half of it."""
 
 ASKED = 0.3
-"""Way up or down that is asked for in that time [m]."""
+"""Climb or descent commanded in that time [m]."""
 
 STILL = 0.05
-"""Change of height in that time that is no answer [m]: a loop with a time constant of 1 s moves by twice as much."""
+"""Change of height in that time that is no response [m]: a loop with a time constant of 1 s moves twice as far."""
 
 LEVEL = 0.15
-"""Change of height that still counts as standing [m]: onboard heights drift by a tenth of a metre in some seconds."""
+"""Change of height that still counts as standing [m]: onboard heights drift by a tenth of a metre in a few seconds."""
 
 LOW = 0.25
-"""Share of the flight's range of heights, from the lowest on, in which the ground may lie: over a minute onboard
-heights drift by more than half a metre."""
+"""Share of the flight's height range, from its lowest point, in which the ground may lie: over a minute onboard heights
+drift by more than half a metre."""
 
 
 def airborne(commands: Stream, poses: Stream, card: Card) -> Stream:
-    """The commands without those that `standing` finds; all of them where the card does not give the climb in m/s."""
+    """Drops the commands found by `standing`; keeps all where the card does not give the climb rate in m/s."""
     factor = _climb(card)
     if factor is None:
         return commands
@@ -55,7 +55,7 @@ def airborne(commands: Stream, poses: Stream, card: Card) -> Stream:
 
 
 def _climb(card: Card) -> float | None:
-    """What a vertical command of 1 asks for [m/s]; None where the card does not say."""
+    """Climb rate for a vertical command of 1 [m/s]; None where the card does not say."""
     channel = card.command.get("z")
     if channel is None or channel.meaning not in ("velocity", "vertical_speed"):
         return None
@@ -65,9 +65,9 @@ def _climb(card: Card) -> float | None:
 def standing(command_time: Stamps, climb: Array, pose_time: Stamps, height: Array) -> Mask:
     """Which commands lie before the take-off or after the landing, shape (M,).
 
-    Before: from the first command on the height stays within `LEVEL`, low, and leaves upwards, and at some time in it
-    the commands ask for `ASKED` metres of climb in `LEAST` seconds and the height stands still. After: the same from
-    the end backwards, with commands that ask to sink. A vehicle in the air would have moved.
+    Before take-off: from the first command on the height stays low and within `LEVEL`, then leaves upwards; meanwhile
+    the commands ask for a climb of `ASKED` metres in `LEAST` seconds without a response. After landing: the same
+    backwards from the end, with commands that ask for a descent. A vehicle in the air would have moved.
 
     Args:
         command_time: Increasing, shape (M,) [ns].
@@ -95,7 +95,7 @@ def standing(command_time: Stamps, climb: Array, pose_time: Stamps, height: Arra
 
 
 def _unanswered(command_time: Stamps, climb: Array, time: Stamps, level: Array) -> bool:
-    """Whether commands that ask for `ASKED` metres in `LEAST` seconds left the height where it was."""
+    """Whether commands that ask for `ASKED` metres in `LEAST` seconds left the height unchanged."""
     ends = np.searchsorted(command_time, command_time + round(LEAST * 1e9))
     steps = np.diff(command_time, append=command_time[-1:]) / 1e9
     way = np.concatenate([[0.0], np.cumsum(climb * steps)])
@@ -110,7 +110,7 @@ def _unanswered(command_time: Stamps, climb: Array, time: Stamps, level: Array) 
 
 
 def _stay(level: Array) -> int:
-    """How many heights from the first one on keep within `LEVEL` of each other."""
+    """Number of heights, from the first on, that stay within `LEVEL` of each other."""
     spread = np.maximum.accumulate(level) - np.minimum.accumulate(level)
     left: Indices = np.flatnonzero(spread > LEVEL)
     return int(left[0]) if left.size else len(level)
@@ -120,27 +120,29 @@ _TURN = np.radians(0.5)
 
 
 def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None] = (None, None)) -> Flight:
-    """Takes commands and poses from a log as the card says, repairs them, and cuts them to the common window.
+    """Takes commands and poses from a log according to the card, repairs them, and cuts them to the common window.
 
     The common window runs from the first command to the earlier of the last pose and the last command plus its hold.
-    Commands hold until the next one, but no longer than `card.hold` (default: three median periods, or what the motion
-    shows, see `hold`): a longer gap starts a new segment. Gaps between poses do not.
+    A command is held until the next one, but no longer than `card.hold` (by default three median periods, or longer if
+    the motion shows it, see `command_hold`): a longer gap starts a new segment. Gaps between poses do not.
 
     Where commands and poses are from two files, the commands are first brought onto the clock of the poses.
 
     Args:
         log: As recorded.
-        card: Which column is what. Commands in the world frame are along the axes of the converted pose (x east, y
+        card: The meaning of each column. Commands in the world frame are along the axes of the converted pose (x east,
+            y
             north, z up also for a card in NED), because a card never implies their signs.
-        span: Start and end [s] from the start of the common window; None for its ends. Nothing outside is seen.
+        span: Start and end [s] from the start of the common window; None for its ends. Data outside are ignored.
 
     Returns:
         The flight, each repair noted with its count.
 
     Raises:
-        CardError: A column is not there, or its length does not go with its stamps.
+        CardError: A column is missing, or its length does not match its stamps.
         FlightError: No commands, no poses, a pose that never changes, a clock that runs backwards, no common window,
-            less than two seconds, or yaw in degrees taken for radians.
+            an empty span, less than two seconds, poses more than a second apart, clocks of two files without a known
+            offset, or yaw in degrees taken for radians.
     """
     written, card = card, bound(card, log)
     units = unit_note(written, card)
@@ -203,13 +205,13 @@ def flight_from_log(log: Log, card: Card, span: tuple[float | None, float | None
 
 
 def _read_notes(log: Log) -> Iterator[Note]:
-    """What was noticed when the file was read, what is lost first."""
+    """Remarks from reading the file, losses first."""
     yield from (Note("damage", text, 1) for text in log.damage)
     yield from (Note("reading", text, 1) for text in log.notes)
 
 
 def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
-    """What was done about the clocks of two files."""
+    """How the clocks of two files were treated."""
     if clocks is None:
         return ()
     figures = (
@@ -247,7 +249,11 @@ def _window_end(log: Log, commands: Stream, poses: Stream, origin: int) -> int:
 def _span(
     log: Log, span: tuple[float | None, float | None], duration: float
 ) -> tuple[tuple[float, float], tuple[Note, ...]]:
-    """The span within the common window [s], and a note where it was cut to it."""
+    """The span within the common window [s], and a note where it was cut.
+
+    Raises:
+        FlightError: The span lies outside the common window.
+    """
     start, stop = (default if given is None else given for given, default in zip(span, (0.0, duration), strict=True))
     inside = max(start, 0.0), min(stop, duration)
     if not inside[0] < inside[1]:
@@ -259,7 +265,7 @@ def _span(
 
 
 def _segments(command_time: Array, command_end: Array) -> tuple[Segment, ...]:
-    """Runs of commands in which each acts until the next comes."""
+    """Runs of commands in which each acts until the next one."""
     first = np.ones(len(command_time), dtype=np.bool_)
     first[1:] = command_time[1:] > command_end[:-1]
     last = np.append(first[1:], True)
@@ -298,7 +304,7 @@ def _cut_notes(seen: Mask, segments: tuple[Segment, ...], heading: Array, yaw: A
 def _in_heading_frame(
     command_time: Array, command: Array, command_end: Array, pose_time: Array, yaw: Array
 ) -> tuple[Array, Array, Note]:
-    """World commands resolved in the heading frame, with commands added where the vehicle turns under a held one."""
+    """Rotates world commands into the heading frame and adds commands where the vehicle turns while one is held."""
     held = np.searchsorted(command_time, pose_time, side="right") - 1
     acting = (held >= 0) & (pose_time < command_end[np.maximum(held, 0)])
     at_command = np.interp(command_time, pose_time, yaw).tolist()

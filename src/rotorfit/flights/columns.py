@@ -1,6 +1,6 @@
-"""Log + Card -> columns: which cards fit a log, and the values that a card names in it.
+"""Log + Card -> columns: which cards fit a log, and the values of the columns that a card names.
 
-What names and values of columns say: which is a series, which a clock, in what unit.
+Also what names and values of columns reveal: which is a series, which a clock, in what unit.
 """
 
 import re
@@ -18,7 +18,7 @@ from rotorfit.files.cards import builtin_cards
 
 
 def tables_of(card: Card) -> frozenset[str] | None:
-    """Names of the tables that a card reads; None where it names columns of whichever table a log has."""
+    """Names of the tables that a card reads; None where it names columns without a table, or tables by a pattern."""
     parts = (card.command, card.pose, card.velocity, card.attitude, card.reference)
     channels = [card.command_time, card.pose_time, *(channel for part in parts for channel in part.values())]
     channels += [each for each in (card.velocity_time, card.attitude_time) if each]
@@ -34,14 +34,14 @@ def fitting_cards(log: Log) -> dict[str, Card]:
 
 
 def card_for(log: Log, card: Card) -> Card:
-    """The card with each column by the name that it has in this log, and without optional conditions that it lacks.
+    """The card with each column under its name in this log, without optional conditions whose column the log lacks.
 
-    Where the log itself says the unit of a column, that one holds.
+    Where the log itself states the unit of a column, that unit overrides the card's.
 
     Args:
-        log: Where the columns are.
-        card: What may name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`),
-            which stands for the one table that it describes.
+        log: Log that holds the columns.
+        card: May name alternatives (`yaw = ["new:name", "old:name"]`), and tables by a pattern (`/vicon/*/*`) that
+            matches exactly one table.
     """
     log_tables = (*log.tables, *log.skipped)
 
@@ -86,12 +86,12 @@ _ASKED = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate":
 
 
 def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
-    """The channel in the unit that the log says its column has; as it is where the log says none, or another quantity.
+    """The channel with the unit that the log states for its column; unchanged if it states none, or another quantity.
 
     Args:
-        log: Where the column is.
-        channel: By the name that it has there.
-        si: Its unit where the card gives none.
+        log: Log that holds the column.
+        channel: Under its name in the log.
+        si: SI unit of the quantity, used where the card gives no unit.
     """
     said = log.units.get(split_source(channel.source))
     own = channel.unit or si
@@ -102,11 +102,11 @@ def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
 
 
 def unit_note(before: Card, after: Card) -> str:
-    """Where the log's own units have replaced those of a card; empty where they agree.
+    """Describes where the log's units replaced those of the card; empty where they agree.
 
     Args:
         before: The card as written.
-        after: As `card_for` has it for a log.
+        after: The card from `card_for`.
     """
     changed = [
         f"{channel.source} is in {channel.unit}, not in {known[axis].unit or 'SI'}"
@@ -119,7 +119,7 @@ def unit_note(before: Card, after: Card) -> str:
 
 
 def _holds(log: Log, source: str | float) -> bool:
-    """Whether a log has a column of numbers of that name; constants are always there."""
+    """Whether a log has a numeric column of that name; True for constants."""
     if not isinstance(source, str):
         return True
     try:
@@ -130,7 +130,7 @@ def _holds(log: Log, source: str | float) -> bool:
 
 
 def fits(log: Log, card: Card) -> bool:
-    """Whether all columns of a card are in a log."""
+    """Whether a log has all columns of a card."""
     card = card_for(log, card)
     others = [*card.velocity.values(), *card.attitude.values(), *card.reference.values()]
     others += [*(part.channel for part in card.window), *card.resets]
@@ -149,19 +149,19 @@ def fits(log: Log, card: Card) -> bool:
 
 
 def column(log: Log, channel: Channel, count: int | None = None) -> Array:
-    """Values of a channel: (raw * scale + offset), then the unit to SI.
+    """Values of a channel: raw * scale + offset, then converted to SI.
 
     Args:
-        log: Where the columns are.
-        channel: Which one, and how to read it.
-        count: Number of stamps that go with it; tells the time axis of a matrix (for `NAME[i]`) and the length of a
+        log: Log that holds the columns.
+        channel: The column, and how to read it.
+        count: Number of stamps; identifies the time axis of a matrix (for `NAME[i]`) and sets the length of a
             constant. None takes the longer axis, and one sample.
 
     Returns:
-        Shape (N,), float64, SI or the fraction that the card says. N may differ from `count`.
+        Shape (N,), float64, SI or the fraction defined by the card. N may differ from `count`.
 
     Raises:
-        CardError: Table, column or row is not there (the nearest is named), or it holds no numbers.
+        CardError: Table, column or row is missing (the nearest is named), or the column is not numeric.
     """
     if isinstance(channel.source, str):
         raw = raw_column(log, channel.source, count)[1].astype(np.float64)
@@ -177,7 +177,7 @@ def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple
     """A column as it was recorded.
 
     Args:
-        log: Where the columns are.
+        log: Log that holds the columns.
         source: `TABLE:COLUMN`, `COLUMN` where the log has one table, or a row `NAME[i]`.
         count: As in `column`.
 
@@ -203,7 +203,7 @@ def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple
 
 
 def split_source(source: str | float) -> tuple[str, str]:
-    """Table and column of `TABLE:COLUMN`, split at the first colon; no table, "", where there is none."""
+    """Splits `TABLE:COLUMN` at the first colon; the table is "" where there is no colon."""
     table, colon, name = str(source).partition(":")
     return (table, name) if colon else ("", table)
 
@@ -212,7 +212,7 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
     """The table that a source names, and the column's name in it.
 
     Raises:
-        CardError: There is no such table (the nearest is named), or none is named and there are several.
+        CardError: There is no such table (the nearest is named), or no table is named and there are several.
     """
     only = next(iter(log.tables.values())) if len(log.tables) == 1 else None
     head, tail = split_source(source)
@@ -231,14 +231,22 @@ def table_of(log: Log, source: str) -> tuple[Table, str]:
 
 
 def _vector(values: Column, what: str) -> Column:
-    """A column that is one series, shape (N,)."""
+    """A column that holds one series, shape (N,).
+
+    Raises:
+        CardError: It is a matrix.
+    """
     if values.ndim == 1 or (values.ndim == 2 and 1 in values.shape):
         return values.ravel()
     raise CardError(f"{what} has the shape {values.shape}, not one series; name a row, as in NAME[0]")
 
 
 def _row(values: Column, row: int, count: int | None, what: str) -> Column:
-    """Row `row` of a matrix whose time axis is the one as long as its clock, give or take one sample."""
+    """Row `row` of a matrix; its time axis is the one whose length matches `count` within one sample.
+
+    Raises:
+        CardError: No axis matches, or there is no such row.
+    """
     matrix = values[np.newaxis] if values.ndim == 1 else values
     if matrix.ndim != 2:
         raise CardError(f"{what}: shape {values.shape} is not a matrix")
@@ -262,17 +270,17 @@ _UNIT_SUFFIX = re.compile(rf"_({'|'.join(_SPEED_SUFFIX)}|deg|rad|mm|cm|m|ms|us|n
 
 
 def sample_count(table: Table) -> int:
-    """Length of the longest axis of any column: how many samples a table seems to hold."""
+    """Length of the longest axis of any column: the apparent number of samples in a table."""
     return max((max(values.shape, default=1) for values in table.columns.values()), default=0)
 
 
 def shape_text(values: Column) -> str:
-    """The shape of a matrix, as in ` (6 x 19780)`; nothing for a single series."""
+    """The shape of a matrix, such as ` (6 x 19780)`; empty for a single series."""
     return "" if values.ndim == 1 or 1 in values.shape else f" ({' x '.join(str(n) for n in values.shape)})"
 
 
 def clock_of(log: Log, table: Table, count: int) -> Channel | None:
-    """The column that looks like the clock of `count` samples; its unit from its name or its steps."""
+    """The likely clock of `count` samples, its unit inferred from its name or its steps; None if there is none."""
     names = clocks_of(table, count)
     if not names:
         return None
@@ -286,24 +294,24 @@ def clock_of(log: Log, table: Table, count: int) -> Channel | None:
 
 
 def clocks_of(table: Table, count: int) -> list[str]:
-    """Columns that are named as clocks, advance, and go with `count` samples; the likeliest first."""
+    """Columns that are named like clocks, advance, and match `count` samples; the likeliest first."""
     return [name for name, size in clocks(table).items() if abs(size - count) <= 1]
 
 
 def clocks(table: Table) -> dict[str, int]:
-    """Columns that are named as clocks and advance, with their lengths; the likeliest first."""
+    """Columns that are named like clocks and advance, with their lengths; the likeliest first."""
     names = {name_without_unit(name): name for name, values in table.columns.items() if is_series(values)}
     likely = {names[clock]: table.columns[names[clock]] for clock in _CLOCKS if clock in names}
     return {name: clock.size for name, clock in likely.items() if np.any(np.diff(clock.ravel().astype(float)) > 0)}
 
 
 def is_series(values: Column) -> bool:
-    """Whether a column is one series of real numbers, of more than one sample."""
+    """Whether a column is one series of real numbers with more than one sample."""
     return values.dtype.kind in "iuf" and values.size > 1 and values.size == max(values.shape)
 
 
 def series_of(table: Table) -> dict[str, int]:
-    """Columns that are one series, and the rows of matrices of few rows as `NAME[i]`, with their lengths."""
+    """Columns that are one series, and the rows of matrices with few rows as `NAME[i]`, with their lengths."""
     found = {name: values.size for name, values in table.columns.items() if is_series(values)}
     for name, values in table.columns.items():
         if values.dtype.kind in "iuf" and values.ndim == 2 and 1 < min(values.shape) <= _FEW_ROWS < max(values.shape):
@@ -312,22 +320,22 @@ def series_of(table: Table) -> dict[str, int]:
 
 
 def plain_name(name: str) -> str:
-    """Lower case with underscores: `cmdVel.linear.x` becomes `cmd_vel_linear_x`."""
+    """Converts a name to lower case with underscores: `cmdVel.linear.x` becomes `cmd_vel_linear_x`."""
     return re.sub(r"[^a-z0-9]+", "_", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()).strip("_")
 
 
 def name_without_unit(name: str) -> str:
-    """The plain name without a unit at its end: `Time_ms` becomes `time`."""
+    """The plain name without a trailing unit: `Time_ms` becomes `time`."""
     return _UNIT_SUFFIX.sub("", plain_name(name))
 
 
 def unit_of_name(name: str) -> str | None:
-    """A unit that a name ends in, where it is not the default of its kind."""
+    """The unit at the end of a name; None where there is none or it is SI."""
     match = _UNIT_SUFFIX.search(plain_name(name))
     unit = _SPEED_SUFFIX.get(match[1], match[1]) if match else None
     return None if unit in ("m", "rad", "s", "m/s", "rad/s") else unit
 
 
 def source_of(log: Log, table: Table, name: str) -> str:
-    """How a card names a column: `TABLE:COLUMN`, or `COLUMN` where the log has one table."""
+    """The source of a column as a card writes it: `TABLE:COLUMN`, or `COLUMN` where the log has one table."""
     return name if len(log.tables) == 1 else f"{table.name}:{name}"

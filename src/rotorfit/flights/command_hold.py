@@ -1,13 +1,14 @@
-"""How long a command acts when none follows: told by the motion of the vehicle through the gaps of its commands.
+"""How long a command acts without a successor, inferred from the motion of the vehicle during gaps in its commands.
 
-A stream with gaps leaves open what acted in them: the last command (the vehicle keeps it, or the loop sent what nobody
-logged), or none (its time-out brought it to hover). The answer of a first-order vehicle to the one is that to the other
-and a share of what only the kept commands do, a share of 1 or 0, and regression of the motion on both gives it:
+A gap does not show what acted in it: the last command (the vehicle keeps it, or the sender repeated it without logging)
+or none (a time-out stopped the vehicle). The response of a first-order vehicle is linear in the commands, so the
+velocity is regressed on the response to ended commands and on the additional response if they are kept; the share of
+the latter is 1 or 0:
 
-    velocity = g (answer to the ended commands + share (answer to the kept ones - answer to the ended ones)) + slow rest
+    velocity = g (response to ended + share (response to kept - response to ended)) + slowly varying remainder
 
-Gaps are judged from the short to the long. A long gap is bridged only if the motion speaks for it, a short one unless
-it speaks against it.
+Gaps are judged from short to long. A long gap is bridged only if the motion supports it, a short one unless the motion
+contradicts it.
 """
 
 from dataclasses import dataclass, replace
@@ -25,56 +26,56 @@ from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, Mask, median_per
 from rotorfit.flights.streams import Stream, commands_of
 
 SHORT = 0.25
-"""Gaps up to this are bridged unless the motion speaks against it [s]: time-outs of autopilots are longer (Crazyflie
-and PX4 0.5 s, ArduPilot 3 s, Parrot and Tello none to speak of), and a segment costs 0.6 s at its start."""
+"""Gaps up to this are bridged unless the motion contradicts it [s]: time-outs of autopilots are longer (Crazyflie and
+PX4 0.5 s, ArduPilot 3 s, Parrot and Tello practically none), and a segment costs 0.6 s at its start."""
 
 LONGEST = 10.0
-"""Gaps beyond this are not asked about [s]: what happened in them is another flight."""
+"""Longer gaps are not tested [s]: what follows them is another flight."""
 
 SIGMAS = 1.96
-"""Standard errors by which the share must pass a half."""
+"""Distance of the share from a half, in standard errors, at which it counts as known."""
 
 WORST = 0.3
-"""Standard error beyond which the motion says nothing."""
+"""Standard error of the share above which the motion is uninformative."""
 
 DELAYS = (-0.1, -0.05, 0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6)
-"""How late the answer may be [s]."""
+"""Delays of the response that are tried [s]."""
 
 EVERY = 0.1
-"""Steps over which the velocity is compared [s]: gusts change it little meanwhile, and commands much."""
+"""Interval over which changes of velocity are compared [s]: short for gusts, long for commands."""
 
 FILLED = 0.6
-"""Share of the usual poses that the window of a velocity must hold: in a hole of the poses it is made up."""
+"""Share of the usual number of poses that a velocity window must hold: in a gap of the poses it is interpolated."""
 
 TOGETHER = 1.0
-"""Errors within this time may go together [s]."""
+"""Time within which errors may be correlated [s]."""
 
 FASTEST = 1e3
-"""Velocities beyond this are no motion [m/s or rad/s]."""
+"""Velocities above this are not motion [m/s or rad/s]."""
 
 MEANINGLESS = 1e100
-"""Answers beyond this are of commands that are no commands."""
+"""Responses above this come from invalid commands."""
 
 ENDLESS = 1e9
-"""A hold [s] that nothing outlasts but what closes the commands."""
+"""A hold [s] that ends only where the commands are closed."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """How much of the held command the vehicle followed through some gaps: 1 if it was kept, 0 if it ended."""
+    """Share of the held command that the vehicle followed through some gaps: 1 if it was kept, 0 if it ended."""
 
     value: float
     error: float
 
     @property
     def known(self) -> bool:
-        """Whether it tells the one from the other."""
+        """Whether the share distinguishes the two."""
         return self.error < WORST and abs(self.value - 0.5) > SIGMAS * self.error
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Gaps of about one length: which of the commands they follow (N,), the longest [s], what the motion says."""
+    """Gaps of similar length: mask of the commands before them, shape (N,), the longest [s], and their share."""
 
     gap: Mask
     longest: float
@@ -83,15 +84,15 @@ class _Level:
 
 
 def with_judged_hold(log: Log, card: Card, commands: Stream, axes: tuple[str, ...], poses: Stream) -> Stream:
-    """The commands with the hold that the motion of the vehicle tells, and a note that says why.
+    """The commands with the hold inferred from the vehicle's motion, and a note that gives the reason.
 
-    Where the card states a hold, or no step between the commands is longer than three median periods, nothing changes.
+    Nothing changes where the card states a hold, or where no step between commands exceeds three median periods.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
         commands: With the default hold of three median periods.
-        axes: The commanded ones.
+        axes: The commanded axes.
         poses: Fresh, in order.
     """
     period = median_period(commands.stamps)
@@ -99,7 +100,7 @@ def with_judged_hold(log: Log, card: Card, commands: Stream, axes: tuple[str, ..
         return commands
     endless = commands_of(log, replace(card, hold=ENDLESS))[0]
     steps = np.diff(endless.stamps)
-    timed_out = endless.until[:-1] >= endless.stamps[1:]  # nothing but time has ended the command
+    timed_out = endless.until[:-1] >= endless.stamps[1:]  # the command ended by time alone
     gaps = np.append(timed_out & (steps > (GAP_PERIODS + GAP_TOLERANCE) * period) & (steps <= LONGEST * 1e9), False)
     if not np.any(gaps):
         return commands
@@ -113,7 +114,7 @@ def with_judged_hold(log: Log, card: Card, commands: Stream, axes: tuple[str, ..
 
 
 def _judged(commands: Stream, gaps: Mask, hold: int, axes: tuple[str, ...], world: bool, poses: Stream) -> list[_Level]:
-    """The gaps by length, the short ones first, until some are not kept."""
+    """The gaps grouped by length, short ones first, up to the first group that is not kept."""
     length = np.append(np.diff(commands.stamps), 0) / 1e9
     seen, base = well_seen(poses), (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9
     moving = tuple(axis for axis in axes if np.ptp(commands.values[:, AXES.index(axis)]) > 0)
@@ -135,7 +136,7 @@ def _judged(commands: Stream, gaps: Mask, hold: int, axes: tuple[str, ...], worl
 
 
 def well_seen(poses: Stream) -> GriddedMotion:
-    """The motion, known where its poses have no hole."""
+    """The motion, valid only where its poses have no gap."""
     seen, time = seen_by(poses), (poses.stamps - poses.stamps[0]) / 1e9
     grid = seen.start + seen.step * np.arange(seen.valid.size)
     count = np.diff(np.searchsorted(time, [grid - HALF_WIDTH, grid + HALF_WIDTH]), axis=0)[0]
@@ -144,7 +145,7 @@ def well_seen(poses: Stream) -> GriddedMotion:
 
 
 def _ended(commands: Stream, gaps: Mask, hold: int) -> Stream:
-    """The commands with a command of zero where each of these gaps begins, every one acting until the next."""
+    """The commands with a zero command at the start of each gap, every command acting until the next."""
     stamps = np.concatenate([commands.stamps, commands.stamps[gaps] + hold])
     values: Array = np.concatenate([commands.values, np.zeros((int(np.sum(gaps)), len(AXES)))])
     order = np.argsort(stamps, kind="stable")
@@ -155,15 +156,15 @@ def _ended(commands: Stream, gaps: Mask, hold: int) -> Stream:
 def _share(
     seen: GriddedMotion, base: float, ended: GriddedMotion, followed: GriddedMotion, axes: tuple[str, ...], world: bool
 ) -> Share | None:
-    """The share of all axes together; None where the motion does not tell any.
+    """The share over all axes together; None where the motion of none is informative.
 
     Args:
         seen: The motion.
-        base: First pose after the first command [s].
-        ended: Answers to the commands with the gaps ended.
-        followed: Answers with them kept.
-        axes: That move.
-        world: Whether commands are along the axes of the world.
+        base: Time from the first command to the first pose [s].
+        ended: Responses to the commands with the gaps ended.
+        followed: Responses with the commands kept.
+        axes: The moving axes.
+        world: Whether commands are along the world axes.
     """
     row = np.flatnonzero(seen.valid)
     every = max(1, round(EVERY / seen.step))
@@ -192,7 +193,7 @@ def _share(
 
 
 def _regressed(time: Array, velocity: Array, ended: Array, followed: Array, delay: float) -> tuple[float, Share] | None:
-    """Changes of a velocity on those of two answers: the sum of squares left, and the share; None where it has none.
+    """Regresses changes of a velocity on those of two responses: residual sum of squares and share; None if singular.
 
     Source: standard errors clustered by time, K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), pp. 13-22.
     """
@@ -214,13 +215,13 @@ def _regressed(time: Array, velocity: Array, ended: Array, followed: Array, dela
     inverse = np.linalg.inv(gram)
     _, whole, part = theta
     slope = inverse @ [0.0, -part / whole**2, 1 / whole]
-    alike = float(rest @ rest) / max(y.size - 3, 1)  # few gaps are few clusters: then the variance of all is asked
+    alike = float(rest @ rest) / max(y.size - 3, 1)  # few gaps make few clusters: use the pooled variance then
     error = float(np.sqrt(max(slope @ (scores.T @ scores) @ slope, alike * (slope @ gram @ slope))))
     return (float(rest @ rest), Share(float(part / whole), error)) if np.isfinite(error) and error > 0 else None
 
 
 def _told(levels: list[_Level], hold: float, found: str) -> str:
-    """Which gaps were bridged, and why, in a sentence."""
+    """Which gaps were bridged, and why, in one sentence."""
     parts = []
     for level in levels:
         what = f"{counted(int(np.sum(level.gap)), 'gap')} of up to {level.longest:.3f} s"

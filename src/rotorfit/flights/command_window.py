@@ -1,4 +1,4 @@
-"""When commands count: the conditions of a card's window, and the steps that an estimator makes of its own accord."""
+"""When commands count: the conditions of a card's window, and the pose resets of an onboard estimator."""
 
 from collections.abc import Iterator
 
@@ -11,22 +11,22 @@ from rotorfit.flights.other_tables import state_samples
 from rotorfit.flights.stamps import Mask, Stamps, fresh, held
 
 IDLE = 3.0
-"""Time for which commands stand still where nobody gives them [s]."""
+"""Time without a change after which commands at the ends count as idle [s]."""
 
 BUSY = 0.9
-"""Share of a controller's commands that differ from the one before."""
+"""Share of a controller's commands that differ from the previous one."""
 
 LEAST_CHANGES = 50
-"""Changes below which nothing is said of a controller."""
+"""Number of changes below which commands are not recognised as a controller's."""
 
 
 def conditions(log: Log, card: Card, stamps: Stamps) -> Iterator[tuple[str, Mask]]:
-    """Each condition of a card's window: how it reads, and at which of the stamps it holds, shape (N,).
+    """Each condition of a card's window: its text, and at which of the stamps it holds, shape (N,).
 
-    Before its first value a condition does not hold; an event that ends says that it held before, and the reverse.
+    A condition does not hold before its first value; an event that closes implies that it held before, and vice versa.
 
     Raises:
-        CardError: A column is not there, or nothing tells its time.
+        CardError: A column is missing, or has no clock.
     """
     for condition in card.window:
         clock, values = state_samples(log, card, condition.channel, "window")
@@ -37,10 +37,10 @@ def conditions(log: Log, card: Card, stamps: Stamps) -> Iterator[tuple[str, Mask
 
 
 def resets(log: Log, card: Card, stamps: Stamps) -> Stamps:
-    """When a counter of the estimator's own steps moved between the first and the last of some stamps, sorted [ns].
+    """Times at which a reset counter changed between the first and last of the stamps, sorted [ns].
 
     Raises:
-        CardError: A column is not there, or nothing tells its time.
+        CardError: A column is missing, or has no clock.
     """
     found = [np.zeros(0, dtype=np.int64)]
     for channel in card.resets:
@@ -51,11 +51,11 @@ def resets(log: Log, card: Card, stamps: Stamps) -> Stamps:
 
 
 def idle_ends(stamps: Stamps, values: Array) -> Mask:
-    """Which commands at the ends stand still though a controller changes them all the time in between, shape (N,).
+    """Which commands at the ends stand still although a controller changes them continuously in between, shape (N,).
 
-    Loggers write the last command, or 0, while nobody controls. That is told by all of: the same four numbers for
-    `IDLE` seconds at the least, and between the ends `BUSY` of the commands differ from the one before. Of commands
-    in steps, or given by hand, nothing is said.
+    Loggers repeat the last command, or 0, while nobody controls. Idle ends are recognised by both: the same four values
+    for at least `IDLE` seconds, and between the ends `BUSY` of the commands differ from the previous one. Commands in
+    steps, or given by hand, are left alone.
 
     Args:
         stamps: Increasing, shape (N,) [ns].
@@ -84,7 +84,7 @@ def _holds(condition: Condition, values: Array) -> Mask:
 
 
 def _between_events(condition: Condition, clock: Stamps, values: Array, stamps: Stamps) -> Mask:
-    """Whether the last event that tells was one that opens; without any that tells, the condition holds."""
+    """Whether the last relevant event was an opening one; without any relevant event the condition holds."""
     tells = np.isin(values, (*condition.opens, *condition.closes))
     if not np.any(tells):
         return np.ones(len(stamps), dtype=np.bool_)
@@ -95,7 +95,7 @@ def _between_events(condition: Condition, clock: Stamps, values: Array, stamps: 
 
 
 def _text(condition: Condition) -> str:
-    """What closes the window, for a note: `SOURCE is zero`."""
+    """Why the window is closed, for a note: `SOURCE is zero`."""
     source = condition.channel.source
     if condition.equals:
         return f"{source} is not {' or '.join(f'{value:g}' for value in condition.equals)}"

@@ -1,4 +1,4 @@
-"""Whether what is given are flights, and different ones: the same poses twice would count as twice the evidence."""
+"""Checks that the inputs are distinct flights: the same poses twice would count as twice the evidence."""
 
 from collections.abc import Sequence
 
@@ -8,20 +8,20 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 
 RUN = 20
-"""Poses in a row that no two flights share by chance, all their digits."""
+"""Length of a run of poses, with all their digits, that two flights do not share by chance."""
 
 CHANGES = 10
-"""How many of them must differ from each other: a vehicle that stands still looks like another."""
+"""Number of changes that a run must contain: two vehicles that stand still look alike."""
 
 LEAST = 1.0
-"""Time that two flights must share to be refused [s]: parts of one log may touch."""
+"""Shared time from which two flights are refused [s]: parts of one log may touch."""
 
 
 def check_flights(flights: object) -> None:
-    """Refuses what is no sequence of flights: one flight, or the path of a log.
+    """Refuses anything but a sequence of flights, such as one flight or the path of a log.
 
     Raises:
-        TypeError: Naming what was given.
+        TypeError: Names the type that was given.
     """
     if not isinstance(flights, Sequence) or isinstance(flights, str | bytes):
         raise TypeError(f"a sequence of flights is wanted, not {type(flights).__name__}")
@@ -31,7 +31,7 @@ def check_flights(flights: object) -> None:
 
 
 def check_distinct(flights: Sequence[Flight]) -> None:
-    """Refuses flights that share a stretch of their poses, whatever their files are called.
+    """Refuses flights that share a stretch of their poses, whatever the names of their files.
 
     Args:
         flights: Read with one card.

@@ -1,13 +1,13 @@
-"""Commands that a logger has smoothed: seen in their shape, undone where the motion followed what was sent.
+"""Commands smoothed by the logger: recognised by their shape, restored where the motion followed the original ones.
 
-A logger that keeps a of the old value and takes 1 - a of the new one with every message turns a step into an
-exponential: the changes of the log shrink by a from message to message for as long as the command is held. Nothing else
-gives so many changes one and the same ratio. What was sent is then known exactly,
+A logger that keeps a share a of the old value and takes 1 - a of the new one with every message turns a step into an
+exponential: successive changes in the log shrink by the factor a while the command is held. Nothing else produces so
+many changes with the same ratio. The original commands then follow exactly,
 
     sent_k = (logged_k - a logged_(k-1)) / (1 - a)
 
-unless the sender smoothed it himself and the vehicle got what the log holds. The motion tells which: it follows the one
-or the other. A smoothed command that is never held has no such shape, and is not found.
+unless the sender smoothed them itself and the vehicle received the logged values. The motion decides between the two.
+A smoothed command that is never held lacks this shape and is not recognised.
 """
 
 from dataclasses import dataclass, replace
@@ -22,43 +22,43 @@ from rotorfit.flights.command_hold import DELAYS, EVERY, FASTEST, well_seen
 from rotorfit.flights.streams import Stream
 
 RATIOS = (0.3, 0.97)
-"""Shares of the old value that are looked for; ramps and slow sines have ratios near 1."""
+"""Range of the kept share that is searched; ramps and slow sines have ratios near 1."""
 
 SHARP = 0.003
-"""Half the width of the peak of the ratios."""
+"""Half width of the peak of the ratios."""
 
 AROUND = 0.03
-"""Half the width of what the peak is compared with."""
+"""Half width of the neighbourhood that the peak is compared with."""
 
 PEAK = 0.5
-"""Share of the ratios around it that the peak holds: without one it is the ratio of the widths, a tenth."""
+"""Share of the ratios in the neighbourhood that the peak must hold; uniform ratios give a tenth."""
 
 LEAST_SHARE = 0.2
-"""Share of all ratios that the peak holds."""
+"""Share of all ratios that the peak must hold."""
 
 FEWEST = 40
-"""Ratios in the peak below which nothing is said."""
+"""Least number of ratios in the peak."""
 
 RATIO_NOISE = 1e-3
-"""Rounding of the log over the change beyond which a ratio is not asked about."""
+"""Largest ratio of rounding to change for which a change is used."""
 
 DECIDES = 5.0
-"""Difference of the log-likelihood that decides what the vehicle followed."""
+"""Difference of the log-likelihoods that decides which commands the vehicle followed."""
 
 INDEPENDENT = 0.5
-"""Time after which changes of the velocity are counted as independent [s]."""
+"""Time after which changes of the velocity count as independent [s]."""
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Sum of squares that the answer to a command leaves of a velocity's changes, and how many there are."""
+    """Residual sum of squares of a velocity's changes regressed on the response to a command, and their number."""
 
     rest: float
     count: int
 
 
 def kept_share(command: Array) -> float | None:
-    """What share of the old value a logger kept, told by the shape of a command, shape (M,); None where none shows.
+    """Share of the old value that a logger kept, from the shape of a command, shape (M,); None without such a shape.
 
     Source: the ratio of successive changes of a first-order recursion with a held input is its pole.
     """
@@ -83,17 +83,17 @@ def kept_share(command: Array) -> float | None:
 
 
 def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, world: bool) -> Stream:
-    """The commands as they were sent, where the log smooths them and the motion followed what was sent.
+    """Restores commands that the log smooths, where the motion followed the original ones.
 
     Args:
         commands: In order.
-        axes: The commanded ones.
+        axes: The commanded axes.
         poses: Fresh, in order.
-        world: Whether commands are along the axes of the world.
+        world: Whether commands are along the world axes.
 
     Returns:
-        The commands, with a note `commands_unfiltered`, `commands_filtered` (the vehicle got them so) or
-        `commands_low_pass` (nothing tells) where their shape is that of a smoothed command; else unchanged.
+        The commands; where they have the shape of smoothed ones, with a note `commands_unfiltered` (restored),
+        `commands_filtered` (the vehicle received them smoothed) or `commands_low_pass` (undecided).
     """
     shares = {axis: share for axis in axes if (share := kept_share(commands.values[:, AXES.index(axis)])) is not None}
     if not shares:
@@ -121,7 +121,7 @@ def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, wor
 def _gain(
     seen: GriddedMotion, base: float, logged: GriddedMotion, sent: GriddedMotion, axis: str, world: bool
 ) -> float:
-    """Log-likelihood of the motion of an axis by the answer to what was sent, less that by the answer to the log."""
+    """Log-likelihood of the motion of an axis given the restored commands, less that given the logged ones."""
     fits = [_best(seen, base, some, axis, world) for some in (logged, sent)]
     one, other = fits
     if one is None or other is None or not min(one.rest, other.rest) > 0:
@@ -130,7 +130,7 @@ def _gain(
 
 
 def _best(seen: GriddedMotion, base: float, answer: GriddedMotion, axis: str, world: bool) -> _Fit | None:
-    """The best regression of the changes of a velocity on those of an answer, over dampings and delays."""
+    """The best regression of a velocity's changes on those of a response, over dampings and delays."""
     row = np.flatnonzero(seen.valid)[:: max(1, round(EVERY / seen.step))]
     velocity = seen.value[row, motion_column(axis, world)]
     if row.size < FEWEST or not 0 < np.ptp(velocity) < FASTEST:

@@ -1,4 +1,4 @@
-"""The vehicle's own velocity: a measurement beside the pose, or all that there is of an axis."""
+"""Onboard velocity: an additional measurement, or the only one of an axis."""
 
 from dataclasses import replace
 
@@ -15,18 +15,19 @@ from rotorfit.flights.streams import NEVER, Stream, in_order, keep_samples, numb
 
 
 def velocities_of(log: Log, card: Card) -> Stream | None:
-    """Takes the vehicle's own velocity from a log as the card says and repairs it.
+    """Takes the onboard velocity from a log according to the card, and repairs it.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
 
     Returns:
-        Velocities in the card's own frame, z up, NaN for axes that the card does not name [m/s, rad/s]; None where
-        nothing needs them: a pose of every axis, and no word that the velocity is independent of it.
+        Velocities in the card's velocity frame, z up (a NED world frame is converted to ENU), NaN for axes that the
+        card does not name [m/s, rad/s]; None where none is needed: every axis has a pose, and the card does not state
+        that the velocity is independent of it.
 
     Raises:
-        CardError: A column is not there, or nothing tells its time.
+        CardError: A column is missing, or has no clock.
         FlightError: No velocities, one that never changes, or a clock that runs backwards.
     """
     wanted = AXES if card.velocity_independent else card.velocity_only
@@ -56,10 +57,10 @@ def velocities_of(log: Log, card: Card) -> Stream | None:
 
 
 def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:
-    """The vehicle's own velocity along the world's axes, seconds from the start of the common window."""
+    """The onboard velocity in the world frame; time in seconds from the start of the common window."""
     time, value = (velocities.stamps - origin) / 1e9, velocities.values
     rounded = grain(value)
-    rounded[:2] = rounded[:2].max()  # the heading frame turns in the world
+    rounded[:2] = rounded[:2].max()  # the heading frame rotates in the world
     if card.velocity_frame == "heading":
         turned = world_from_heading(value[:, :2], np.interp(time, pose_time, yaw))
         value = np.hstack([turned, value[:, 2:]])
@@ -67,11 +68,11 @@ def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, 
 
 
 def moved(velocity: Velocity, late: Array, pose_time: Array, yaw: Array) -> Velocity:
-    """The velocity on the clock of the poses, with x and y turned by the heading of the time that they are of.
+    """The velocity on the clock of the poses, with x and y rotated by the heading at the corrected time.
 
     Args:
-        velocity: As it was.
-        late: How late each axis is against the pose, shape (4,) [s]; x and y alike.
+        velocity: As measured.
+        late: Lag of each axis behind the pose, shape (4,) [s]; equal for x and y.
         pose_time: Stamps of the poses, shape (N,) [s].
         yaw: Their heading, shape (N,) [rad].
     """
@@ -84,7 +85,17 @@ def moved(velocity: Velocity, late: Array, pose_time: Array, yaw: Array) -> Velo
 
 
 def with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity) -> tuple[Array, tuple[Note, ...]]:
-    """Positions with the velocity summed up (trapezoids) along the axes that have nothing else, and a note."""
+    """Positions with the integrated velocity (trapezoids) on the axes that have nothing else, and notes.
+
+    Args:
+        log: For the error message.
+        position: World x, y, z, shape (N, 3) [m].
+        pose_time: Shape (N,) [s].
+        velocity: In the world frame.
+
+    Raises:
+        FlightError: Fewer than two velocities where one is needed.
+    """
     if not velocity.alone:
         return position, ()
     if velocity.time.size < 2:

@@ -1,6 +1,6 @@
-"""What stands beside a stream: other streams in the rows of its table, and columns of other tables.
+"""Columns beside a stream: those of other streams in the rows of its table, and those of other tables.
 
-The latter are brought onto the stamps of the stream: held, as commands are, or drawn between two samples.
+The latter are brought onto the stamps of the stream: held, for commands, or interpolated between two samples.
 """
 
 from collections.abc import Mapping
@@ -28,29 +28,29 @@ from rotorfit.flights.stamps import (
 )
 
 TOGETHER = 0.1
-"""Share of a median period by which a command of another table may be later and still belong to the same instant:
-autopilots write the messages of one step of their controller one after the other."""
+"""Share of a median period by which a command in another table may be later and still belong to the same instant:
+autopilots write the messages of one controller step one after the other."""
 
 
 def is_beside(time: Channel, channel: Channel) -> bool:
-    """Whether a channel stands in another table than its clock; where the clock names none, there is only one."""
+    """Whether a channel is in another table than its clock; False where one of them names no table."""
     table, own = split_source(channel.source)[0], split_source(time.source)[0]
     return isinstance(channel.source, str) and bool(table and own) and table != own
 
 
 def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mask:
-    """Which rows of a stream hold a sample: where commands and poses share a table, a row may hold one of them only.
+    """Which rows of a stream hold a sample: in a table shared by commands and poses, a row may hold only one of them.
 
     Args:
         log: As recorded.
         time: The stream's clock.
-        channels: What it consists of.
+        channels: The stream's channels.
 
     Returns:
         Shape (N,), True where any channel is a number; N is the number of stamps.
 
     Raises:
-        CardError: A column is not there.
+        CardError: A column is missing.
     """
     stamps = stamps_of(log, time)
     rows = np.zeros(len(stamps), dtype=np.bool_)
@@ -63,10 +63,11 @@ def sample_rows(log: Log, time: Channel, channels: Mapping[str, Channel]) -> Mas
 
 
 def rows_of_others(log: Log, card: Card) -> Mask:
-    """Which rows of the commands' table hold no command but a number of something else, shape (N,).
+    """Which rows of the commands' table hold no command but a number in another column, shape (N,).
 
-    A file of rows leaves the cells blank that a row does not have, as those of the commands where only an IMU was read.
-    A message comes whole: numbers beside its missing command are its own, and say nothing.
+    In a file of rows, a row leaves the cells blank that it has no value for, such as those of the commands where only
+    an
+    IMU was read. A message is complete: numbers beside its missing command are part of it and carry no information.
     """
     own = sample_rows(log, card.command_time, card.command)
     table, clock = table_of(log, str(card.command_time.source))
@@ -84,8 +85,7 @@ def rows_of_others(log: Log, card: Card) -> Mask:
 def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:
     """Stamps of a column in another table than its stream's clock.
 
-    They are the column of its own table that is named as the clock of the stream, else `log_time`, else
-    `header.stamp`.
+    They are the column in its own table that has the name of the stream's clock, else `log_time`, else `header.stamp`.
 
     Args:
         log: As recorded.
@@ -106,10 +106,10 @@ def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:
 
 
 def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
-    """Stamps and values of a column in another table, increasing and without what is no number.
+    """Stamps and values of a column in another table, in increasing order, without missing stamps and NaN.
 
     Raises:
-        CardError: The column is not there, nothing tells its time, or the two do not go together.
+        CardError: The column is missing, has no clock, or their lengths differ by more than one.
     """
     clock = own_clock(log, time, channel)
     values = column(log, channel, len(clock))
@@ -124,21 +124,21 @@ def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
 
 
 def held_beside(log: Log, time: Channel, channel: Channel, stamps: Stamps) -> Array:
-    """A command of another table held onto stamps, shape (N,); NaN before its first and where it had stopped coming."""
+    """A command in another table held onto stamps, shape (N,); NaN before its first sample and after a gap."""
     clock, values = sampled(log, time, channel)
     clock = clock - round(TOGETHER * (median_period(clock) or 0))
     return np.where(_reached(clock, stamps), held(clock, values, stamps), np.nan)
 
 
 def interpolate(clock: Stamps, values: Array, stamps: Stamps) -> Array:
-    """A quantity that moves steadily, between the samples before and after each stamp, shape (N,).
+    """Interpolates a continuous quantity linearly between samples, shape (N,).
 
-    NaN where they are further apart than a gap, and outside of all samples.
+    NaN where neighbouring samples are further apart than a gap, and outside of all samples.
 
     Args:
         clock: Increasing, shape (M,) [ns].
         values: Shape (M,).
-        stamps: Where it is wanted, shape (N,) [ns].
+        stamps: Where it is evaluated, shape (N,) [ns].
     """
     if len(clock) < 2:
         return np.full(len(stamps), np.nan)
@@ -150,17 +150,18 @@ def interpolate(clock: Stamps, values: Array, stamps: Stamps) -> Array:
 
 
 def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[Stamps, Array]:
-    """Stamps and values of a state that may stand in any table, each of shape (N,), NaN where it was told as such.
+    """Stamps and values of a state in any table, each of shape (N,), with NaN as recorded.
 
-    Its clock is that of the commands or of the poses where it stands in their table with as many values, else its own.
+    Its clock is that of the commands or of the poses where it is in their table with as many values, else its own.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
         channel: The state.
-        what: What it is, for the error's text.
+        what: Its name, for the error message.
 
     Raises:
+        CardError: The column is missing, or has no clock.
         CardError: The column is not there, or nothing tells its time.
     """
     table, values = split_source(channel.source)[0], column(log, channel)
@@ -178,6 +179,6 @@ def _limit(clock: Stamps) -> float:
 
 
 def _reached(clock: Stamps, stamps: Stamps) -> Mask:
-    """Whether each stamp lies at most a gap behind a sample."""
+    """Whether each stamp is at most a gap later than a sample."""
     index = np.searchsorted(clock, stamps, side="right") - 1
     return (index >= 0) & (stamps - clock[np.maximum(index, 0)] <= _limit(clock))

@@ -1,4 +1,4 @@
-"""Log + Log -> Log: one flight that was recorded in several files, and which columns are in which."""
+"""Log + Log -> Log: one flight recorded in several files, and which file holds which column."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,14 +11,14 @@ from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.columns import card_for, fits
 
 MOST_FILES = 3
-"""Files of one flight that are put together without a plus: commands, poses, and something beside them."""
+"""Largest number of files that are joined without a plus: commands, poses, and one more."""
 
 
 def bound(card: Card, log: Log) -> Card:
-    """The card with the names of this log, and the table of every column named without one in several files.
+    """The card with the names of this log; in a log of several files every column gets its table.
 
-    The columns that a section names without a table are in one table: the only one that holds them all, or of several
-    the one that the section names elsewhere. So `time` in `[command]` and in `[pose]` may mean two files.
+    Columns that a section names without a table share one table: the only one that holds them all, or, if several do,
+    the one that the section names elsewhere. So `time` in `[command]` and in `[pose]` may be in two files.
 
     Args:
         card: As written.
@@ -49,11 +49,11 @@ def bound(card: Card, log: Log) -> Card:
 
 
 def _section(log: Log, channels: Mapping[str, Channel]) -> dict[str, Channel]:
-    """The channels of a section, each with its table."""
+    """The channels of a section, each with its table where that is unambiguous."""
     sources = [channel.source for channel in channels.values() if isinstance(channel.source, str)]
     plain = [source for source in sources if not _placed(log, source)]
     holders = [table.name for table in log.tables.values() if all(_holds(table, name) for name in plain)]
-    beside = {source.partition(":")[0] for source in sources} & set(holders)  # a table that the section names anyway
+    beside = {source.partition(":")[0] for source in sources} & set(holders)  # tables that the section names elsewhere
     holders = list(beside) if len(beside) == 1 else holders
     if not plain or len(holders) != 1:
         return dict(channels)
@@ -73,18 +73,18 @@ def _holds(table: Table, name: str) -> bool:
 
 
 def flights_of(logs: Sequence[Log], card: Card | None) -> list[tuple[int, Log]]:
-    """Logs as flights: those that only together hold all that a card names are joined, with a note that says so.
+    """Groups logs into flights: logs that only together hold all columns of a card are joined, with a note.
 
     Args:
         logs: As read.
-        card: Which columns are needed; None joins nothing.
+        card: Defines the columns needed; None joins nothing.
 
     Returns:
-        The place of the first log of each flight, and the flight's log, in that order. Logs that cannot be put together
-        stay by themselves, for the error that says what they lack.
+        The index of the first log of each flight, and the flight's log, in that order. Logs that cannot be joined
+        stay single, so that a later error reports what they lack.
 
     Raises:
-        CardError: They can be put together in more than one way.
+        CardError: They can be joined in more than one way.
     """
     parts = [i for i, log in enumerate(logs) if card and not log.file_of and not fits(log, card)]
     groups = _groups([logs[i] for i in parts], card) if card and len(parts) > 1 else []
@@ -98,7 +98,11 @@ def flights_of(logs: Sequence[Log], card: Card | None) -> list[tuple[int, Log]]:
 
 
 def _groups(logs: Sequence[Log], card: Card) -> list[tuple[int, ...]]:
-    """Places of the logs of each flight, each of as few logs as fit; none where not all of them can be put together."""
+    """Indices of the logs of each flight, as few logs per flight as fit; empty where none can be joined.
+
+    Raises:
+        CardError: The grouping is ambiguous.
+    """
     groups = [
         group
         for size in range(2, min(len(logs), MOST_FILES) + 1)

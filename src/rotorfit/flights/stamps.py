@@ -1,6 +1,6 @@
-"""Clocks: stamps of a stream, order, repeats, jitter, gaps, and how two clocks stand to each other.
+"""Clocks: stamps of a stream, order, repeats, jitter, gaps, and the relation of two clocks.
 
-`increasing` and `fresh` look back only, so that a stream repaired sample by sample gives the same as a whole flight.
+`increasing` and `fresh` only look back, so that repairing a stream sample by sample gives the same as a whole flight.
 """
 
 from dataclasses import dataclass
@@ -20,37 +20,37 @@ Stamps = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 MISSING_STAMP = int(np.iinfo(np.int64).min)
-"""Stands for a stamp that was recorded as NaN, as numpy's NaT does."""
+"""Represents a stamp that was recorded as NaN, as numpy's NaT does."""
 
 GAP_PERIODS = 3
 """A step longer than this many median periods is a gap."""
 
 GAP_TOLERANCE = 0.01
-"""Share of a median period by which a step may pass the limit: a step of exactly three periods, rounded, is no gap."""
+"""Share of a median period by which a step may exceed the limit: a rounded step of exactly three periods is no gap."""
 
 SPIN = 20.0
-"""Fastest turn that is believed [rad/s]: no velocity-commanded multirotor reaches it."""
+"""Fastest plausible turn [rad/s]: no velocity-commanded multirotor reaches it."""
 
 COARSE = 4.0
-"""Typical change of a column in its smallest changes, below which it is taken to be rounded to a few values."""
+"""A column counts as coarsely rounded where its median change is below this multiple of its smallest changes."""
 
 _NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How regularly a stream was stamped. None where fewer than two increasing stamps leave it undefined.
+    """Regularity of a stream's stamps. None where fewer than two increasing stamps leave a value undefined.
 
     Attributes:
-        count: Stamps recorded.
+        count: Number of stamps recorded.
         duration: From the first to the last increasing stamp [s].
         period: Median step [s].
-        jitter: 5th and 95th percentile of step minus period [s].
-        gaps: Steps longer than three periods.
+        jitter: 5th and 95th percentiles of step minus period [s].
+        gaps: Number of steps longer than three periods.
         longest_gap: Longest step [s].
-        repeated: Stamps equal to the latest one before.
-        reversed: Stamps earlier than the latest one before.
-        missing: Stamps that are not numbers.
+        repeated: Number of stamps equal to the latest before.
+        reversed: Number of stamps earlier than the latest before.
+        missing: Number of stamps that are not numbers.
     """
 
     count: int
@@ -66,12 +66,12 @@ class Rate:
 
 @dataclass(frozen=True)
 class ClockRelation:
-    """How the stamps of one stream stand to those of another.
+    """Relation of the stamps of one stream to those of another.
 
     Attributes:
         start_offset: First stamp of the second minus that of the first [s].
         end_offset: Last stamp of the second minus that of the first [s].
-        overlap: Length of the time that both cover [s]; 0 where they do not meet.
+        overlap: Length of the time covered by both [s]; 0 where they are disjoint.
     """
 
     start_offset: float
@@ -81,12 +81,12 @@ class ClockRelation:
 
 @dataclass(frozen=True)
 class ClockDrift:
-    """Two clocks that stamped the same samples.
+    """Relation of two clocks that stamped the same samples.
 
     Attributes:
         offset: Median of second minus first [s].
-        spread: 5th and 95th percentile of second minus first, about the offset [s].
-        drift: Growth of second minus first a second of the first, from the medians of its first and last quarter.
+        spread: 5th and 95th percentiles of second minus first, relative to the offset [s].
+        drift: Change of second minus first per second, from the medians of the first and last quarters.
     """
 
     offset: float
@@ -95,20 +95,20 @@ class ClockDrift:
 
 
 def stamps_of(log: Log, time: Channel) -> Stamps:
-    """Stamps of a stream.
+    """Stamps of a stream in nanoseconds.
 
-    Stamps in `log.retimed` are taken as they are. Else, without a unit, whole numbers are nanoseconds where the column
-    is a `header.stamp` or `log_time`, or passes 1e15; everything else is seconds.
+    Stamps in `log.retimed` are returned unchanged. Otherwise, without a unit, integers are nanoseconds where the column
+    is a `header.stamp` or `log_time`, or exceeds 1e15; everything else is seconds.
 
     Args:
-        log: Where the column is.
-        time: Which column, and how to read it: (raw * scale + offset), then the unit.
+        log: Log that holds the column.
+        time: The column, and how to read it: raw * scale + offset, in its unit.
 
     Returns:
-        Shape (N,) [ns]; `MISSING_STAMP` where the recorded stamp is no number, or one that int64 cannot hold.
+        Shape (N,) [ns]; `MISSING_STAMP` where the recorded stamp is not a number, or does not fit int64.
 
     Raises:
-        CardError: The column is not there, or most of its numbers are too large for their unit.
+        CardError: The column is missing, or most of its numbers are too large for their unit.
     """
     name, raw = raw_column(log, time.source)
     moved = log.retimed.get((table_of(log, str(time.source))[0].name, name)) if log.retimed else None
@@ -131,29 +131,29 @@ def stamps_of(log: Log, time: Channel) -> Stamps:
         stamps = kept.astype(np.int64) * factor + round(time.offset * factor)
     else:
         values = kept.astype(np.float64) * time.scale + time.offset
-        units = np.floor(values)  # apart from the fraction, so that the product does not round a second time
+        units = np.floor(values)  # split off the fraction, so that the product does not round a second time
         stamps = units.astype(np.int64) * factor + np.round((values - units) * factor).astype(np.int64)
     return np.where(in_range, stamps, MISSING_STAMP)
 
 
 def increasing(stamps: Stamps) -> Mask:
-    """Which stamps are later than all before them, shape (N,). The first of equal ones stays."""
+    """Which stamps are later than all before them, shape (N,). The first of equal ones is kept."""
     keep = np.ones(len(stamps), dtype=np.bool_)
     keep[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
     return keep
 
 
 def fresh(values: Array) -> Mask:
-    """Which rows of shape (N, K) differ from the row before in any column, shape (N,). The first of a run stays."""
+    """Which rows of shape (N, K) differ from the row before in any column, shape (N,). The first of a run is kept."""
     keep = np.ones(len(values), dtype=np.bool_)
     keep[1:] = np.any(values[1:] != values[:-1], axis=1)
     return keep
 
 
 def grain(values: Array) -> Array:
-    """To what the columns of values (N, K) are rounded, shape (K,); 0 where that is fine against how they change.
+    """Rounding step of each column of values (N, K), shape (K,); 0 where it is fine compared with the changes.
 
-    It is coarse where a typical change is less than `COARSE` of the smallest ones.
+    It is coarse where the median change is less than `COARSE` times the smallest ones.
     """
     out = np.zeros(values.shape[1])
     for k, step in enumerate(np.abs(np.diff(values, axis=0)).T):
@@ -165,13 +165,13 @@ def grain(values: Array) -> Array:
 
 
 def coarse(values: Array) -> bool:
-    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are the truth."""
+    """Whether all columns of values (N, K) that change are so coarse that equal neighbours are genuine."""
     moving = np.ptp(values, axis=0) > 0
     return bool(np.all(grain(values[:, moving]) > 0))
 
 
 def held(clock: Stamps, values: Array, at: Stamps) -> Array:
-    """The latest value, shape (N,), not after each of the stamps `at`, shape (M,); NaN before the first."""
+    """Latest value, of shape (N,), at or before each of the stamps `at`, shape (M,); NaN before the first."""
     order = np.argsort(clock, kind="stable")
     index = np.searchsorted(clock[order], at, side="right") - 1
     return np.where(index >= 0, values[order][np.maximum(index, 0)], np.nan)
@@ -181,7 +181,7 @@ def degrees_for_radians(stamps: Stamps, yaw: Array) -> bool:
     """Whether headings read as radians must be degrees.
 
     They must where one jumps by 360, or where they leave one turn and keep moving faster than 20 rad/s over a tenth
-    of a second, which a wrapped or an unwrapped angle of a real vehicle does not.
+    of a second; neither a wrapped nor an unwrapped angle of a real vehicle does that.
 
     Args:
         stamps: Increasing, shape (N,) [ns].
@@ -205,7 +205,7 @@ def median_period(stamps: Stamps) -> int | None:
 
 
 def rate(stamps: Stamps) -> Rate:
-    """Rate, jitter, gaps and disorder of the stamps of a stream, shape (N,) [ns], as recorded."""
+    """Rate, jitter, gaps and disorder of the recorded stamps of a stream, shape (N,) [ns]."""
     there = stamps[stamps != MISSING_STAMP]
     ordered = there[increasing(there)]
     latest = np.maximum.accumulate(there)[:-1]
@@ -227,7 +227,7 @@ def rate(stamps: Stamps) -> Rate:
 
 
 def relation(first: Stamps, second: Stamps) -> ClockRelation:
-    """How two streams lie in time; both of at least one increasing stamp [ns]."""
+    """Relation in time of two streams, each with at least one stamp, increasing [ns]."""
     overlap = min(int(first[-1]), int(second[-1])) - max(int(first[0]), int(second[0]))
     return ClockRelation(
         start_offset=(int(second[0]) - int(first[0])) / 1e9,
@@ -237,10 +237,10 @@ def relation(first: Stamps, second: Stamps) -> ClockRelation:
 
 
 def drift(first: Stamps, second: Stamps) -> ClockDrift | None:
-    """How the second of two clocks runs against the first, over the samples that both stamped [ns].
+    """Drift of the second of two clocks against the first, over the samples stamped by both [ns].
 
-    Medians of quarters, because transport delays have a long tail on one side. None for fewer than eight samples, or
-    where the first clock stands still.
+    Medians of quarters are used because transport delays have a one-sided long tail. None for fewer than eight samples,
+    or where the first clock stands still.
     """
     both = (first != MISSING_STAMP) & (second != MISSING_STAMP)
     if np.sum(both) < 8:

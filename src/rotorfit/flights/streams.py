@@ -1,4 +1,4 @@
-"""Streams: the commands and the poses of a log, each on its own clock, put in order; every repair noted."""
+"""Streams: the commands and poses of a log, each on its own clock and in order; every repair noted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,29 +39,29 @@ from rotorfit.flights.stamps import (
 )
 
 SLOWEST_COMMANDS = 5.0
-"""Median period of the commands [s] beyond which their clock is taken to lack its unit."""
+"""Median period of the commands [s] above which the unit of their clock is taken to be missing."""
 
 LARGEST = 1e12
-"""Metres, radians or commands beyond which a number is none: squares of such are no numbers any more."""
+"""Magnitude in metres, radians or commands above which a value is invalid: its square would lose all precision."""
 
 BRIDGED = 10_000_000
-"""Time beyond its hold [ns] for which a command acts on until the next: what else could act so shortly moves nothing
-that is measured, and to split the flight there costs the 0.6 s that a segment needs to start."""
+"""Time beyond its hold [ns] for which a command still acts until the next: anything else acting so briefly moves
+nothing measurable, and splitting the flight there costs the 0.6 s that a segment needs to start."""
 
 NEVER = np.int64(2**62)
-"""Stands for the end of what acts until something else comes [ns]."""
+"""End time of a sample that acts until the next one [ns]."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Commands, poses or velocities on their own clock, with what was repaired.
+    """Commands, poses or velocities on their own clock, with their repairs.
 
     Attributes:
         what: `command`, `pose` or `velocity`.
         stamps: Shape (N,) [ns].
         values: Shape (N, 4): x, y, z, yaw.
-        until: Until when a command acts if no other follows, shape (N,) [ns].
-        notes: What was repaired so far.
+        until: Time until which a command acts without a successor, shape (N,) [ns].
+        notes: Repairs so far.
     """
 
     what: str
@@ -72,18 +72,18 @@ class Stream:
 
 
 def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
-    """Takes the commands from a log as the card says and repairs them.
+    """Takes the commands from a log according to the card, and repairs them.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
 
     Returns:
         The commands, 0 where not commanded; the commanded axes in the order of `AXES`; and the stamp of the first
         command [ns], which starts the common window even where that command is dropped as garbage.
 
     Raises:
-        CardError: A column is not there, or its length does not go with its stamps.
+        CardError: A column is missing, or its length does not match its stamps.
         FlightError: No commands, a clock that runs backwards or lacks its unit, a window that is never open.
     """
     stamps, series, notes = read_series(log, card.command_time, card.command, "command")
@@ -92,7 +92,7 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
     stream = Stream("command", stamps, values, np.full(len(stamps), NEVER), (*notes, *silent))
     silence = ~np.all(np.isfinite(values), axis=1) & (stamps != MISSING_STAMP)
     if split_source(card.command_time.source)[0] != split_source(card.pose_time.source)[0]:
-        # a message of its own that holds no number ends the command before; in a table shared with poses it is a blank
+        # a message without a number ends the command before it; in a table shared with poses it is a blank
         stream = closed(stream, stamps[silence & ~rows_of_others(log, card)[: len(stamps)]])
     stream = _inside_window(in_order(numbers(stream, log), log), log, card)
     origin = int(stream.stamps[0])
@@ -101,17 +101,17 @@ def commands_of(log: Log, card: Card) -> tuple[Stream, tuple[str, ...], int]:
 
 
 def poses_of(log: Log, card: Card) -> Stream:
-    """Takes the poses from a log as the card says and repairs them.
+    """Takes the poses from a log according to the card, and repairs them.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
 
     Returns:
-        The fresh poses, world frame, z up [m, rad]; yaw still wrapped; 0 for axes of which there is only a velocity.
+        The fresh poses, world frame, z up [m, rad]; yaw still wrapped; 0 for axes that have only a velocity.
 
     Raises:
-        CardError: A column is not there, or its length does not go with its stamps.
+        CardError: A column is missing, or its length does not match its stamps.
         FlightError: No poses, one that never changes, a clock that runs backwards, yaw in degrees taken for radians.
     """
     stamps, series, notes = read_series(log, card.pose_time, card.pose, "pose")
@@ -124,8 +124,8 @@ def poses_of(log: Log, card: Card) -> Stream:
         x, y, z, yaw, own = y, x, -z, np.pi / 2 - yaw, [own[1], own[0], *own[2:]]
     values = np.stack([x, y, z, yaw], axis=1)
     stream = in_order(numbers(Stream("pose", stamps, values, np.full(len(stamps), NEVER), notes), log), log)
-    seen = stream.values[:, own] if any(own) else stream.values  # what is drawn from other tables is never stale
-    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees repeats itself in truth
+    seen = stream.values[:, own] if any(own) else stream.values  # values interpolated from other tables are never stale
+    if not (card.velocity_only and coarse(seen)):  # a heading in whole degrees genuinely repeats
         stream = keep_samples(stream, fresh(seen), "stale_poses", "repeat the pose before with a fresh stamp: dropped")
     if len(stream.stamps) < 2:
         raise FlightError(f"{log.path}: the pose never changes; is [pose] of the card the flown vehicle?")
@@ -142,11 +142,11 @@ def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> 
 
     Args:
         log: As recorded.
-        time: The stream's clock; the two stamps are looked for in its table.
-        channels: What the stream consists of.
+        time: The stream's clock; both stamps are looked up in its table.
+        channels: The stream's channels.
 
     Raises:
-        CardError: A column is not there.
+        CardError: A column is missing.
     """
     name = split_source(time.source)[0]
     table = log.tables.get(name) or (next(iter(log.tables.values())) if len(log.tables) == 1 else None)
@@ -161,7 +161,7 @@ def recorder_clock(log: Log, time: Channel, channels: Mapping[str, Channel]) -> 
 def read_series(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
-    """Stamps and series of one length, and what stands in other tables brought onto the stamps."""
+    """Stamps and series of equal length; series in other tables are held or interpolated onto the stamps."""
     stamps, series, notes = _own(log, time, channels, what)
     others = {name: channel for name, channel in channels.items() if is_beside(time, channel)}
     if not others:
@@ -185,7 +185,7 @@ def read_series(
 def _own(
     log: Log, time: Channel, channels: Mapping[str, Channel], what: str
 ) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
-    """Stamps and series of one table; the last surplus sample goes, because dropping the first would forge a delay."""
+    """Stamps and series of one table; a surplus last sample is dropped: dropping the first would add a delay."""
     stamps = stamps_of(log, time)
     own = {name: channel for name, channel in channels.items() if not is_beside(time, channel)}
     series = {name: column(log, channel, len(stamps)) for name, channel in own.items()}
@@ -206,7 +206,7 @@ def _own(
 
 
 def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, ...]]:
-    """Without axes that are seldom or never commanded while the others are: NaN is how autopilots say so."""
+    """Drops axes that are rarely or never commanded while the others are: autopilots mark them with NaN."""
     notes: list[Note] = []
     for axis in list(series):
         others = [values for name, values in series.items() if name != axis]
@@ -223,13 +223,13 @@ def _commanded(series: dict[str, Array]) -> tuple[dict[str, Array], tuple[Note, 
 
 
 def _heading(w: Array, x: Array, y: Array, z: Array) -> Array:
-    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is out of sight."""
+    """Yaw of quaternions, NaN where there is none: mocap bridges write zeros while the body is occluded."""
     lost = np.sum(np.square([w, x, y, z]), axis=0) < 1e-6
     return np.where(lost, np.nan, yaw_from_quaternion(w, x, y, z))
 
 
 def keep_samples(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
-    """The samples to keep, shape (N,), and a note where some go: `COUNT of N WHATs WHY`."""
+    """Keeps the samples in a mask, shape (N,), with a note if any are dropped: `COUNT of N WHATs WHY`."""
     lost = int(np.sum(~keep))
     if not lost:
         return stream
@@ -244,7 +244,11 @@ def keep_samples(stream: Stream, keep: Mask, code: str, why: str) -> Stream:
 
 
 def numbers(stream: Stream, log: Log) -> Stream:
-    """Without samples that hold no number, or have no stamp: they count as absent."""
+    """Drops samples without a number or a stamp: they count as absent.
+
+    Raises:
+        FlightError: No sample is left.
+    """
     stamped = stream.stamps != MISSING_STAMP
     stream = keep_samples(stream, stamped, f"{stream.what}_stamps_missing", "have no stamp: dropped")
     finite = np.abs(stream.values) <= LARGEST
@@ -263,7 +267,11 @@ def numbers(stream: Stream, log: Log) -> Stream:
 
 
 def in_order(stream: Stream, log: Log) -> Stream:
-    """Without samples that are not later than all before them."""
+    """Drops samples that are not later than all before them.
+
+    Raises:
+        FlightError: The clock runs backwards or stands still.
+    """
     steps = np.diff(stream.stamps)
     keep = increasing(stream.stamps)
     back = np.zeros(len(keep), dtype=np.bool_)
@@ -285,7 +293,7 @@ def in_order(stream: Stream, log: Log) -> Stream:
 
 
 def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
-    """Commands while the card's window is open; the last one before it closes acts no longer than that."""
+    """Commands while the card's window is open; the last one before it closes acts only until then."""
     stamps = stream.stamps
     for why, open_ in conditions(log, card, stamps):
         if not np.any(open_[np.isin(stamps, stream.stamps)]):
@@ -306,25 +314,25 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
 
 
 def closed(stream: Stream, stamps: Stamps) -> Stream:
-    """A stream whose samples act no longer than to the next of these stamps, shape (M,) [ns]."""
+    """A stream whose samples act no longer than until the next of these stamps, shape (M,) [ns]."""
     closing = np.append(np.sort(stamps), NEVER)
     until = closing[np.searchsorted(closing, stream.stamps, side="right")]
     return replace(stream, until=np.minimum(stream.until, until))
 
 
 def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
-    """What a position controller was told, held onto stamps.
+    """The setpoint of a position controller, held onto stamps.
 
     Args:
         log: As recorded.
-        card: Which column is what; its reference is in the frame of the pose.
-        stamps: Where it is wanted, shape (M,) [ns].
+        card: The meaning of each column; its reference is in the frame of the pose.
+        stamps: Where it is evaluated, shape (M,) [ns].
 
     Returns:
-        x, y, z, yaw, z up, shape (M, 4), NaN where unknown; None where the card names no reference.
+        x, y, z, yaw, z up, shape (M, 4) [m, rad], NaN where unknown; None where the card names no reference.
 
     Raises:
-        CardError: A column is not there, or nothing tells its time.
+        CardError: A column is missing, or has no clock.
     """
     if not card.reference:
         return None
@@ -341,9 +349,9 @@ def reference_of(log: Log, card: Card, stamps: Stamps) -> Array | None:
 
 
 def _without_garbage_start(stream: Stream) -> Stream:
-    """Without a first command that the rest of the flight disowns.
+    """Drops a first command that is an outlier against the rest of the flight.
 
-    Loggers that start before the controller write what the memory held. Such a sample is told by all of: ten robust
+    Loggers that start before the controller write uninitialised memory. Such a sample fulfils all of: ten robust
     standard deviations from the median of the others, beyond their extremes by more than their whole range, and more
     than twice as large as any. It is dropped: the first segment begins with the second command, t = 0 stays.
     """
@@ -363,7 +371,7 @@ def _without_garbage_start(stream: Stream) -> Stream:
 
 
 def _without_idle_ends(stream: Stream) -> Stream:
-    """Without the first and the last commands while a controller that changes them all the time did not run."""
+    """Drops the first and last commands that were logged while a continuously changing controller was not running."""
     idle = idle_ends(stream.stamps, stream.values)
     stream = closed(stream, stream.stamps[idle])
     return keep_samples(
@@ -372,7 +380,11 @@ def _without_idle_ends(stream: Stream) -> Stream:
 
 
 def _held(stream: Stream, log: Log, card: Card) -> Stream:
-    """Commands that act for their hold, or until the next where that comes as soon but for a few milliseconds."""
+    """Sets how long each command acts: for its hold, or to the next where that comes at most milliseconds after it.
+
+    Raises:
+        FlightError: A single command without a hold in the card, or commands too slow for their clock's unit.
+    """
     period = median_period(stream.stamps)
     if period is None and card.hold is None:
         raise FlightError(f"{log.path}: there is only one command; is [command] of the card the flown stream?")

@@ -1,8 +1,8 @@
 """Logs of every known format as one noun: `read(path) -> Log`.
 
-A format is found by the first bytes of a file, never by its name. Each format is a module with
-`sniff(path, head) -> bool` and `read(path, tables) -> Content`, imported when it is asked for; what it needs from
-outside is imported when it reads.
+A format is recognised by the first bytes of a file, never by its name. Each format is a module with
+`sniff(path, head) -> bool` and `read(path, tables) -> Content`, imported on demand; third-party packages are imported
+only when it reads.
 """
 
 import hashlib
@@ -33,15 +33,15 @@ def read(path: str | Path, tables: Collection[str] | None = None, progress: Prog
     """Reads a log.
 
     Args:
-        path: A file, or the folder of a ROS 2 bag; or several of one flight, `A+B`.
-        tables: Names of the tables to decode; None decodes every table of numbers (not images, point clouds and the
-            like). The others are listed in `Log.skipped`. Files of one table (CSV, MAT) and several files of one flight
-            are always read whole.
+        path: A file, or the folder of a ROS 2 bag; or several files of one flight, `A+B`.
+        tables: Names of the tables to decode; None decodes every numeric table (not images, point clouds and the like).
+            The others are listed in `Log.skipped`. Files of one table (CSV, MAT) and several files of one flight are
+            always read whole.
         progress: Called from another thread with a fraction and a text, for files of more than 100 MB; raising in it
             cancels.
 
     Returns:
-        The log as recorded; what was lost or recovered is in its notes.
+        The log as recorded; losses are in its `damage`, recoveries in its `notes`.
 
     Raises:
         LogError: Missing, empty or unreadable file, unknown format, no table in it, damage before the first message.
@@ -73,7 +73,11 @@ def read(path: str | Path, tables: Collection[str] | None = None, progress: Prog
 
 
 def _head(path: Path) -> bytes:
-    """First bytes of a file, or nothing for a folder."""
+    """First bytes of a file; empty for a folder.
+
+    Raises:
+        LogError: Missing, empty, or not a regular file.
+    """
     if path.is_dir():
         return b""
     if not path.exists():
@@ -89,7 +93,7 @@ def _head(path: Path) -> bytes:
 
 @contextmanager
 def _hashed(path: Path, progress: Progress | None) -> Iterator[Callable[[], str]]:
-    """Gives the SHA-256 of a file, which a second thread takes while the first one reads; left early, it stops."""
+    """Yields a function that returns the SHA-256 of a file, computed in a second thread that stops with the context."""
     stop = Event()
     with ThreadPoolExecutor(1) as pool:
         digest = pool.submit(_sha256, path, stop, progress)
@@ -100,9 +104,9 @@ def _hashed(path: Path, progress: Progress | None) -> Iterator[Callable[[], str]
 
 
 def _sha256(path: Path, stop: Event, progress: Progress | None) -> str:
-    """Hex digest of a file; of a folder: of the bytes of its files in the order of their names.
+    """Hex digest of a file; for a folder, of the bytes of its files in the order of their names.
 
-    Of large files it tells how far it is: seldom is anything else as slow.
+    It reports the progress for large files, because reading them rarely takes longer than hashing.
     """
     digest = hashlib.sha256()
     files = sorted(entry for entry in path.iterdir() if entry.is_file()) if path.is_dir() else [path]

@@ -1,4 +1,4 @@
-"""What binary logs of autopilots share: records of known size, found one after the other, become columns at once."""
+"""Shared by binary autopilot logs: records of known size, located one by one, become columns at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from rotorfit.core.log import Column
 _BLOCK = 1 << 22
 
 BOOL = "?1"
-"""Format of truth values: read as bytes, because a stranger's may be neither 0 nor 1."""
+"""Format of booleans: read as bytes, because in an untrusted file they may be neither 0 nor 1."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,11 @@ class Leaf:
     """One column in a record.
 
     Attributes:
-        name: Of the column.
-        format: Numpy's, such as `<f4`, or `BOOL`.
-        offset: Bytes before it.
+        name: Name of the column.
+        format: Numpy format, such as `<f4`, or `BOOL`.
+        offset: Offset in the record's data [byte].
         count: Length of an array, which becomes a matrix; None for a single number.
-        divisor: What the number was multiplied by to be written as a whole one.
+        divisor: Factor by which the number was multiplied to be stored as an integer.
     """
 
     name: str
@@ -35,12 +35,12 @@ class Leaf:
 
 @dataclass(frozen=True)
 class RecordLayout:
-    """Where the numbers lie in the records of a table.
+    """Layout of the records of a table.
 
     Attributes:
         leaves: Columns.
-        start: Bytes of the record's head.
-        size: Bytes behind the head that hold the columns.
+        start: Length of the record's head [byte].
+        size: Length of the data behind the head [byte].
     """
 
     leaves: tuple[Leaf, ...]
@@ -50,23 +50,23 @@ class RecordLayout:
 
 @dataclass
 class Rows:
-    """Records of one table as they are gathered, block by block.
+    """Records of one table, collected block by block.
 
     Attributes:
-        batches: Their bytes behind the head, each of shape (N,).
-        nbytes: Size of all of them.
+        batches: Their data behind the head, each of shape (N,).
+        nbytes: Total size.
     """
 
     batches: list[Column] = field(default_factory=list)
     nbytes: int = 0
 
     def gather(self, data: bytes, places: Sequence[int], layout: RecordLayout) -> None:
-        """Takes the records that begin at `places` in a block."""
+        """Collects the records that begin at `places` in a block."""
         self.batches.append(gathered(data, places, layout))
         self.nbytes += self.batches[-1].nbytes
 
     def columns(self, layout: RecordLayout) -> dict[str, Column]:
-        """All records as columns, in the order of the file; the records are given up."""
+        """All records as columns, in the order of the file; the collected records are released."""
         records = np.concatenate(self.batches)
         self.batches = []
         return columns_of(records, layout)
@@ -80,7 +80,7 @@ class Damage:
         places: How often the chain of records was broken.
         first: Offset of the first break.
         skipped: Bytes that belong to no record.
-        left: Bytes of a last record that is cut short.
+        left: Bytes of an incomplete last record.
     """
 
     places: int = 0
@@ -89,13 +89,13 @@ class Damage:
     left: int = 0
 
     def found(self, offset: int, skipped: int) -> None:
-        """Takes down a break in the chain of records."""
+        """Records a break in the chain of records."""
         self.first = self.first if self.places else offset
         self.places += 1
         self.skipped += skipped
 
     def texts(self, size: int) -> tuple[str, ...]:
-        """What is said of it; nothing where the file is whole."""
+        """Summary in sentences; empty if the file is whole."""
         texts = []
         if self.places:
             where = "" if self.places == 1 else f"in {self.places} places, first "
@@ -108,14 +108,14 @@ class Damage:
 
 
 class Walker(Protocol):
-    """What follows the chain of records through a block."""
+    """Follows the chain of records through a block."""
 
     def __call__(self, data: bytes, offset: int, last: bool) -> int:
-        """Takes the whole records of a block that begins at `offset` in the file; returns where it stopped."""
+        """Takes the whole records of a block that begins at `offset` in the file; returns its position in the block."""
 
 
 def walk(file: BinaryIO, start: int, end: int, step: Walker) -> int:
-    """Leads a walker over a part of a file, block by block; returns the bytes left behind the last whole record."""
+    """Runs a walker over a part of a file, block by block; returns the number of bytes after the last whole record."""
     file.seek(start)
     data, offset = b"", start
     while True:
@@ -129,7 +129,7 @@ def walk(file: BinaryIO, start: int, end: int, step: Walker) -> int:
 
 
 def gathered(data: bytes, places: Sequence[int] | Column, layout: RecordLayout) -> Column:
-    """Bytes behind the heads of the records at `places`, shape (N,)."""
+    """Data behind the heads of the records at `places`, shape (N,)."""
     windows = np.ndarray((len(data) - layout.size + 1,), f"V{layout.size}", data, 0, (1,))
     return windows[np.array(places, dtype=np.int64) + layout.start]
 
@@ -153,7 +153,7 @@ def _format(leaf: Leaf) -> object:
 
 
 def _column(values: Column, leaf: Leaf) -> Column:
-    """Numbers of a column, of native byte order and in one piece."""
+    """Values of a column, in native byte order and contiguous."""
     if leaf.format == BOOL:
         return np.asarray(values != 0)
     if leaf.divisor != 1.0:

@@ -1,4 +1,4 @@
-"""Messages where they lie in a block of bytes: found, checked and taken out many at once."""
+"""Messages in a block of bytes: located, checked and extracted many at once."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy.typing as npt
 Bytes = bytes | npt.NDArray[np.uint8]
 
 Places = npt.NDArray[np.int64]
-"""Places of bytes in a block, shape (N,)."""
+"""Offsets of bytes in a block, shape (N,)."""
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class Messages:
 
     Attributes:
         data: The block.
-        starts: Place of the first byte of each, shape (N,).
-        lengths: Bytes of each, shape (N,).
+        starts: Offset of the first byte of each, shape (N,).
+        lengths: Length of each in bytes, shape (N,).
     """
 
     data: Bytes
@@ -39,13 +39,13 @@ class Messages:
 
 
 def messages_of(messages: Sequence[bytes]) -> Messages:
-    """Messages as one block, end to end."""
+    """Concatenates messages into one block."""
     lengths = np.fromiter(map(len, messages), np.int64, len(messages))
     return Messages(b"".join(messages), np.cumsum(lengths) - lengths, lengths)
 
 
 def gathered(messages: Messages) -> Messages:
-    """A copy without what lies between the messages, so that their block can go."""
+    """A copy without the bytes between the messages, so that their block can be freed."""
     size = int(messages.lengths[0]) if len(messages) else 0
     if size and (messages.lengths == size).all():
         data = byte_rows(messages.data, messages.starts, size).reshape(-1)
@@ -54,7 +54,7 @@ def gathered(messages: Messages) -> Messages:
 
 
 def join_messages(parts: Sequence[Messages]) -> Messages:
-    """Messages of several blocks in one, end to end; every part is `gathered`."""
+    """Concatenates messages from several blocks; every part must be `gathered`."""
     if len(parts) == 1:
         return parts[0]
     lengths = np.concatenate([part.lengths for part in parts])
@@ -66,13 +66,13 @@ def byte_rows(data: Bytes, starts: Places, size: int) -> npt.NDArray[np.uint8]:
     """`size` bytes from each start, shape (N, size); all must lie inside the block."""
     if size == 0 or len(starts) == 0:
         return np.zeros((len(starts), size), np.uint8)
-    # Records that overlap, one for every byte: taking some of them copies each at once.
+    # Overlapping records, one for every byte: indexing copies each selected record at once.
     windows = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
     return windows[starts].view(np.uint8).reshape(len(starts), size)
 
 
 def integers(data: Bytes, places: Places, form: str) -> npt.NDArray[np.int64]:
-    """Whole numbers of a numpy format at places of any alignment, as int64; all must lie inside the block."""
+    """Integers of a numpy format at unaligned offsets, as int64; all must lie inside the block."""
     if len(places) == 0:
         return np.zeros(0, np.int64)
     number = np.dtype(form)
@@ -82,12 +82,12 @@ def integers(data: Bytes, places: Places, form: str) -> npt.NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Fault:
-    """What ended a walk from record to record before its end.
+    """What interrupted a walk from record to record.
 
     Attributes:
         place: Where the next record should begin.
         why: What is wrong there.
-        torn: Whether what stands there cannot be a record: then the one before may be torn as well.
+        torn: Whether the bytes there cannot be a record: then the one before may be torn as well.
     """
 
     place: int
@@ -100,8 +100,8 @@ class RecordRun:
     """Records that follow each other, up to damage or the end of their block.
 
     Attributes:
-        starts: Of the records, ascending, shape (N,).
-        lost: Bytes behind them that belong to no record.
+        starts: Offsets of the records, ascending, shape (N,).
+        lost: Bytes after them that belong to no record.
         why: What is wrong there, or "".
     """
 
@@ -118,19 +118,19 @@ Resume = Callable[[bytes, int], int | None]
 
 
 def stretches(data: bytes, hints: Places, ends_of: Ends, walk: Walk, resume: Resume) -> Iterator[RecordRun]:
-    """Where the records of a block begin.
+    """Yields the records of a block in runs.
 
-    Each record says how long it is, so that they can only be found one after the other. An index tells where they
-    are, but is not believed: it is used where the records that it names and those that are walked to in the gaps
-    between them account for every byte; then they are those that the walk would have found.
+    Each record states its length, so records can only be found one after the other. An index lists them, but is not
+    trusted: it is used only if its records, and those found by walking the gaps between them, account for every byte;
+    then they are exactly those that the walk would have found.
 
     Args:
         data: The block.
-        hints: Starts of records by the index, in any order, shape (N,); none where there is no index.
-        ends_of: Ends of the records that begin at the starts; None where any does not fit in the block.
-        walk: Starts of the records between two places, and the damage that ended the walk.
-        resume: Where records follow each other again from a place on; None where they do not. Asked when the stretch
-            before has been taken, so that it may know what that defines.
+        hints: Starts of records from the index, in any order, shape (N,); empty without an index.
+        ends_of: Returns the ends of the records that begin at the starts; None if any exceeds the block.
+        walk: Returns the starts of the records between two offsets, and the fault that interrupted the walk.
+        resume: Returns the next offset from which records follow each other; None if there is none. Called after the
+            run before has been consumed, so that it can use the definitions in it.
     """
     found = _by_index(data, hints, ends_of, walk)
     if found is not None:
@@ -149,7 +149,7 @@ def stretches(data: bytes, hints: Places, ends_of: Ends, walk: Walk, resume: Res
 
 
 def _by_index(data: bytes, hints: Places, ends_of: Ends, walk: Walk) -> Places | None:
-    """Starts of all records, if those of the index and those in its gaps are all there are."""
+    """Starts of all records, if the index and the walk through its gaps account for every byte; else None."""
     if len(hints) == 0:
         return None
     starts = np.sort(hints)

@@ -1,4 +1,4 @@
-"""Packed bytes to plain ones, with a bound: bz2, lz4 and zstd as bags use them."""
+"""Bounded decompression of bz2, lz4 and zstd as used in bags."""
 
 import bz2
 import sys
@@ -13,7 +13,7 @@ _MOST_FRAMES = 64  # in one block; each costs a copy of the rest
 
 
 def _zstd() -> Any:
-    """The zstd module: part of Python from 3.14 on, before that a package that rosbags brings."""
+    """The zstd module: in the standard library from Python 3.14 on, before that a dependency of rosbags."""
     if sys.version_info >= (3, 14):
         from compression import zstd
     else:
@@ -22,15 +22,15 @@ def _zstd() -> Any:
 
 
 def unpacked(data: bytes | memoryview, method: str, size: int = BLOCK_LIMIT) -> bytes:
-    """Unpacks a block.
+    """Decompresses a block.
 
     Args:
-        data: Packed bytes, possibly cut short.
-        method: `bz2`, `lz4`, `zstd`, or `` and `none` for bytes that are not packed.
-        size: Most bytes to give back: the size that the block claims to have.
+        data: Compressed bytes, possibly cut short.
+        method: `bz2`, `lz4`, `zstd`, or `` and `none` for uncompressed bytes.
+        size: Most bytes to return: the size that the block claims to have.
 
     Returns:
-        The plain bytes; fewer than claimed where the block was cut short.
+        The decompressed bytes; fewer than claimed if the block was cut short.
 
     Raises:
         DamageError: Unknown method, a claim beyond `BLOCK_LIMIT`, or bytes that are not of this method.
@@ -66,10 +66,10 @@ def unpacked(data: bytes | memoryview, method: str, size: int = BLOCK_LIMIT) -> 
 
 
 def unpack_file(source: Path, target: Path, limit: int) -> None:
-    """Unpacks a zstd file, as `ros2 bag record --compression-mode file` leaves it, to `target`.
+    """Decompresses a zstd file, as written by `ros2 bag record --compression-mode file`, to `target`.
 
     Raises:
-        DamageError: Not zstd, or more than `limit` bytes unpacked. What was unpacked before damage is in `target`.
+        DamageError: Not zstd, or more than `limit` bytes. What was decompressed before the damage is in `target`.
     """
     zstd = _zstd()
     written = 0

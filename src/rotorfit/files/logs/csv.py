@@ -1,8 +1,8 @@
 """CSV: one header row of names, then rows of numbers between commas, semicolons or tabs.
 
-Spreadsheets of half the world write `0,5` for a half and put semicolons between: that is understood. Lines with a
-wrong number of cells (a cut last line, a line torn by a full disk) are left out with a note. Dates of ISO 8601 become
-nanoseconds since 1970, times of day since midnight; stamps in two columns of seconds and nanoseconds get one besides.
+Decimal commas (`0,5`) with semicolons as separators are understood. Lines with a wrong number of cells (a cut last
+line, a line torn by a full disk) are left out with a note. ISO 8601 dates become nanoseconds since 1970, times of day
+since midnight; stamps in two columns of seconds and nanoseconds get an additional combined column.
 """
 
 import csv
@@ -50,13 +50,13 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A text taken apart: names, and the lines below them that have a cell for each.
+    """A parsed text: names, and the lines below them with one cell for each name.
 
     Attributes:
-        names: Of the columns, in order; may repeat, may be empty.
-        separator: Between cells.
+        names: Names of the columns, in order; may repeat, may be empty.
+        separator: Separator of the cells.
         quoted: Whether quotation marks enclose cells.
-        rows: The lines, with their ends.
+        rows: The lines, including line ends.
     """
 
     names: list[str]
@@ -66,7 +66,7 @@ class _Sheet:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether text begins: a row of names (or numbers), below it, if anything, cells with a number among them."""
+    """Whether the text begins like a CSV: a row of names (or numbers), and below it cells with a number among them."""
     if head.startswith(_UTF16_MARKS):
         return True
     head = head.removeprefix(UTF8_MARK)
@@ -85,7 +85,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _header(data: bytes) -> tuple[int, int]:
-    """Where the row of names begins and ends: below comments, or the last of these where numbers follow at once."""
+    """Start and end of the row of names: below the comments, or the last comment where numbers follow at once."""
     last, end = (0, 0), -1
     while True:
         start = end + 1
@@ -125,7 +125,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
 
 
 def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
-    """Stamps in two columns (`header.stamp.secs`, `header.stamp.nsecs`) are put together as one besides."""
+    """Adds combined stamps where they are in two columns (`header.stamp.secs`, `header.stamp.nsecs`)."""
     stamps: dict[str, Column] = {}
     for whole, rest in _STAMP_PARTS:
         for name, seconds in columns.items():
@@ -139,7 +139,7 @@ def _with_stamps(columns: dict[str, Column]) -> dict[str, Column]:
 
 
 def text_of(path: Path) -> bytes:
-    """The text of a file without the mark that says UTF-8.
+    """The text of a file without the UTF-8 byte order mark.
 
     Raises:
         LogError: Too large, or not UTF-8.
@@ -159,15 +159,15 @@ def columns_below(
     """Columns of numbers in the rows of a part of a text.
 
     Args:
-        path: For the text of errors.
+        path: For error messages.
         data: The text.
-        part: Where the rows begin, behind the header, and where they end.
-        names: Of the columns, in order; may repeat, may be empty.
-        separator: Between cells.
-        notes: Grows by what was left out.
+        part: Start of the rows, after the header, and their end.
+        names: Names of the columns, in order; may repeat, may be empty.
+        separator: Separator of the cells.
+        notes: Extended by what was left out.
 
     Raises:
-        LogError: Too many columns, no rows, or no column of numbers.
+        LogError: Too many columns or cells, no rows, rows that do not match the names, or no column of numbers.
     """
     check_width(path, len(names))
     sheet = _sheet(path, data, part, names, separator, notes)
@@ -180,7 +180,7 @@ def columns_below(
 def _sheet(
     path: Path, data: bytes, part: tuple[int, int], names: list[str], separator: str, notes: list[str]
 ) -> _Sheet:
-    """Takes the rows apart and leaves out torn lines."""
+    """Splits the rows and leaves out torn lines."""
     body = data[part[0] : part[1]]
     if not body.strip():
         raise LogError(f"{path}: a header row and no rows below it; check that the recording ran")
@@ -204,15 +204,15 @@ def _sheet(
 
 
 class _Lines:
-    """Where the lines of a text begin, how long they are, and how many cells they have.
+    """Lines of a text: where they begin, their lengths, and their numbers of cells.
 
     Attributes:
         quoted: Whether quotation marks enclose cells (they come in pairs).
         starts: Offset of each line, shape (N,).
-        lengths: Bytes of each line with its end, shape (N,).
-        cells: Cells of each line, shape (N,).
+        lengths: Length of each line including its end [byte], shape (N,).
+        cells: Number of cells in each line, shape (N,).
         filled: Lines that are not blank, shape (N,).
-        zeros: Lines with zero bytes, as a power cut leaves them, shape (N,).
+        zeros: Lines with null bytes, as left by a power cut, shape (N,).
     """
 
     def __init__(self, text: bytes, separator: str) -> None:
@@ -230,7 +230,7 @@ class _Lines:
 
 
 def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int32]:
-    """Offsets of a character, outside quotation marks if these count; block by block, to spare memory."""
+    """Offsets of a character, outside quotation marks if `quoted`; in blocks, to save memory."""
     places, parity = [np.zeros(0, np.int32)], np.uint8(0)
     for start in range(0, len(text), _BLOCK):
         block = np.frombuffer(text, np.uint8, min(_BLOCK, len(text) - start), start)
@@ -244,12 +244,12 @@ def _places(text: bytes, mark: str, quoted: bool) -> npt.NDArray[np.int32]:
 
 
 def _counts(places: npt.NDArray[np.int32], after: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-    """How many of the places lie in each line."""
+    """Number of the places in each line."""
     return np.diff(np.searchsorted(places, after), prepend=0)
 
 
 def _drop_cut_value(text: bytes, lines: _Lines, whole: npt.NDArray[np.bool_], separator: str, notes: list[str]) -> None:
-    """Marks the last line as torn where it has no end and its last cell, alone in its column, is no number."""
+    """Marks the last line as torn if it has no line end and only its last cell, unlike that above, is no number."""
     if text.endswith(b"\n") or not whole[-1]:
         return
     ends = [
@@ -264,7 +264,7 @@ def _drop_cut_value(text: bytes, lines: _Lines, whole: npt.NDArray[np.bool_], se
 
 
 def _check_text(path: Path, data: bytes) -> None:
-    """Raises where the text is not UTF-8."""
+    """Raises `LogError` if the text is not UTF-8."""
     if data.startswith(_UTF16_MARKS):
         raise LogError(f"{path}: UTF-16 text; save it as CSV in UTF-8")
     try:
@@ -277,13 +277,13 @@ def _check_text(path: Path, data: bytes) -> None:
 
 
 def separator_of(header: str) -> str:
-    """The separator that the header holds most of, outside quotation marks; a comma where it holds none."""
+    """The most frequent separator in the header outside quotation marks; a comma if there is none."""
     bare = re.sub(r'"[^"]*"', "", header)
     return max(_SEPARATORS, key=bare.count)
 
 
 def cells(line: str, separator: str) -> list[str]:
-    """Cells of one line, without quotation marks and the blanks around them; none where they do not pair up."""
+    """Cells of one line, without quotation marks and surrounding blanks; empty if the quotation marks do not pair."""
     try:
         cells = next(csv.reader([line.strip("\r\n")], delimiter=separator, skipinitialspace=separator != "\t"), [])
     except csv.Error:
@@ -292,7 +292,7 @@ def cells(line: str, separator: str) -> list[str]:
 
 
 def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
-    """Parses the rows; columns that are not plain numbers come as text."""
+    """Parses the rows; columns that are not plain numbers are returned as text."""
     import polars as pl
 
     parse = partial(
@@ -305,7 +305,7 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
         null_values=list(_EMPTY),
     )
     fault: Exception | None = None
-    # Types from the first rows, five times faster; else from all; else, with a number that fits no type, text.
+    # Types from the first rows (five times faster); else from all rows; else, for a number that fits no type, text.
     for types in ({"infer_schema_length": 1000}, {"infer_schema_length": None}, {"infer_schema": False}):
         try:
             return parse(**types)
@@ -316,7 +316,7 @@ def _frame(path: Path, sheet: _Sheet) -> "pl.DataFrame":
 
 
 def _with_points(rows: bytes, separator: str) -> bytes:
-    """The rows with decimal points, where commas stand in their place in the first of them."""
+    """Replaces decimal commas by points, if the first rows have them."""
     sample = rows[:_BLOCK]
     if separator != "," and re.search(rb"\d,\d", sample) and not re.search(rb"\d\.\d", sample):
         return rows.replace(b",", b".")
@@ -324,7 +324,7 @@ def _with_points(rows: bytes, separator: str) -> bytes:
 
 
 def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[str, Column]:
-    """Columns of numbers by name; the others are noted."""
+    """Columns of numbers by name; the others are listed in a note."""
     columns: dict[str, Column] = {}
     text, again, unnamed = [], [], 0
     for name, series in zip(names, frame.iter_columns(), strict=True):
@@ -347,7 +347,7 @@ def _columns(frame: "pl.DataFrame", names: list[str], notes: list[str]) -> dict[
 
 
 def _numbers(series: "pl.Series") -> Column | None:
-    """Values of a column, whole numbers as int64, true and false as such, empty cells as NaN; None for text."""
+    """Values of a column: integers as int64, booleans as bool, empty cells as NaN; None for text."""
     import polars as pl
 
     if series.dtype == pl.String:
@@ -369,14 +369,14 @@ def _numbers(series: "pl.Series") -> Column | None:
 
 
 def _parsed(text: "pl.Series") -> "list[pl.Series]":
-    """A column of text as whole numbers and as floats, null where a cell is none."""
+    """A column of text as integers and as floats, null where a cell is neither."""
     import polars as pl
 
     return [text.cast(pl.Int64, strict=False), text.cast(pl.Float64, strict=False)]
 
 
 def _dates(text: "pl.Series") -> "pl.Series":
-    """A column of dates as nanoseconds since 1970, of times of day since midnight; else the text as it was."""
+    """Dates as nanoseconds since 1970, times of day as nanoseconds since midnight; other text unchanged."""
     import polars as pl
 
     days, clock, zone = (text.str.extract(_DATE, group) for group in (1, 2, 3))

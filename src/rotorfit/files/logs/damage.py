@@ -1,9 +1,9 @@
 """Losses: holes in a bag, in bytes and in time.
 
-Behind damage: where a chain of records goes on, in files whose records only say how long they are.
+Recovery behind damage: where a chain of records resumes, in files whose records only state their length.
 
-A place is believed to be a record where several records follow each other from it, or all that is left does up to
-the end: chance and payload do not give that, so nothing is made up. The search is bounded.
+A position is accepted as a record if several records follow from it, or all the rest up to the end: neither chance nor
+payload produces that, so no data are invented. The search is bounded.
 """
 
 import re
@@ -22,12 +22,12 @@ class _Loss:
     """A hole.
 
     Attributes:
-        place: Where in the file.
-        size: Of the file.
-        count: Bytes that are lost.
+        place: Its offset in the file.
+        size: Size of the file [byte].
+        count: Bytes lost.
         why: What is wrong there.
-        since: When the message before was recorded [ns]; None where there was none.
-        gap: Time from there to the next message [s]; None where none was read since.
+        since: When the previous message was recorded [ns]; None if there was none.
+        gap: Time from there to the next message [s]; None if none has been read since.
     """
 
     place: int
@@ -39,7 +39,7 @@ class _Loss:
 
 
 class Losses:
-    """Holes of a bag, taken down between the messages.
+    """Holes of a bag, recorded between the messages.
 
     Attributes:
         until: When the last message was recorded [ns]; None before the first one.
@@ -51,12 +51,12 @@ class Losses:
         self._holes = 0
 
     def found(self, place: int, size: int, count: int, why: str) -> None:
-        """Takes down a hole between the messages seen so far and those that follow.
+        """Records a hole between the messages seen so far and those that follow.
 
         Args:
-            place: Of the damage in the file.
-            size: Of the file.
-            count: Bytes that are lost.
+            place: Offset of the damage in the file.
+            size: Size of the file [byte].
+            count: Bytes lost.
             why: What is wrong there.
         """
         self._holes += 1
@@ -67,18 +67,18 @@ class Losses:
 
     @property
     def many(self) -> bool:
-        """Whether there are more holes than any disk makes: it is not worth while to look behind them."""
+        """Whether there are more holes than a faulty disk makes: searching behind them is pointless."""
         return self._holes >= _MANY
 
     def seen(self, first: int, last: int) -> None:
-        """Takes down when messages were recorded [ns], and with it how long the hole before them is."""
+        """Records when messages were recorded [ns], and so the length of the hole before them."""
         if self._losses and self._losses[-1].gap is None:
             since = self._losses[-1].since
             self._losses[-1].gap = 0.0 if since is None else max(first - since, 0) / 1e9
         self.until = last
 
     def texts(self) -> list[str]:
-        """What is said of them, in one line: how much of the file and of the time is gone; nothing if it is whole."""
+        """Summary in one line: how much of the file and of the time is lost; empty if the file is whole."""
         if not self._losses:
             return []
         first, count = self._losses[0], sum(loss.count for loss in self._losses)
@@ -97,13 +97,13 @@ class Losses:
 
 
 CHAIN = 4
-"""Records that must follow each other where reading goes on."""
+"""Number of consecutive records required where reading resumes."""
 
 MOST_TRIED = 1 << 20
-"""Places that are tried behind one damage; a second or two."""
+"""Most positions tried behind one damage; a second or two."""
 
 MOST_SEARCHED = 4 * BLOCK_LIMIT
-"""Bytes that are searched behind one damage, a second or two: a hole in a file is gigabytes of zeros."""
+"""Most bytes searched behind one damage, a second or two: a hole in a file can be gigabytes of zeros."""
 
 Block = bytes | mmap
 
@@ -111,15 +111,15 @@ After = Callable[[Block, int], int | None]
 
 
 def resumed(data: Block, places: Iterator[int], after: After) -> int | None:
-    """Where a chain of records goes on.
+    """Finds where a chain of records resumes.
 
     Args:
         data: A block, or a file.
-        places: Where a record may begin, ascending.
-        after: End of the record that begins at a place, at most that of the data; None where none can.
+        places: Positions at which a record may begin, ascending.
+        after: End of the record that begins at a position, at most that of the data; None if none can begin there.
 
     Returns:
-        The first place from which `CHAIN` records follow each other, or all up to the end; None where there is none.
+        The first position from which `CHAIN` records follow each other, or all up to the end; None if there is none.
     """
     return next((place for place in islice(places, MOST_TRIED) if _chained(data, place, after)), None)
 
@@ -134,5 +134,5 @@ def _chained(data: Block, place: int, after: After) -> bool:
 
 
 def matches(pattern: re.Pattern[bytes], data: Block, start: int) -> Iterator[int]:
-    """Places of a pattern from one on, as far as is searched."""
+    """Positions of a pattern from `start` on, within the search limit."""
     return (match.start() for match in pattern.finditer(data, start, start + MOST_SEARCHED))

@@ -1,4 +1,4 @@
-"""Formats: every kind of log that can be read. Command line and studio take their lists from this table.
+"""Formats: every kind of log that can be read. Command line and studio build their lists from this table.
 
 A new format is a module with `sniff(path, head) -> bool` and `read(path, tables) -> Content`, and one row here.
 """
@@ -12,11 +12,11 @@ class Format:
     """A kind of log.
 
     Attributes:
-        label: What a user calls it.
-        files: What its files are, for a list.
-        module: That reads it, imported when it is asked for.
-        ned: Whether it is an autopilot's, whose world is north, east, down.
-        rows: Whether a table may hold several streams, each row with blanks for what it does not have.
+        label: Name for users.
+        files: Its files, for a list.
+        module: Module that reads it, imported on demand.
+        ned: Whether it is an autopilot's log, whose world frame is north, east, down.
+        rows: Whether a table may hold several streams, with blank cells in each row.
     """
 
     label: str
@@ -51,4 +51,4 @@ FORMATS: Mapping[str, Format] = {
         "CSV", "a row of names, then rows of numbers between commas, semicolons or tabs", f"{_LOGS}.csv", rows=True
     ),
 }
-"""Name to format, in the order of asking: signatures first, CSV, which has none, last."""
+"""Name to format, in the order of sniffing: formats with a signature first, CSV, which has none, last."""

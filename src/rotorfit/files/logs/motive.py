@@ -1,4 +1,4 @@
-"""OptiTrack Motive CSV (format 1.2 and later): rows of header, then a row for each frame.
+"""OptiTrack Motive CSV (format 1.2 and later): header rows, then one row for each frame.
 
 Source: https://docs.optitrack.com/motive/data-export/data-export-csv
 """
@@ -29,7 +29,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
     """Reads the one table, named after the file; its columns are `NAME.position.x`, `NAME.rotation.w` and the like.
 
     Raises:
-        LogError: Not UTF-8, no header that can be understood, no frames.
+        LogError: Not UTF-8, no valid header, no frames.
     """
     data = text_of(path)
     header, start = _header(data)
@@ -55,7 +55,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
 
 
 def _header(data: bytes) -> tuple[list[str], int]:
-    """Lines up to the one that begins with `Frame`, blank ones left out, and where the next begins."""
+    """Lines up to the one that begins with `Frame`, without blank ones, and the offset of the next line."""
     lines: list[str] = []
     start = 0
     for _ in range(_MOST_HEADER_LINES):
@@ -70,7 +70,7 @@ def _header(data: bytes) -> tuple[list[str], int]:
 
 
 def _column(type_: str, name: str, kind: str, axis: str) -> str:
-    """Name of a column; none where the header leaves it open."""
+    """Name of a column; empty where the header gives none."""
     word = _KINDS.get(kind.lower(), kind.lower().replace(" ", "_"))
     if type_.lower() == _CONSTRAINT and word == "position":
         word = "expected_position"
@@ -78,7 +78,7 @@ def _column(type_: str, name: str, kind: str, axis: str) -> str:
 
 
 def _about(first: list[str]) -> str:
-    """What the first line says of the export; axes are not in it."""
+    """What the first line states about the export; the axes are not in it."""
     said = dict(zip(first[::2], first[1::2], strict=False))
     parts = {
         "captured": said.get("Capture Start Time", ""),

@@ -1,4 +1,4 @@
-"""One log in several files: `A+B`, or files that one logger wrote."""
+"""One log in several files: `A+B`, or files written by one logger."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,14 +8,14 @@ from rotorfit.core.log import Log, Table
 
 
 def parts_of(path: str | Path) -> tuple[str, ...]:
-    """The files of `A+B`; the path itself where a file is called so, or where it holds no plus."""
+    """The files of `A+B`; the path itself if such a file exists, or if it contains no plus."""
     text = str(path)
     parts = tuple(part for part in text.split("+") if part)
     return (text,) if len(parts) < 2 or is_there(text) else parts
 
 
 def is_there(path: str) -> bool:
-    """Whether there is a file or a folder; what can be no path is none."""
+    """Whether a file or folder exists; a text that cannot be a path does not."""
     try:
         return Path(path).exists()
     except (OSError, ValueError):
@@ -25,14 +25,15 @@ def is_there(path: str) -> bool:
 def join_logs(logs: Sequence[Log]) -> Log:
     """One log with the tables of several.
 
-    Tables of one name are told apart by the stem of their file, as `flight2/cmd_vel`; all others keep their names.
+    Tables with the same name are distinguished by the stem of their file, as `flight2/cmd_vel`; all others keep their
+    names.
 
     Args:
         logs: Of one flight; none of them joined before.
 
     Returns:
-        A log whose path is `A+B`, whose digest is those of the files with a plus between, and which knows which file
-        each table is from.
+        A log whose path is `A+B`, whose digest is the digests of the files joined by plus signs, and which records the
+        file of each table.
     """
     names = [name for log in logs for name in log.tables]
     tables: dict[str, Table] = {}
@@ -63,7 +64,7 @@ def join_logs(logs: Sequence[Log]) -> Log:
 
 
 def format_of(log: Log, table: str) -> str:
-    """The format of the file that a table is from."""
+    """The format of the file that holds a table."""
     if not log.file_of:
         return log.format
     return log.format.split("+")[list(dict.fromkeys(log.file_of.values())).index(log.file_of[table])]

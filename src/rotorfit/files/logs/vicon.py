@@ -1,7 +1,7 @@
-"""Vicon CSV, of Tracker (objects) and Nexus (trajectories, segments, joints, devices): each section is a table.
+"""Vicon CSV from Tracker (objects) and Nexus (trajectories, segments, joints, devices): each section is a table.
 
-A section has its name, its rate [Hz], names above their columns, the axes, the units, then a row for each frame up to
-a blank line. What a section's clock is must be said by its frames: `time` is the frame divided by the rate.
+A section has its name, its rate [Hz], names above their columns, the axes, the units, then one row for each frame up to
+a blank line. It has no clock but its frame numbers: `time` is the frame divided by the rate.
 """
 
 import re
@@ -33,12 +33,12 @@ class _Section:
 
     Attributes:
         name: Such as `Objects` or `Trajectories`.
-        rate: Rows a second.
-        names: Of the columns.
-        units: Of the columns.
+        rate: Row rate [Hz]; 0 where none is given.
+        names: Names of the columns.
+        units: Units of the columns.
         helical: Objects whose rotation is three numbers.
-        separator: Between cells.
-        part: Where its rows begin and end.
+        separator: Separator of the cells.
+        part: Start and end of its rows.
     """
 
     name: str
@@ -51,16 +51,16 @@ class _Section:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether a name, a rate, names, then a row that begins with `Frame` and `Sub Frame` follow each other."""
+    """Whether the head has a name, a rate, names, then a row that begins with `Frame` and `Sub Frame`."""
     lines = head.removeprefix(UTF8_MARK).decode("utf-8", errors="replace").split("\n")[:5]
     return len(lines) == 5 and _axes(lines[3]) is not None
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted sections; columns are `NAME.position.x`, `NAME.rotation.w` and the like.
+    """Reads the requested sections; columns are `NAME.position.x`, `NAME.rotation.w` and the like.
 
     Raises:
-        LogError: Not UTF-8, no section that can be understood, no frames in any.
+        LogError: Not UTF-8, no valid section, no frames in any.
     """
     data = text_of(path)
     found: dict[str, Table] = {}
@@ -85,7 +85,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 
 def _sections(data: bytes, notes: list[str]) -> list[_Section]:
-    """The sections of the text, one behind the other."""
+    """The sections of the text, in order."""
     sections: list[_Section] = []
     place = _filled(data, 0)
     while place < len(data):
@@ -101,13 +101,13 @@ def _sections(data: bytes, notes: list[str]) -> list[_Section]:
 
 
 def _filled(data: bytes, place: int) -> int:
-    """Where something stands again, at or behind a place."""
+    """Offset of the next non-blank character, from `place` on."""
     found = _FILLED.search(data, place)
     return found.start() if found else len(data)
 
 
 def _end(data: bytes, start: int) -> int:
-    """Where the rows of a section end: at a blank line, unless rows go on behind it because damage made it."""
+    """End of a section's rows: a blank line, unless rows continue after it because damage made it."""
     for blank in _BLANK_LINE.finditer(data, start - 1):
         filled = _filled(data, blank.end())
         line = data[filled : filled + 64].partition(b"\n")[0].decode(errors="replace")
@@ -117,13 +117,13 @@ def _end(data: bytes, start: int) -> int:
 
 
 def _begins(data: bytes, place: int) -> bool:
-    """Whether a section begins behind a blank line."""
+    """Whether a section begins after a blank line."""
     lines, _ = _lines(data, _filled(data, place))
     return len(lines) >= 4 and _axes(lines[3]) is not None
 
 
 def _lines(data: bytes, start: int) -> tuple[list[str], int]:
-    """The five lines of a section's head, and where the next begins."""
+    """The five lines of a section's head, and the offset of the next line."""
     lines: list[str] = []
     while len(lines) < 5 and start < len(data):
         end = data.find(b"\n", start)
@@ -134,13 +134,13 @@ def _lines(data: bytes, start: int) -> tuple[list[str], int]:
 
 
 def _axes(line: str) -> list[str] | None:
-    """Cells of the row of axes, if it is one."""
+    """Cells of the row of axes; None if it is not one."""
     row = cells(line, separator_of(line))
     return row if [cell.lower() for cell in row[:2]] == ["frame", "sub frame"] else None
 
 
 def _section(lines: list[str], axes: list[str], part: tuple[int, int]) -> _Section:
-    """A section from the five lines of its head."""
+    """Builds a section from the five lines of its head."""
     separator = separator_of(lines[3])
     title, rate, names, _, units = ([*cells(line, separator), *[""] * len(axes)][: len(axes)] for line in lines)
     rates = [float(cell.replace(",", ".")) for cell in rate if NUMBER.fullmatch(cell)]
@@ -162,14 +162,14 @@ def _section(lines: list[str], axes: list[str], part: tuple[int, int]) -> _Secti
 
 
 def _owner(name: str) -> str:
-    """What a name above columns calls: `Global Angle (Quaternion) drone:drone` is the object `drone`."""
+    """Owner named above columns: `Global Angle (Quaternion) drone:drone` is the object `drone`."""
     bare = _GLOBAL.sub("", name)
     first, colon, second = bare.partition(":")
     return first if colon and first == second else bare
 
 
 def _column(owner: str, axis: str, section: str) -> str:
-    """Name of a column: turns and places as in other formats, others as they stand."""
+    """Name of a column: rotations and positions as in other formats, others unchanged."""
     if re.fullmatch(r"[RT][XYZW]", axis):
         return f"{owner}.{_KINDS[axis[0]]}.{axis[1].lower()}"
     if section == "Trajectories" and re.fullmatch(r"[XYZ]", axis):
@@ -198,10 +198,10 @@ def _columns(path: Path, data: bytes, section: _Section, notes: list[str]) -> di
 
 
 def _time(columns: dict[str, Column], rate: float) -> Column:
-    """Time of each row [s]: its frame, and part of a frame, at the rate of the rows."""
+    """Time of each row [s]: its frame and sub frame, at the rate of the rows."""
     frame = columns["frame"].astype(np.float64)
     part = columns["sub_frame"].astype(np.float64) if "sub_frame" in columns else np.zeros_like(frame)
-    parts = np.nanmax(part, initial=0.0) + 1  # a device is sampled several times a frame
+    parts = np.nanmax(part, initial=0.0) + 1  # a device is sampled several times per frame
     return np.asarray((frame * parts + part) / rate)
 
 
@@ -211,7 +211,7 @@ def _unit(section: _Section, name: str) -> str:
 
 
 def _add_quaternion(columns: dict[str, Column], name: str, unit: str) -> bool:
-    """Adds the quaternion of an axis times an angle, in radians unless the unit says degrees."""
+    """Adds the quaternion of a rotation vector, in radians unless the unit is degrees; False if a column is missing."""
     labels = [f"{name}.rotation.{axis}" for axis in "xyz"]
     if not all(label in columns for label in labels):
         return False

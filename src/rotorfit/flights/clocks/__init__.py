@@ -1,1 +1,1 @@
-"""Stamps and clocks: when a sample was taken, by which clock, and how far two clocks are apart."""
+"""Stamps and clocks: when a sample was taken, by which clock, and the offset between two clocks."""

@@ -1,14 +1,13 @@
-"""Log + Card -> the same log by better stamps: the recorder's for empty headers, a regular sender's for arrivals.
+"""Log + Card -> the same log with better stamps: the recorder's for empty headers, a regular sender's for arrivals.
 
-Stamps of arrival -> the stamps that a regular sender would have given.
-
-A camera or a flight controller sends at a steady rate; the network delivers late, never early, and often several
-messages at once. What arrives as number k at a_k was sent not after it, so the sender's clock lies on or below all of
+Reconstruction of a regular sender's stamps from stamps of arrival: a camera or a flight controller sends at a steady
+rate; the network delivers late, never early, and often several messages at once. Message k, which arrives at a_k, was
+sent no later, so the sender's clock lies on or below all of
 
     a_k = start + period k + lateness_k,    lateness_k >= 0
 
-Among the lines that do, the one that leaves the least lateness in the mean is taken: it touches the messages that came
-through at once. Where messages were lost, their numbers are not known, and the stamps stay as they are.
+Among such lines the one with the least mean lateness is taken: it touches the messages that arrived without delay.
+Where messages were lost, their numbers are unknown, and the stamps are kept.
 """
 
 from dataclasses import dataclass, replace
@@ -23,42 +22,42 @@ from rotorfit.flights.columns import table_of
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, rate, stamps_of
 
 FEWEST = 400
-"""Messages below which no rate is told from them."""
+"""Least number of messages from which a rate is estimated."""
 
 JITTER_SHARE = 0.5
-"""Spread of the steps (5th to 95th percentile), as a share of the period, below which stamps stay as they are."""
+"""Spread of the steps (5th to 95th percentile), as a share of the period, below which stamps are kept."""
 
 LEAST_JITTER = 0.004
-"""Spread below which stamps stay as they are [s]: at 1 m/s it is 4 mm."""
+"""Spread of the steps below which stamps are kept [s]: at 1 m/s it is 4 mm."""
 
 BURST = 0.2
-"""A step below this share of the period is one that no regular sender makes: two messages came together."""
+"""A step below this share of the period cannot come from a regular sender: two messages arrived together."""
 
 BURST_SHARE = 0.02
-"""Share of such steps from which on stamps are those of arrival."""
+"""Share of such steps above which stamps are those of arrival."""
 
 STEADY = 1.7
-"""Spread of the lateness over the whole log, over the median of its spread in blocks of `BLOCK` messages, beyond which
-the sender is irregular: a lateness comes and goes, while a sender whose intervals vary by themselves wanders off, by
-more the longer the log. Of 1000 such senders of 500 messages none passed."""
+"""Ratio of the lateness's spread over the whole log to its median spread in blocks of `BLOCK` messages above which the
+sender is irregular: lateness comes and goes, while a sender with varying intervals drifts off, the further the longer
+the log. Of 1000 such senders of 500 messages none passed."""
 
 BLOCK = 30
-"""Messages of a block."""
+"""Number of messages in a block."""
 
 PROMPT = 0.3
-"""Share of that spread below which the earliest message of every tenth of the log is late; a lost message, or an
-irregular sender, lifts it."""
+"""The earliest message in every tenth of the log must be late by less than this share of that spread; a lost message,
+or an irregular sender, raises it."""
 
 
 @dataclass(frozen=True)
 class Straight:
-    """Stamps of a regular sender.
+    """Reconstructed stamps of a regular sender.
 
     Attributes:
-        stamps: In place of those of arrival, shape (N,) [ns].
-        period: Of the sender [s].
-        mean: Mean of what was taken off [s].
-        most: 95th percentile of it [s].
+        stamps: Replacing those of arrival, shape (N,) [ns].
+        period: Period of the sender [s].
+        mean: Mean lateness removed [s].
+        most: 95th percentile of the lateness [s].
     """
 
     stamps: Stamps
@@ -68,14 +67,14 @@ class Straight:
 
 
 def straightened(arrival: Stamps) -> Straight | None:
-    """The sender's stamps of messages that a regular sender sent.
+    """Reconstructs the stamps of messages sent by a regular sender.
 
     Args:
-        arrival: In the order of sending, shape (N,) [ns]; missing and reversed ones stay as they are.
+        arrival: In the order of sending, shape (N,) [ns]; missing and reversed stamps are kept.
 
     Returns:
-        The stamps; None where the data do not show a regular sender behind jittered arrivals: too few messages, little
-        jitter, no bursts, or a lateness that wanders or never ends.
+        The stamps; None where the data do not show a regular sender with jittered arrivals: too few messages, little
+        jitter, no bursts, or a lateness that drifts or persists.
 
     Source: the lower envelope as a linear program: S. B. Moon, P. Skelly, D. Towsley, Estimation and removal of clock
     skew from network delay measurements, INFOCOM 1999, pp. 227-234.
@@ -100,9 +99,9 @@ def straightened(arrival: Stamps) -> Straight | None:
 
 
 def _envelope(time: Array) -> tuple[float, float]:
-    """Start and period of the line below all points that is nearest to them in the mean.
+    """Start [s] and period [s] of the line that lies below all points with the least mean distance.
 
-    It is the edge of the lower convex hull above the middle of the numbers.
+    It is the edge of the lower convex hull that spans the middle of the message numbers.
     """
     hull: list[int] = []
     for k in range(time.size):
@@ -119,7 +118,7 @@ def _envelope(time: Array) -> tuple[float, float]:
 
 
 def _steady(late: Array) -> bool:
-    """Whether the lateness comes and goes, and some message comes through at once in every tenth of the log."""
+    """Whether the lateness comes and goes, and some message in every tenth of the log arrives promptly."""
     blocks = late[: late.size // BLOCK * BLOCK].reshape(-1, BLOCK)
     within = float(np.median(np.ptp(np.percentile(blocks, (5, 95), axis=1), axis=0)))
     earliest = [float(np.min(part)) for part in np.array_split(late, 10)]
@@ -130,21 +129,22 @@ _HEADER, _RECORDER = "header.stamp", "log_time"
 
 
 def with_sound_stamps(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
-    """Replaces stamps that nobody filled in, and straightens those of arrival.
+    """Replaces stamps that were never filled in, and corrects those of arrival.
 
-    The stamp of a sender is taken as it is. Where the card names one that stands still, the recorder's takes its place.
-    Stamps of arrival are straightened where the data show a regular sender: of the recorder, and of poses in a table
+    A sender's stamp is used as it is. Where the card names one that stands still, the recorder's replaces it. Stamps of
+    arrival are corrected where the data show a regular sender: those of the recorder, and those of poses in a table
     without a sender's stamp, because cameras are regular. Commands in such a table may be stamped where they are sent,
-    and a late command is late. Where poses and commands share a table, its clock is that of the logger.
+    where a late command is truly late. Where poses and commands share a table, its clock is that of the logger.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
 
     Returns:
-        The log, its clocks `retimed` where that was done; and what was done.
+        The log, with corrected clocks in `retimed`; and notes on what was done.
 
     Raises:
+        CardError: A column is missing.
         CardError: A column is not there.
     """
     notes: list[Note] = []
@@ -180,7 +180,7 @@ def _beside(time: Channel, name: str) -> Channel:
 
 
 def _stands_still(log: Log, time: Channel) -> bool:
-    """Whether a clock has but one value, as a header that nobody filled in."""
+    """Whether a clock has a single value, like a header that was never filled in."""
     stamps = stamps_of(log, time)
     there = stamps[stamps != MISSING_STAMP]
     return there.size > 1 and not np.any(np.diff(there))

@@ -1,4 +1,4 @@
-"""At which lags a series on one clock follows a motion on another: the search over all of them."""
+"""Exhaustive search for the lags at which a series on one clock follows a motion on another."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,22 +8,22 @@ import numpy as np
 from rotorfit.core.frames import Array, Mask
 
 GRID = 0.05
-"""Step of the search [s]: a multirotor under velocity commands needs some 0.2 s to change its velocity."""
+"""Step of the search [s]: a multirotor under velocity commands needs about 0.2 s to change its velocity."""
 
 LEAST_OVERLAP = 8.0
-"""Shortest common time that counts [s]: some 16 independent values of a velocity."""
+"""Shortest common time that counts [s]: about 16 independent values of a velocity."""
 
 LEAST_SHARE = 0.25
-"""The common time is at least so much of the shorter of the two records."""
+"""The common time must be at least this share of the shorter of the two records."""
 
 MEMORY = 0.5
-"""Time in which a velocity forgets [s]: T seconds hold T / MEMORY independent values."""
+"""Correlation time of a velocity [s]: T seconds hold T / MEMORY independent values."""
 
 APART = 1.0
 """Lags closer than this belong to one peak [s]."""
 
 MOST = 40
-"""How many lags are told."""
+"""Largest number of lags returned."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class Witness:
         name: For people.
         time: Increasing, shape (N,) [s].
         value: Shape (N,).
-        columns: Which columns of the motion it is a combination of.
-        by_rate: The search compares its rate with that of the motion: for a series that wanders and does not forget.
-        instead: Other columns, any of which may serve in place of `columns`.
-        sensor: Witnesses of one sensor are late together; those of another may be late by more.
+        columns: Columns of the motion that it is a linear combination of.
+        by_rate: Whether the search compares time derivatives: for a series that wanders without forgetting.
+        instead: Alternative sets of columns, any of which may replace `columns`.
+        sensor: Witnesses of one sensor share a latency; those of another may be later.
     """
 
     name: str
@@ -51,14 +51,14 @@ class Witness:
 
 @dataclass(frozen=True)
 class GriddedMotion:
-    """The motion as the second clock has seen it, on a regular grid.
+    """The motion observed by the second clock, on a regular grid.
 
     Attributes:
         start: Time of the first row [s].
-        step: [s].
-        value: Shape (M, C); 0 where not known.
-        slope: Its time derivative, from a wider window, which noise moves less; shape (M, C); likewise.
-        valid: Where it is known, shape (M,).
+        step: Step of the grid [s].
+        value: Shape (M, C); 0 where unknown.
+        slope: Time derivative of `value`, from a wider window that reduces noise, shape (M, C); 0 where unknown.
+        valid: Where the motion is known, shape (M,).
     """
 
     start: float
@@ -68,7 +68,7 @@ class GriddedMotion:
     valid: Mask
 
     def knows(self, at: Array) -> Mask:
-        """At which times, shape (N,) [s], it is known, with a row to spare on either side."""
+        """At which times, shape (N,) [s], the motion is known, with a margin of one row on either side."""
         row = np.floor((at - self.start) / self.step).astype(np.int64)
         there = (row >= 1) & (row < self.valid.size - 2)
         row = np.clip(row, 1, max(self.valid.size - 3, 1))
@@ -77,21 +77,21 @@ class GriddedMotion:
 
 @dataclass(frozen=True)
 class Place:
-    """A lag [s] at which the motion explains the witnesses better than at its neighbours, and by how much [nats]."""
+    """A lag [s] that is a local maximum of the witnesses' evidence, with that evidence [nats]."""
 
     lag: float
     evidence: float
 
 
 def best_lags(witnesses: Sequence[Witness], seen: GriddedMotion) -> list[Place]:
-    """The lags, to be added to the stamps of the witnesses, at which the motion explains them best; the best first.
+    """The lags, to be added to the stamps of the witnesses, with the most evidence; the best first.
 
     Args:
-        witnesses: On the first clock.
-        seen: The motion by the second.
+        witnesses: Series on the first clock.
+        seen: The motion on the second clock.
 
     Returns:
-        At most `MOST`; none where the two have too little in common at every lag.
+        At most `MOST` lags; empty where the overlap is too short at every lag.
     """
     from scipy.signal import find_peaks
 
@@ -131,9 +131,9 @@ def _on_grid(witness: Witness, origin: float, length: int) -> tuple[Array, Array
 
 
 def _evidence(y: Array, there: Array, motion: Array, known: Array) -> tuple[Array, Array]:
-    """Gain in log-likelihood by the motion at every lag, and how many rows of the grid overlap there.
+    """Gain in log-likelihood from the motion at every lag, and the number of overlapping grid rows there.
 
-    Regression at all lags at once: its sums over the overlap by FFT, with masks for what is not known.
+    Computes the regressions at all lags at once: sums over the overlap by FFT, with masks for unknown values.
     Source: D. Padfield, IEEE Trans. Image Process. 21 (2012), pp. 2706-2718.
     """
     from scipy.signal import fftconvolve

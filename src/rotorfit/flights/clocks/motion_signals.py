@@ -1,4 +1,4 @@
-"""Log + Card -> what bears witness of one motion on two clocks: poses on one; onboard motion or commands on another."""
+"""Log + Card -> signals of one motion on two clocks: poses on one, onboard motion or commands on the other."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,34 +14,34 @@ from rotorfit.flights.stamps import MISSING_STAMP, Stamps, fresh, increasing, st
 from rotorfit.flights.streams import Stream
 
 HALF_WIDTH = 0.15
-"""Half the window of the local polynomials that give the velocity [s]."""
+"""Half width of the local polynomial window for the velocity [s]."""
 
 WIDE = 0.3
-"""Half the window of those that give the acceleration [s]."""
+"""Half width of the local polynomial window for the acceleration [s]."""
 
 STEP = 0.025
 """Step of the motion's grid [s]."""
 
 ANSWER_STEP = 0.01
-"""Step of the grid of answers to commands [s]."""
+"""Step of the grid of responses to commands [s]."""
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-"""Dampings of the answers to commands that are compared with the motion [1/s]; vehicles have 0.05 to 5."""
+"""Dampings of the responses to commands that are compared with the motion [1/s]; vehicles have 0.05 to 5."""
 
 _VX, _VY, _VZ, _RATE, _YAW, _FORWARD, _LEFT = range(7)
 
 FEWEST = 50
-"""Values below which a series is no witness."""
+"""Least number of values of a witness."""
 
 
 def seen_by(poses: Stream) -> GriddedMotion:
-    """The motion of the poses: velocity and heading by local cubics, on the clock of the poses.
+    """The motion from the poses: velocity and heading by local cubics, on the clock of the poses.
 
     Args:
-        poses: Fresh, in order; its stamps are counted from the first.
+        poses: Fresh, in order; times are counted from the first stamp.
 
     Returns:
-        Columns: world velocity x, y, z, yaw rate, yaw; velocity forward and left.
+        Columns: world velocity x, y, z, yaw rate, yaw, velocity forward and left [m/s, rad/s, rad].
     """
     from rotorfit.dynamics.kinematics import local_polynomial
 
@@ -65,15 +65,15 @@ def seen_by(poses: Stream) -> GriddedMotion:
 
 
 def onboard(log: Log, card: Card, origin: int) -> list[Witness]:
-    """The vehicle's own velocity and heading, where the card names them.
+    """The onboard velocity and heading as witnesses, where the card names them.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
         origin: Stamp from which the times of the witnesses are counted [ns].
 
     Raises:
-        CardError: A column is not there, or nothing tells its time.
+        CardError: A column is missing, or has no clock.
     """
     level = (_VX, _VY) if card.velocity_frame == "world" else (_FORWARD, _LEFT)
     along: dict[str, tuple[int, ...]] = {"x": level, "y": level, "z": (_VZ,), "yaw": (_RATE,)}
@@ -97,12 +97,12 @@ def onboard(log: Log, card: Card, origin: int) -> list[Witness]:
 
 
 def moved(seen: GriddedMotion, axes: tuple[str, ...], world: bool) -> list[Witness]:
-    """The motion of the poses as a witness of the answer to the commands, to be found in `answers`.
+    """The motion from the poses as a witness of the response to the commands, to be matched with `answers`.
 
     Args:
-        seen: As `seen_by` gives it.
-        axes: The commanded ones.
-        world: Whether commands are along the axes of the world.
+        seen: From `seen_by`.
+        axes: The commanded axes.
+        world: Whether commands are along the world axes.
     """
     time: Array = seen.start + seen.step * np.arange(seen.valid.size, dtype=np.float64)
     found = []
@@ -115,17 +115,17 @@ def moved(seen: GriddedMotion, axes: tuple[str, ...], world: bool) -> list[Witne
 
 
 def motion_column(axis: str, world: bool) -> int:
-    """Which column of `seen_by` is the velocity that commands of an axis move, along the world or the heading."""
+    """Column of `seen_by` with the velocity driven by an axis's commands, along the world or the heading."""
     column = {"x": _VX, "y": _VY} if world else {"x": _FORWARD, "y": _LEFT}
     return (column | {"z": _VZ, "yaw": _RATE})[axis]
 
 
 def answers(commands: Stream) -> GriddedMotion:
-    """The velocity that the commands would give without delay: v' = u - b v, for each of `DAMPINGS`.
+    """Velocity response to the commands without delay: v' = u - b v, for each of `DAMPINGS`.
 
     Returns:
-        On the clock of the commands, counted from the first: a column for each axis and damping, the dampings of x
-        first. It is known where commands act; at the first command the vehicle is taken to hover.
+        On the clock of the commands, counted from the first: one column for each axis and damping, the dampings of x
+        first. Valid where commands act; the vehicle is assumed to hover at the first command.
     """
     time = (commands.stamps - commands.stamps[0]) / 1e9
     until = (commands.until - commands.stamps[0]) / 1e9
@@ -144,9 +144,9 @@ def answers(commands: Stream) -> GriddedMotion:
 
 
 def _held_answer(command: Array, b: float) -> Array:
-    """v' = u - b v from rest, exact for commands that are held over a step of the grid.
+    """Solves v' = u - b v from rest, exact for commands that are held over a grid step.
 
-    The sum of what all earlier steps left, from sums over 1, 2, 4 ... steps: importing a filter takes longer than this.
+    Sums the contributions of all earlier steps by doubling (1, 2, 4 ... steps): importing a filter would take longer.
     """
     kept = np.exp(-b * ANSWER_STEP)
     value: Array = (1 - kept) / b * np.append(0.0, command[:-1])
@@ -169,13 +169,13 @@ def attitude_clock(card: Card) -> Channel:
 
 
 def _beside(card: Card, channel: Channel) -> Channel:
-    """The clock of the table that a column stands in: that of the commands there, or named as it is."""
+    """The clock of the table that holds a column: the column with the name of the commands' clock."""
     table, clock = split_source(channel.source)[0], split_source(card.command_time.source)
     return replace(card.command_time, source=f"{table}:{clock[1]}" if table else clock[1])
 
 
 def _series(log: Log, time: Channel, channels: Mapping[str, Channel]) -> tuple[Stamps, dict[str, Array]]:
-    """Stamps and values of the rows that are in order and fresh, NaN where a value is none."""
+    """Stamps and values of the rows that are in order and fresh, NaN where a value is missing."""
     stamps = stamps_of(log, time)
     values = {name: column(log, channel, len(stamps)) for name, channel in channels.items()}
     shared = min(len(stamps), *(len(one) for one in values.values()))

@@ -1,12 +1,12 @@
-"""Offset and drift between two clocks, from one motion that both have seen.
+"""Offset and drift between two clocks, from one motion observed by both.
 
 A witness is a series on the first clock that follows the motion: an onboard velocity, a heading, a command. The motion
-is that of the poses, on the second clock. What is stamped s by the first happens at t(s) by the second:
+is that of the poses, on the second clock. An event stamped s by the first clock happens at t(s) by the second:
 
     t(s) = s + offset + drift (s - middle)
     witness(s) = sum_j gain_j motion_j(t(s)) + bias + noise(s)          noise: autoregressive
 
-Gains and biases are free, so units, signs and turned axes of a witness do not matter. The search tries every lag at
+Gains and biases are free, so units, signs and rotated axes of a witness do not matter. The search tries every lag at
 which the two overlap; the likelihood is maximised from the best ones.
 """
 
@@ -19,55 +19,56 @@ from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.flights.clocks.lag_search import APART, MEMORY, GriddedMotion, Place, Witness, best_lags
 
 LEAST_EXPLAINED = 0.6
-"""Share of the variance that the motion must explain of the best witness. Onboard sensors reach 0.9 to 1, the best
-chance likeness of two flights 0.3 to 0.6."""
+"""Share of the best witness's variance that the motion must explain. Onboard sensors reach 0.9 to 1, the best chance
+match of two flights 0.3 to 0.6."""
 
 WIDEST = 0.05
-"""Standard error of the offset beyond which it is refused [s]: chance likenesses of unrelated motions are vague."""
+"""Standard error of the offset above which it is refused [s]: chance matches of unrelated motions are imprecise."""
 
 LEAST_LEAD = 10.0
 """Lead in log-likelihood that the best lag must have over any other that is at least `APART` away."""
 
 RIVAL = 0.85
-"""A lag whose log-likelihood reaches this share of the best one's is a rival: the motion repeats itself."""
+"""A lag whose evidence reaches this share of the best one's is a rival: the motion repeats itself."""
 
 ORDER = 12
 """Highest order of the autoregression of the noise."""
 
 OUTLIER = 6.0
-"""Residuals beyond so many robust standard deviations are left out, and beyond a quarter of the witness's own."""
+"""Residuals beyond this many robust standard deviations and a quarter of the witness's standard deviation are left
+out."""
 
 LEAST_ROWS = 4 * ORDER
-"""Values of a witness below which it is not heard."""
+"""Least number of values of a witness."""
 
 CHANGE = 0.3
-"""Time over which the changes of a series that wanders are explained [s]."""
+"""Interval over which the changes of a wandering series are explained [s]."""
 
 DISAGREE = 0.01
-"""Probability below which sensors that agree would look as they do."""
+"""p-value below which sensors disagree."""
 
 LEAST_ERROR = 0.001
-"""Standard error that a sensor's offset has at least in that comparison [s]: filters are late by a little, too."""
+"""Least standard error of a sensor's offset in that comparison [s]: filters add small delays."""
 
 PASSES = 30
 
 STARTS = 3
-"""How many of the best lags are refined."""
+"""Number of the best lags that are refined."""
 
 
 @dataclass(frozen=True)
 class Offset:
-    """How the second clock stands to the first.
+    """Offset and drift of the second clock against the first.
 
     Attributes:
-        middle: By the first clock: where `offset` holds [s].
-        offset: What is added to a stamp of the first [s].
-        drift: Growth of the offset a second.
-        covariance: Of offset and drift, shape (2, 2).
-        overlap: Time that both have seen [s].
+        middle: Time by the first clock at which `offset` holds [s].
+        offset: Added to a stamp of the first clock at `middle` [s].
+        drift: Change of the offset per second.
+        covariance: Covariance of offset and drift, shape (2, 2).
+        overlap: Time observed by both [s].
         explained: Witness to the share of its variance that the motion explains; of its changes, where it wanders.
-        outliers: Values of the witnesses that were left out.
-        later: Sensor that was left out, because it is late against the others, to by how much [s].
+        outliers: Number of values that were left out.
+        later: Sensor that was left out because it lags the others, to its lag [s].
     """
 
     middle: float
@@ -87,14 +88,14 @@ class Offset:
 
 @dataclass(frozen=True)
 class _Equations:
-    """Normal equations of one witness for offset and drift, gains and bias eliminated.
+    """Normal equations of one witness for offset and drift, with gains and bias eliminated.
 
     Attributes:
-        log_likelihood: But for a constant.
+        log_likelihood: Up to a constant.
         information: Shape (2, 2).
         gradient: Shape (2,).
-        explained: Share of its variance.
-        gain: In log-likelihood by the motion.
+        explained: Share of its variance that the motion explains.
+        gain: Gain in log-likelihood from the motion.
         overlap: Time with values [s].
         far: Which of its rows are outliers.
     """
@@ -110,7 +111,7 @@ class _Equations:
 
 @dataclass
 class _Sum:
-    """The equations of all witnesses at one offset and drift."""
+    """The summed equations of all witnesses at one offset and drift."""
 
     information: Array = field(default_factory=lambda: np.zeros((2, 2)))
     gradient: Array = field(default_factory=lambda: np.zeros(2))
@@ -120,7 +121,7 @@ class _Sum:
     far: dict[str, Mask] = field(default_factory=dict)
 
     def add(self, name: str, one: _Equations, far: Mask) -> None:
-        """Adds those of one witness."""
+        """Adds the equations of one witness."""
         self.information += one.information
         self.gradient += one.gradient
         self.explained[name], self.far[name] = one.explained, far
@@ -130,15 +131,15 @@ class _Sum:
 def clock_offset(witnesses: Sequence[Witness], seen: GriddedMotion) -> Offset | str:
     """Offset and drift of the second clock against the first.
 
-    Sensors may be stamped late, each by its own latency, and none can be early: where they disagree, those that are
-    late against the others are left out.
+    Each sensor may be stamped late by its own latency, but never early: where sensors disagree, those that lag the
+    others are left out.
 
     Args:
-        witnesses: On the first clock.
-        seen: The motion by the second.
+        witnesses: Series on the first clock.
+        seen: The motion on the second clock.
 
     Returns:
-        The offset; or why there is none, as a clause: too little in common, unrelated motion, or several answers.
+        The offset; or the reason why there is none, as a clause: too short an overlap, unrelated motion, or ambiguity.
 
     Source: least squares on prewhitened series, the maximum of a Gaussian likelihood: G. E. P. Box, G. M. Jenkins,
     G. C. Reinsel, Time Series Analysis, 4th ed. (2008), chapters 7 and 12.
@@ -160,13 +161,13 @@ def clock_offset(witnesses: Sequence[Witness], seen: GriddedMotion) -> Offset | 
 
 
 def _of_the_promptest(witnesses: Sequence[Witness], seen: GriddedMotion, whole: Offset) -> Offset:
-    """The offset by the sensors that agree, once those that are late against them are left out."""
+    """The offset from the sensors that agree, with those that lag them left out."""
     alone: dict[str, tuple[float, float]] = {}
     for sensor in dict.fromkeys(witness.sensor for witness in witnesses):
         one = _refined([witness for witness in witnesses if witness.sensor == sensor], seen, whole.offset)
         if one and max(one[0].explained.values()) >= LEAST_EXPLAINED:
             alone[sensor] = one[0].at(whole.middle)
-    agreeing = sorted(alone, key=lambda sensor: alone[sensor][0])  # the latest first: latency makes the offset smaller
+    agreeing = sorted(alone, key=lambda sensor: alone[sensor][0])  # the latest first: latency reduces the offset
     while len(agreeing) > 1 and not _agree([alone[sensor] for sensor in agreeing]):
         agreeing.pop(0)
     if len(agreeing) in (0, len(alone)):
@@ -179,7 +180,7 @@ def _of_the_promptest(witnesses: Sequence[Witness], seen: GriddedMotion, whole: 
 
 
 def _agree(offsets: Sequence[tuple[float, float]]) -> bool:
-    """Whether offsets with their standard errors may be one, by the chi-square test of their weighted mean."""
+    """Whether offsets with their standard errors are compatible, by the chi-squared test of their weighted mean."""
     from scipy.special import chdtrc
 
     value, error = np.array(offsets).T
@@ -189,7 +190,7 @@ def _agree(offsets: Sequence[tuple[float, float]]) -> bool:
 
 
 def _rival(places: Sequence[Place], lag: float) -> str:
-    """A clause where another lag is nearly as good; else nothing."""
+    """A clause if another lag is nearly as good; else empty."""
     own = max((place.evidence for place in places if abs(place.lag - lag) < APART), default=places[0].evidence)
     other = max((p for p in places if abs(p.lag - lag) >= APART), key=lambda p: p.evidence, default=None)
     if other is None or (other.evidence < RIVAL * own and own - other.evidence > LEAST_LEAD):
@@ -198,7 +199,7 @@ def _rival(places: Sequence[Place], lag: float) -> str:
 
 
 def _refined(witnesses: Sequence[Witness], seen: GriddedMotion, lag: float) -> tuple[Offset, float] | None:
-    """Maximum of the likelihood near a lag, and its gain in log-likelihood over no motion; None where there is none."""
+    """Maximum likelihood near a lag, with its gain in log-likelihood over no motion; None if not converged."""
     from scipy.interpolate import CubicSpline
 
     grid = seen.start + seen.step * np.arange(seen.valid.size)
@@ -246,7 +247,7 @@ def _refined(witnesses: Sequence[Witness], seen: GriddedMotion, lag: float) -> t
 def _equations(witness: Witness, rows: Indices, motion: Array, slope: Array, middle: float) -> _Equations:
     """Normal equations of one witness.
 
-    The slope is that of a wider window: from the one that gives the motion, its noise would count as information.
+    The slope comes from a wider window than the motion: with the same window its noise would count as information.
     """
     s, y = witness.time[rows], witness.value[rows]
     X = np.column_stack([motion, np.ones(s.size)])
@@ -281,10 +282,7 @@ def _explained(y: Array, residual: Array, lag: int) -> float:
 
 
 def _autoregression(e: Array) -> Array:
-    """Coefficients of the autoregression of a series, of the order that Akaike's criterion takes, shape (p,).
-
-    Source: Levinson's recursion on the autocovariances: Box, Jenkins, Reinsel (2008), appendix A3.2.
-    """
+    """Coefficients of the autoregression of a series, of the order that minimises Akaike's criterion, shape (p,)."""
     n, e = e.size, e - e.mean()
     r = np.array([np.dot(e[k:], e[: n - k]) / n for k in range(ORDER + 1)])
     a, variance = np.zeros(0), float(r[0])
@@ -299,7 +297,7 @@ def _autoregression(e: Array) -> Array:
 
 
 def _whitened(columns: Array, a: Array, follows: Mask) -> Array:
-    """Columns less what the autoregression foretells of them; rows whose past is cut by a hole are left out."""
+    """Prediction errors of columns under the autoregression; rows with a gap in their past are left out."""
     n, p = len(columns), a.size
     out, whole = columns[p:].copy(), np.ones(n - p, dtype=np.bool_)
     for j in range(1, p + 1):

@@ -1,16 +1,16 @@
-"""Log + Card -> the same log, its stamps freed from what their clock drifts and steps against the recorder's.
+"""Log + Card -> the same log, its stamps corrected for drift and steps of the senders' clocks against the recorder's.
 
-A message that a sender stamped s arrives at a by the recorder's clock. It travels forward in time only, so
+A message stamped s by its sender arrives at a by the recorder's clock. It cannot arrive before it is sent, so
 
     a - s = error of the clock + travel,    travel >= 0
 
-and the error lies on or below all of a - s: on their lower envelope, but for the time of the fastest messages. A clock
-runs at one rate, which a slow change of temperature bends a little: the envelope is the line below all points, lifted
-by what bends no faster than `BEND`, so that a stretch in which everything is late lifts it hardly. A step of the clock
-shows in the stamps, which jump, while the messages go on arriving as before; that of a route shows in the arrivals.
+and the error lies on or below all of a - s: on their lower envelope, up to the travel time of the fastest messages. A
+clock runs at one rate, slightly bent by slow changes of temperature: the envelope is the line below all points, raised
+by a curve that bends no faster than `BEND`, so that a stretch in which everything is late hardly raises it. A step of
+the clock shows as a jump in the stamps while the arrivals continue; a change of route shows in the arrivals.
 
-What the clock is wrong by in the mean, arrivals tell only from one side: messages do not arrive before they are sent.
-So the clock is taken to be right where it is least behind the arrivals, and moved if even there it is ahead of them.
+Arrivals bound the mean error of the clock on one side only: messages do not arrive before they are sent. So the clock
+is taken to be right where it is least behind the arrivals, and is shifted if even there it is ahead of them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,39 +28,39 @@ from rotorfit.flights.other_tables import sample_rows
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, stamps_of
 
 FEWEST = 100
-"""Messages below which nothing is told from their arrivals."""
+"""Least number of messages whose arrivals are evaluated."""
 
 BLOCKS = 10
-"""Parts of the recording whose early arrivals are compared."""
+"""Number of parts of the recording whose early arrivals are compared."""
 
 EARLY = 0.05
-"""Quantile of the travel that counts as early: one message alone may be an accident."""
+"""Quantile of the travel time that counts as early: a single message may be an accident."""
 
 SIGMAS = 8.0
-"""Standard errors by which the early arrivals must drift, part by part: a route that becomes slower once reaches 5."""
+"""Significance of the drift of the early arrivals, in standard errors: a route that slows down once reaches 5."""
 
 LEAST_GROWTH = 0.002
-"""Growth over the recording that is left alone [s]: in the mean it is half of it, below the error of most delays."""
+"""Drift over the recording that is not corrected [s]: its mean effect is half of it, less than most delay errors."""
 
 LEAST_STEP = 0.02
-"""Step of a clock that is looked for [s]; daemons slew what is smaller."""
+"""Least step of a clock that is detected [s]; time daemons slew smaller ones."""
 
 AROUND = 2.0
-"""Time before and after a step in which its size is measured [s]."""
+"""Time before and after a step over which its size is measured [s]."""
 
 BEND = 1e-4
-"""Change of a clock's rate that is believed, as that of a crystal which warms up."""
+"""Largest plausible change of a clock's error per second besides its drift, as of a crystal that warms up."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What a clock was wrong by against the recorder's.
+    """Error of a sender's clock against the recorder's.
 
     Attributes:
-        error: To be added to each stamp, shape (N,) [s].
-        drift: Growth of the error a second, between the steps.
+        error: Added to each stamp to correct it, shape (N,) [s].
+        drift: Change of the error per second, between the steps.
         steps: Sizes of the steps in order [s].
-        half_width: Half of the 95 % interval of what stays unknown [s].
+        half_width: Half the 95 % interval of the remaining uncertainty [s].
     """
 
     error: Array
@@ -70,20 +70,20 @@ class Correction:
 
 
 def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...], float]:
-    """Takes drift and steps off the stamps of commands, poses and the vehicle's own motion.
+    """Removes drift and steps from the stamps of commands, poses and onboard motion.
 
-    Only stamps of senders (`header.stamp`) with arrivals (`log_time`) beside them are looked at, of one file.
+    Only stamps of senders (`header.stamp`) with arrivals (`log_time`) beside them, in a single file, are corrected.
 
     Args:
         log: As recorded.
-        card: Which column is what.
+        card: The meaning of each column.
 
     Returns:
-        The log, its clocks `retimed` where one was wrong; what was done; and half of the 95 % interval that stays
-        unknown between commands and poses [s], 0 where nothing was done.
+        The log, with corrected clocks in `retimed`; notes on what was done; and half the 95 % interval of the remaining
+        offset between commands and poses [s], 0 where nothing was done.
 
     Raises:
-        CardError: A column is not there.
+        CardError: A column is missing.
     """
     if log.file_of:
         return log, (), 0.0
@@ -112,14 +112,14 @@ def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...],
 
 
 def correction(stamps: Stamps, arrivals: Stamps) -> Correction | None:
-    """What a sender's clock is wrong by against the recorder's.
+    """Estimates the error of a sender's clock against the recorder's.
 
     Args:
         stamps: By the sender, shape (N,) [ns].
         arrivals: By the recorder, shape (N,) [ns].
 
     Returns:
-        The correction; None where the clock neither drifts nor steps beyond what late messages feign.
+        The correction; None where the clock neither drifts nor steps by more than late messages can mimic.
 
     Source: the envelope as a line: S. B. Moon, P. Skelly, D. Towsley, Estimation and removal of clock skew from network
     delay measurements, INFOCOM 1999, pp. 227-234.
@@ -129,7 +129,7 @@ def correction(stamps: Stamps, arrivals: Stamps) -> Correction | None:
     time, late = (arrivals - arrivals[0]) / 1e9, (arrivals - stamps) / 1e9
     if not time[-1] > 2 * AROUND:
         return None
-    base, late = float(np.median(late)), late - float(np.median(late))  # small numbers beside a clock of another epoch
+    base, late = float(np.median(late)), late - float(np.median(late))  # keeps numbers small if the epochs differ
     at, sizes = _steps(time, stamps, arrivals, late)
     stepped = np.concatenate([[0.0], np.cumsum(sizes)])[np.searchsorted(at, np.arange(late.size), side="right")]
     start, drift = _line_below(time, late - stepped)
@@ -159,9 +159,9 @@ def _streams(card: Card) -> Iterator[tuple[str, Channel, Mapping[str, Channel]]]
 
 
 def _steps(time: Array, stamps: Stamps, arrivals: Stamps, late: Array) -> tuple[Indices, Array]:
-    """Steps of the sender's clock: the first message after each, and their sizes [s].
+    """Steps of the sender's clock: the index of the first message after each, and their sizes [s].
 
-    The stamps jump, the arrivals do not, and the difference stays.
+    At a step the stamps jump, the arrivals do not, and the difference persists.
     """
     sent, came = np.diff(stamps) / 1e9, np.diff(arrivals) / 1e9
     jump, jolt = np.abs(sent - np.median(sent)), np.abs(came - np.median(came))
@@ -176,9 +176,9 @@ def _steps(time: Array, stamps: Stamps, arrivals: Stamps, late: Array) -> tuple[
 
 
 def _line_below(time: Array, late: Array) -> tuple[float, float]:
-    """Height at 0 and slope of the line below all points that is nearest to them in the mean.
+    """Value at time 0 [s] and slope of the line that lies below all points with the least mean distance.
 
-    It is the edge of the lower convex hull above the mean time.
+    It is the edge of the lower convex hull that spans the mean time.
     """
     hull: list[int] = []
     for k in range(time.size):
@@ -195,7 +195,7 @@ def _line_below(time: Array, late: Array) -> tuple[float, float]:
 
 
 def _drifts(time: Array, late: Array, drift: float) -> bool:
-    """Whether the early messages of the parts of a recording drift, too: chance moves the ends of an envelope."""
+    """Whether the early messages of successive parts drift, too: the ends of an envelope move by chance."""
     early = np.array([np.quantile(part, EARLY) for part in np.array_split(late, BLOCKS)])
     middle = np.array([np.mean(part) for part in np.array_split(time, BLOCKS)])
     x = middle - middle.mean()
@@ -207,14 +207,14 @@ def _drifts(time: Array, late: Array, drift: float) -> bool:
 
 
 def _bent_below(time: Array, late: Array) -> Array:
-    """The highest function below all points that changes by no more than `BEND` a second, shape (N,)."""
+    """The largest function below all points that changes by no more than `BEND` per second, shape (N,) [s]."""
     forward = np.minimum.accumulate(late - BEND * time) + BEND * time
     backward = np.minimum.accumulate((late + BEND * time)[::-1])[::-1] - BEND * time
     return np.asarray(np.minimum(forward, backward))
 
 
 def _told(what: str, found: Correction) -> str:
-    """What was done, in a sentence."""
+    """What was done, in one sentence."""
     parts = [f"drifts by {1e6 * found.drift:+.0f} us/s"] if found.drift else []
     parts += [f"{'steps' if n == 0 else 'and'} by {1e3 * size:+.0f} ms" for n, size in enumerate(found.steps)]
     mean, most = 1e3 * float(np.mean(found.error)), 1e3 * float(np.ptp(found.error))

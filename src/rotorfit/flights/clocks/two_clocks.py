@@ -22,31 +22,33 @@ NORMAL = 1.959964
 """97.5 % point of the normal distribution."""
 
 ANSWER_HALF = 0.11
-"""Half of the 95 % interval of offset and delay together, by the answer to the commands [s].
+"""Half the 95 % interval of offset plus delay from the response to the commands [s].
 
 Source: `bench/bench_clocks.py`: off by 55 ms (RMS) on 50 simulated flights, 100 ms at most.
 """
 
 SHARED = 8
-"""Messages that stand in both files with one stamp and show that their stamps are of one clock."""
+"""Number of messages that must be in both files with equal stamps to show that both have one clock."""
 
 
 def on_one_clock(log: Log, card: Card) -> tuple[Log, Clocks | None]:
     """Moves the stamps of the commands onto the clock of the poses, where the two are from different files.
 
-    The vehicle's own velocity or heading, in the file of the commands, tells the offset. Without it the answer to the
-    commands does, but it cannot tell the delay from an offset. Where the clocks are stated to be one, nothing is moved.
+    The offset follows from the onboard velocity or heading in the file of the commands. Without it, it follows from the
+    response to the commands, which cannot separate delay from offset. Where the clocks are stated to be the same,
+    nothing
+    is moved.
 
     Args:
         log: As recorded.
-        card: Which column is what, with the table of each.
+        card: The meaning of each column, with the table of each.
 
     Returns:
-        The log, with the stamps of the commands' file `retimed`; and what was found, None where there is one file.
+        The log, with the stamps of the commands' file in `retimed`; and the relation of the clocks, None for one file.
 
     Raises:
-        CardError: A column is not there.
-        FlightError: What `commands_of` and `poses_of` refuse; or nothing tells how the clocks stand to each other.
+        CardError: A column is missing.
+        FlightError: Refused by `commands_of` or `poses_of`; or the offset cannot be determined.
     """
     if not log.file_of:
         return log, None
@@ -72,7 +74,7 @@ def on_one_clock(log: Log, card: Card) -> tuple[Log, Clocks | None]:
 
 
 def _by_sensors(found: Offset, base: float, middle: float, stated: str) -> Clocks:
-    """What the vehicle's sensors told, at the middle of the commands and between stamps as recorded."""
+    """The clocks according to the onboard sensors, at the middle of the commands and for stamps as recorded."""
     offset, error = found.at(middle)
     return Clocks(
         source="onboard",
@@ -91,7 +93,7 @@ def _by_sensors(found: Offset, base: float, middle: float, stated: str) -> Clock
 def _by_answer(
     log: Log, card: Card, commands: Stream, axes: tuple[str, ...], poses: Stream, seen: GriddedMotion, refused: str
 ) -> Clocks:
-    """The clocks by the answer to the commands, which is put where the likelihood searches for it."""
+    """The clocks according to the response to the commands, shifted to where the likelihood searches for the delay."""
     moving = tuple(axis for axis in axes if np.ptp(commands.values[:, AXES.index(axis)]) > 0)
     witnesses = moved(seen, moving, card.command_frame == "world")
     found = clock_offset(witnesses, answers(commands)) if witnesses else "no command moves"
@@ -102,7 +104,7 @@ def _by_answer(
             f'{onboard_too}; name the vehicle\'s own velocity in [velocity] of the card, or write clock = "one" in it '
             "if they are one clock"
         )
-    # Here the poses' clock is the first: a pose at s shows the answer to a command at s + offset + drift (s - middle).
+    # Here the poses' clock is the first: a pose at s responds to a command at s + offset + drift (s - middle).
     base = (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9 - ANSWER
     middle = (int(commands.stamps[-1]) - int(commands.stamps[0])) / 2e9
     offset = base - found.offset - found.drift * (middle - found.offset - found.middle)
@@ -110,7 +112,7 @@ def _by_answer(
 
 
 def _in_file(log: Log, card: Card, file: str) -> Card:
-    """The card without onboard motion from other files, whose clock is not that of the commands."""
+    """The card without onboard motion from other files, which do not share the clock of the commands."""
 
     def from_file(channels: Mapping[str, Channel]) -> bool:
         named = [channel.source for channel in channels.values() if isinstance(channel.source, str)]
@@ -121,7 +123,7 @@ def _in_file(log: Log, card: Card, file: str) -> Card:
 
 
 def _moved(log: Log, card: Card, file: str, origin: int, clocks: Clocks) -> Log:
-    """The log with the clocks of one file moved: that of the commands, in all its tables, and those of the sensors."""
+    """The log with the clocks of one file moved: those of the commands in all its tables, and those of the sensors."""
     name = table_of(log, str(card.command_time.source))[1]
     own = [
         replace(card.command_time, source=f"{table}:{name}")
@@ -139,7 +141,7 @@ def _moved(log: Log, card: Card, file: str, origin: int, clocks: Clocks) -> Log:
 
 
 def _mapped(stamps: Stamps, origin: int, clocks: Clocks) -> Stamps:
-    """Stamps by the clock of the poses; those that are missing stay so."""
+    """Stamps on the clock of the poses; missing stamps stay missing."""
     there = stamps != MISSING_STAMP
     elapsed = np.where(there, stamps - origin, 0) / 1e9 - clocks.middle
     gained = np.round(clocks.drift * elapsed * 1e9).astype(np.int64)
@@ -147,7 +149,7 @@ def _mapped(stamps: Stamps, origin: int, clocks: Clocks) -> Stamps:
 
 
 def _stated(log: Log, card: Card, sender: str, camera: str) -> str:
-    """Why the stamps of both files are taken to be of one clock, as a clause; nothing where they are not."""
+    """Why the stamps of both files are taken to be on one clock, as a clause; empty where they are not."""
     if card.clock == "one":
         return "the card says that they are one"
     clocks = {table_of(log, str(time.source))[1] for time in (card.command_time, card.pose_time)}
@@ -162,7 +164,7 @@ def _stated(log: Log, card: Card, sender: str, camera: str) -> str:
 
 
 def _tables_of(log: Log, file: str) -> dict[str, Table]:
-    """The tables of one file by the names that they have there, but for a slash in front."""
+    """The tables of one file under the names that they have there, without a leading slash."""
     own = f"{Path(file).stem}/"
     return {
         name.removeprefix(own).lstrip("/"): log.tables[name]
@@ -172,7 +174,7 @@ def _tables_of(log: Log, file: str) -> dict[str, Table]:
 
 
 def _shared(one: Table, other: Table, clock: str) -> int:
-    """How many messages two tables have in common, by the sender's stamp; none where another clock of them differs."""
+    """Number of messages common to two tables, by the sender's stamp; 0 where `clock` differs between them."""
     if not all({"header.stamp", clock} <= table.columns.keys() for table in (one, other)):
         return 0
     _, a, b = np.intersect1d(one.columns["header.stamp"], other.columns["header.stamp"], return_indices=True)
