@@ -1,8 +1,8 @@
-"""ArduPilot logs (DataFlash, .bin): messages of the autopilot, each a table; instance 1 of one is `NAME_1`.
+"""ArduPilot logs (DataFlash, .bin): each type of message is a table; instance 1 of `NAME` is `NAME_1`.
 
-The file is a chain of records that describes itself: an FMT message says how those of another type are written.
-Where the chain is broken (a full card, an empty battery, pages of an earlier flight), it is taken up at the next
-record that can be one. Old logs have messages without a time: their `log_time` comes from their place in the file.
+The file is a self-describing chain of records: an FMT message defines the layout of another type.
+Where the chain is broken (a full card, an empty battery, pages of an earlier flight), it resumes at the next plausible
+record. Old logs have messages without a time: their `log_time` is interpolated from their position in the file.
 
 Source: https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html, and ArduPilot's
 libraries/AP_Logger/LogStructure.h that it refers to.
@@ -36,10 +36,10 @@ _FMTU = struct.Struct("<QB16s16s")
 _UNIT, _MULT = struct.Struct("<Qb64s"), struct.Struct("<Qbd")
 
 _SAME = {"degheading": "deg"}
-"""Names of units that ArduPilot has beside those of `frames.UNIT_SCALE`."""
+"""ArduPilot's names of units that differ from those in `frames.UNIT_SCALE`."""
 
 _SILENT = b"-?"
-"""Multipliers that say nothing."""
+"""Multipliers without meaning."""
 
 _FORMATS = {
     "a": ("<i2", 32, 1.0), "b": ("i1", None, 1.0), "B": ("u1", None, 1.0), "h": ("<i2", None, 1.0),
@@ -48,25 +48,25 @@ _FORMATS = {
     "Q": ("<u8", None, 1.0), "c": ("<i2", None, 100.0), "C": ("<u2", None, 100.0), "e": ("<i4", None, 100.0),
     "E": ("<u4", None, 100.0), "L": ("<i4", None, 1e7),
 }  # fmt: skip
-"""Character to numpy's format, length of an array, and what the value was multiplied by to be a whole number."""
+"""Character to numpy format, length of an array, and the factor by which the value was multiplied to be an integer."""
 
 _TEXTS = {"n": 4, "N": 16, "Z": 64}
 
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
-"""Messages that describe the log and the settings."""
+"""Messages that describe the log and the settings rather than the flight."""
 
 Anchors = tuple[Column, Column]
-"""Places in a file and the time there [ns]."""
+"""Positions in a file and the times there [ns]."""
 
 _MOST_INSTANCES = 256
 
 _SPACING = 256
-"""Bytes between the anchors that tell the time of a place in the file: a few milliseconds of flight."""
+"""Bytes between the anchors that date a position in the file: a few milliseconds of flight."""
 
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """A column that tells the time, the nanoseconds of a count, and whether it is the satellites' time."""
+    """A column with the time, the nanoseconds per count, and whether it is satellite time."""
 
     leaf: Leaf
     nanoseconds: int
@@ -75,17 +75,20 @@ class TimeColumn:
 
 @dataclass
 class Message:
-    """Messages of one type on their way to a table.
+    """Messages of one type, collected for a table.
 
     Attributes:
-        name: As in its definition.
-        length: Of a record, its head included.
-        layout: Where its numbers lie; None where it is not decoded, for a `reason`.
-        labels: All columns, texts among them.
-        clock: Column that tells the time, and what it counts in; None where there is none.
-        instance: Column that tells sensors or cores of the same kind apart; empty where there is none.
-        marks: Of each column its unit and its multiplier, one character each; empty where the log does not say.
-        places: Where its records begin, kept for those without a clock.
+        name: Name in its definition.
+        length: Length of a record including its head [byte].
+        layout: Layout of its numbers; None where it is not decoded.
+        reason: Why it is not decoded; empty where it is.
+        labels: Names of all columns, including texts.
+        clock: Column with the time; None where there is none.
+        instance: Column that distinguishes sensors or cores of the same kind; empty where there is none.
+        marks: Units and multipliers, one character for each column; empty where the log does not give them.
+        count: Number of records.
+        rows: The records.
+        places: Positions of the records, kept for messages without a clock.
     """
 
     name: str
@@ -103,7 +106,7 @@ class Message:
 
 @dataclass
 class Units:
-    """What the marks of columns stand for: names of units, and multipliers."""
+    """Meaning of the columns' marks: names of units, and multipliers."""
 
     names: dict[int, str] = field(default_factory=dict)
     multipliers: dict[int, float] = field(default_factory=dict)
@@ -115,11 +118,11 @@ class _Log:
 
     Attributes:
         wanted: Names of the tables to decode; None for all.
-        messages: By the number of their type.
-        lengths: Length of the records of a type; 0 where it is not defined.
-        anchors: Offsets of messages with a clock and what it says [ns]: the autopilot's, and that of satellites.
-        redefined: Types that a second, other definition was ignored of.
-        units: What the marks of columns stand for.
+        messages: Message by the number of its type.
+        lengths: Length of the records of each type [byte]; 0 where it is not defined.
+        anchors: Positions of messages with a clock and its time [ns]: the autopilot's, and the satellites'.
+        redefined: Names of types with a second, different definition, which was ignored.
+        units: Meaning of the columns' marks.
         damage: Breaks in the chain.
     """
 
@@ -138,7 +141,7 @@ def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for 
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted messages; see `sources.read`.
+    """Reads the requested messages; see `files.logs.read`.
 
     Raises:
         LogError: No message besides definitions, or too many numbers.
@@ -159,14 +162,14 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 
 def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
-    """Takes the records of a block, and definitions as they come; returns where the next block must begin.
+    """Takes the records of a block, and definitions as they occur; returns where the next block must begin.
 
-    A record is believed when a record follows: what stands before a break may be torn itself.
+    A record is accepted only if another record follows: the one before a break may be torn itself.
     """
     places: list[list[int]] = [[] for _ in range(256)]
-    known: dict[bytes, tuple[list[int], int]] = {}  # heads seen in this block: where they go, their length
+    known: dict[bytes, tuple[list[int], int]] = {}  # heads seen in this block: their list of positions, their length
     position, end, lengths = 0, len(data), log.lengths
-    latest: list[int] = []  # where the record before this one went; empty where there is none
+    latest: list[int] = []  # list that holds the previous record; empty where there is none
     while position + _HEAD.size <= end:
         if record := known.get(data[position : position + _HEAD.size]):
             found, length = record
@@ -193,14 +196,14 @@ def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
             latest.append(position)
             _define(log, data[position + _HEAD.size : after])
         position = after
-    if not last and latest:  # whether a record follows is seen in the next block
+    if not last and latest:  # the next block shows whether a record follows
         position = latest.pop()
     _gather(log, data, offset, places)
     return min(position, end)
 
 
 def _next(lengths: list[int], data: bytes, position: int) -> int:
-    """Where the next record begins that can be one; near the end of the block where none does."""
+    """Start of the next plausible record; near the end of the block if there is none."""
     while (position := data.find(_MAGIC, position)) >= 0 and position + 2 < len(data):
         if lengths[data[position + 2]]:
             return position
@@ -223,7 +226,7 @@ def _define(log: _Log, content: bytes) -> None:
 
 
 def message_of(wanted: Collection[str] | None, name: str, length: int, format_: str, labels: list[str]) -> Message:
-    """A type by its definition: characters of the format, and as many names."""
+    """A message type from its definition: format characters and as many names."""
     leaves: dict[str, Leaf] = {}
     place = 0
     for character, label in zip(format_, labels, strict=False):
@@ -232,7 +235,7 @@ def message_of(wanted: Collection[str] | None, name: str, length: int, format_: 
             leaves.setdefault(label, Leaf(label, number, place, count, divisor))
             place += int(number[-1]) * (count or 1)
         else:
-            place += _TEXTS.get(character, length)  # beyond the record where nobody knows how long it is
+            place += _TEXTS.get(character, length)  # an unknown length: place it beyond the record
     fits = place + _HEAD.size <= length and len(format_) == len(labels) * bool(format_)
     asked = wanted is None or any(name in (table, table.rpartition("_")[0]) for table in wanted)
     reason = ""
@@ -249,7 +252,7 @@ def message_of(wanted: Collection[str] | None, name: str, length: int, format_: 
 
 
 def _clock(name: str, leaves: dict[str, Leaf]) -> TimeColumn | None:
-    """The column that tells the time. TimeMS and Time of GPS are the satellites'; T beside them is the autopilot's."""
+    """The column with the time. TimeMS and Time of GPS are satellite time; T beside them is the autopilot's."""
     of_gps = name.startswith("GPS")
     names = {"TimeUS": 1000, "T": 10**6} if of_gps else {"TimeUS": 1000, "TimeMS": 10**6}
     for label, factor in {**names, **({"TimeMS": 10**6, "Time": 10**6} if of_gps else {})}.items():
@@ -259,12 +262,12 @@ def _clock(name: str, leaves: dict[str, Leaf]) -> TimeColumn | None:
 
 
 def without_time(message: Message) -> bool:
-    """Whether no column of a message tells the autopilot's time."""
+    """Whether no column of a message holds the autopilot's time."""
     return message.clock is None or message.clock.satellites
 
 
 def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> None:
-    """Gives the records of a block to their types, and keeps what tells the time of a place in the file."""
+    """Assigns the records of a block to their types, and keeps the anchors that date positions in the file."""
     untimed = any(message.layout is not None and without_time(message) for message in log.messages.values())
     found_anchors: tuple[list[Anchors], list[Anchors]] = ([], [])
     for kind, found in enumerate(places):
@@ -290,7 +293,7 @@ def _gather(log: _Log, data: bytes, offset: int, places: list[list[int]]) -> Non
 
 
 def _anchors(data: bytes, found: list[int], clock: TimeColumn) -> Anchors:
-    """Where messages with a clock begin, and what it says [ns]."""
+    """Positions of messages with a clock, and its time [ns]."""
     starts = np.array(found)
     layout = RecordLayout((clock.leaf,), _HEAD.size, clock.leaf.offset + int(clock.leaf.format[-1]))
     values = columns_of(gathered(data, starts, layout), layout)[clock.leaf.name]
@@ -299,7 +302,7 @@ def _anchors(data: bytes, found: list[int], clock: TimeColumn) -> Anchors:
 
 
 def _timeline(log: _Log) -> Anchors | None:
-    """What tells the time of a place in the file: the autopilot's clock or, where it shows nowhere, the satellites'."""
+    """Anchors of the whole file: from the autopilot's clock or, where none is logged, the satellites'; else None."""
     for anchors in log.anchors:
         if anchors:
             starts, times = (np.concatenate(part) for part in zip(*anchors, strict=True))
@@ -309,7 +312,7 @@ def _timeline(log: _Log) -> Anchors | None:
 
 
 def _instances(message: Message, columns: dict[str, Column]) -> dict[str, dict[str, Column]]:
-    """Tables of a message: one for each sensor or core; `NAME` is that with the number 0, `NAME_1` the next."""
+    """Tables of a message, one for each sensor or core: `NAME` is number 0, `NAME_1` the next."""
     numbers = columns.get(message.instance, np.zeros(0))
     apart = np.unique(numbers) if numbers.dtype.kind in "iu" else np.zeros(0)
     if not 0 < len(apart) <= _MOST_INSTANCES:
@@ -322,7 +325,7 @@ def _instances(message: Message, columns: dict[str, Column]) -> dict[str, dict[s
 
 
 def _units(log: _Log, data: bytes, found: list[int]) -> None:
-    """Takes from FMTU the marks of columns, and which one tells instances apart: its unit is `#`."""
+    """Takes from FMTU the marks of columns, and the column that distinguishes instances: its unit is `#`."""
     for position in found:
         _, kind, units, multipliers = _FMTU.unpack_from(data, position + _HEAD.size)
         message = log.messages.get(kind)
@@ -337,7 +340,7 @@ def _units(log: _Log, data: bytes, found: list[int]) -> None:
 
 
 def _take_units(units: Units, message: Message, data: bytes, found: list[int]) -> None:
-    """Takes from UNIT and MULT what the marks in FMTU stand for."""
+    """Takes from UNIT and MULT the meaning of the marks in FMTU."""
     for position in found:
         if message.name == "UNIT" and message.length == _HEAD.size + _UNIT.size:
             _, mark, name = _UNIT.unpack_from(data, position + _HEAD.size)
@@ -347,9 +350,9 @@ def _take_units(units: Units, message: Message, data: bytes, found: list[int]) -
 
 
 def _units_of(message: Message, units: Units) -> Iterator[tuple[str, str]]:
-    """The columns of a message whose unit the log says, with that unit.
+    """The columns of a message whose unit the log states, with that unit.
 
-    What is written as a whole number was divided as its format says, which is its multiplier.
+    A value stored as an integer was already divided according to its format, so its multiplier is 1.
     """
     if message.layout is None:
         return
@@ -365,7 +368,7 @@ def _units_of(message: Message, units: Units) -> Iterator[tuple[str, str]]:
 
 
 def _content(path: Path, log: _Log, size: int) -> Content:
-    """Tables of what was found."""
+    """Tables of the collected messages."""
     notes: list[str] = []
     if log.redefined:
         notes.append(f"later definitions of {listed(sorted(log.redefined))} differ: the first one is used")
@@ -387,17 +390,17 @@ def content_of(
     damage: tuple[str, ...],
     units: Units,
 ) -> Content:
-    """Tables of messages; those without a time get `log_time` from their places.
+    """Tables of messages; those without a time get `log_time` from their positions.
 
     Args:
-        path: For the text of errors.
-        wanted: Names of the tables to give; None for all.
+        path: For error messages.
+        wanted: Names of the tables to return; None for all.
         messages: All that are defined.
-        columns_of_message: Gives the columns of one.
-        timeline: Places in the file and the time there [ns]; None where nothing tells it.
-        notes: What was left out so far.
-        damage: As `Content.damage`.
-        units: What the marks of columns stand for.
+        columns_of_message: Returns the columns of a message.
+        timeline: Positions in the file and the times there [ns]; None where the log has no time.
+        notes: What was left out so far; extended.
+        damage: See `Content.damage`.
+        units: Meaning of the columns' marks.
 
     Raises:
         LogError: No message besides definitions.
@@ -415,7 +418,7 @@ def content_of(
     for message in messages:
         columns = columns_of_message(message) if message.count and message.layout is not None else {}
         if not columns:
-            if message.count or message.name in (wanted or ()):  # a log defines many that it never holds
+            if message.count or message.name in (wanted or ()):  # a log defines many messages that it never contains
                 reason = one_line(f"{message.reason or 'no message'} ({message.count} messages)")
                 skipped.setdefault(message.name, reason)
             continue

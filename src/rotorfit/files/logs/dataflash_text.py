@@ -1,6 +1,6 @@
-"""ArduPilot logs as text (.log), as ground stations write them: `ATT, 312991, 0.00, 0.44, ...`, FMT lines among them.
+"""ArduPilot logs as text (.log), as written by ground stations: `ATT, 312991, 0.00, 0.44, ...`, with FMT lines.
 
-The numbers are already divided as their format says; everything else is as in `dataflash`.
+The numbers are already divided according to their format; everything else is as in `dataflash`.
 """
 
 import re
@@ -32,13 +32,13 @@ class _Log:
     """What was found in a file so far.
 
     Attributes:
-        messages: By name.
+        messages: Message by its name.
         types: The same by the number of their type.
-        texts: Name of a message to its cells, a line each.
-        numbers: Name of a message without a time to where its lines stand.
-        anchors: Lines of messages with a clock and what it says [ns]: the autopilot's, and that of satellites.
-        torn: Lines that are left out.
-        units: What the marks of columns stand for.
+        texts: Name of a message to its cells, one line per message.
+        numbers: Name of a message without a time to its line numbers.
+        anchors: Line numbers of messages with a clock and its time [ns]: the autopilot's, and the satellites'.
+        torn: Number of lines left out.
+        units: Meaning of the columns' marks.
     """
 
     messages: dict[bytes, Message] = field(default_factory=dict)
@@ -51,12 +51,12 @@ class _Log:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether a line defines what definitions are."""
+    """Whether a line defines the FMT message itself."""
     return _FIRST.search(head) is not None
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted messages; see `sources.read`.
+    """Reads the requested messages; see `files.logs.read`.
 
     Raises:
         LogError: Too large, or no message besides definitions.
@@ -90,7 +90,7 @@ def _take(log: _Log, wanted: Collection[str] | None, number: int, line: bytes) -
     if message is None:
         log.torn += bool(comma)  # the lines above the log have none
         return
-    # A text may hold commas; a whole line of numbers has as many cells as names.
+    # A text may contain commas; a complete line of numbers has as many cells as names.
     if message.reason or (rest.count(b",") == len(message.labels) - 1 and rest.isascii() and not set(rest) & _FOREIGN):
         message.count += 1
         if message.name == "FMTU":
@@ -117,7 +117,7 @@ def _define(log: _Log, wanted: Collection[str] | None, cells: list[str]) -> None
 
 
 def _units(log: _Log, cells: list[str]) -> None:
-    """Takes from FMTU the marks of columns, and which one tells instances apart: its unit is `#`."""
+    """Takes from FMTU the marks of columns, and the column that distinguishes instances: its unit is `#`."""
     message = log.types.get(int(cells[1])) if len(cells) > 2 and cells[1].isdecimal() and len(cells[1]) < 4 else None
     mark = cells[2].find("#") if message else -1
     if message is not None and len(cells) > 3:
@@ -127,7 +127,7 @@ def _units(log: _Log, cells: list[str]) -> None:
 
 
 def _take_unit(units: Units, name: str, cells: list[str]) -> None:
-    """Takes from UNIT or MULT what a mark in FMTU stands for."""
+    """Takes from UNIT or MULT the meaning of a mark in FMTU."""
     _, mark, text = (cell.strip() for cell in (*cells, "", "")[:3])
     if not (mark.isdecimal() and len(mark) < 4):
         return
@@ -138,7 +138,7 @@ def _take_unit(units: Units, name: str, cells: list[str]) -> None:
 
 
 def _anchor(log: _Log, message: Message, number: int, rest: bytes) -> None:
-    """Keeps what tells the time of a place in the file, now and then."""
+    """Keeps an anchor that dates a line of the file, every few lines."""
     if message.clock is None:
         return
     anchors = log.anchors[message.clock.satellites]
@@ -149,13 +149,13 @@ def _anchor(log: _Log, message: Message, number: int, rest: bytes) -> None:
 
 
 def _timeline(log: _Log) -> Anchors | None:
-    """What tells the time of a place in the file: the autopilot's clock or, where it shows nowhere, the satellites'."""
+    """Anchors of the whole file: from the autopilot's clock or, where none is logged, the satellites'; else None."""
     anchors = log.anchors[0] or log.anchors[1]
     return (np.array([place for place, _ in anchors]), np.array([time for _, time in anchors])) if anchors else None
 
 
 def _columns(path: Path, message: Message, text: bytes, notes: list[str]) -> dict[str, Column]:
-    """Columns of a message; none where it holds no number."""
+    """Columns of a message; empty where it holds no number."""
     said: list[str] = []
     try:
         columns = columns_below(path, text, (0, len(text)), message.labels, ",", said)
@@ -163,5 +163,5 @@ def _columns(path: Path, message: Message, text: bytes, notes: list[str]) -> dic
         message.reason = "holds no numbers"
         return {}
     notes += [f"{message.name}: {note}" for note in said]
-    # As wide as the text, so that places and instances go with the rows.
+    # Only columns as long as the text, so that positions and instances match the rows.
     return columns if len({len(values) for values in columns.values()} | {message.count}) == 1 else {}

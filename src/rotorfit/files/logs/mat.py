@@ -1,8 +1,8 @@
-"""MAT files of version 5 (MATLAB 5 to 7.2, Octave, scipy), one variable at a time.
+"""MAT files of version 5 (MATLAB 5 to 7.2, Octave, scipy), read one variable at a time.
 
-What is no array of numbers (MATLAB objects, cells, text), damaged or cut off costs that variable only. The reader is
-our own because scipy's takes the whole process down (segmentation fault, scipy 1.17) on files with a few wrong bytes;
-a test holds it to scipy's answers on whole files.
+A variable that is not a numeric array (MATLAB objects, cells, text), is damaged or cut off is left out; the others are
+read. scipy's reader is not used because it crashes the whole process (segmentation fault, scipy 1.17) on files with a
+few wrong bytes; a test compares this reader with scipy's on whole files.
 
 Source: MAT-File Format (MathWorks), Level 5.
 """
@@ -38,18 +38,18 @@ _BYTE_ORDERS: dict[bytes, _Order] = {b"IM": "little", b"MI": "big"}
 _MATRIX, _COMPRESSED = 14, 15
 
 _STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""Kind of an element to how its numbers are stored."""
+"""Type of an element to the numpy format of its numbers."""
 
 _CLASSES = dict(zip(range(6, 16), ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), strict=True))
-"""Class of a matrix to what its numbers are in MATLAB; a double may be stored as a byte where that holds it."""
+"""Class of a matrix to its numpy format in MATLAB; a double may be stored as a byte where that is exact."""
 
-_STRUCT, _OPAQUE = 2, 17  # the second is not in the format's document: an object, which has a name but no sizes
+_STRUCT, _OPAQUE = 2, 17  # the second is undocumented: an object, which has a name but no sizes
 
 _LOGICAL, _COMPLEX = 0x0200, 0x0800
 
 _DEEPEST = 16
 
-_PIECE = 1 << 20  # bytes that are unpacked at once
+_PIECE = 1 << 20  # bytes that are inflated at once
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,16 @@ class _Matrix:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the header says version 5 and a byte order."""
+    """Whether the header states version 5 and a byte order."""
     order = _BYTE_ORDERS.get(head[126:128])
     return order is not None and int.from_bytes(head[124:126], order) == 0x0100
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a MAT file is one table
-    """Reads the one table, named after the file: arrays of numbers; fields of structures are dotted.
+    """Reads the one table, named after the file: numeric arrays; names of structure fields are dotted.
 
     Raises:
-        LogError: No array of numbers in it.
+        LogError: The file contains no numeric array.
     """
     columns: dict[str, Column] = {}
     others: list[str] = []
@@ -106,7 +106,11 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
 def _take(
     kind: int, content: bytes, order: _Order, columns: dict[str, Column], others: list[str], notes: list[str]
 ) -> None:
-    """Puts one variable of the file into the columns."""
+    """Adds one variable of the file to the columns.
+
+    Raises:
+        DamageError: It is damaged or too large.
+    """
     room = LIMIT - _size(columns)
     if kind == _COMPRESSED:
         kind, inner = next(_elements(memoryview(_inflated(content, order, room)), order), (0, memoryview(b"")))
@@ -128,7 +132,7 @@ def _size(columns: dict[str, Column]) -> int:
 
 
 def _inflated(content: bytes, order: _Order, room: int) -> bytearray:
-    """A compressed variable unpacked, as long as its own head says, which is checked before anything is unpacked."""
+    """Inflates a compressed variable; the length in its head is checked before anything is inflated."""
     inflater = zlib.decompressobj()
     plain, filled = bytearray(8), 0
     try:
@@ -143,7 +147,7 @@ def _inflated(content: bytes, order: _Order, room: int) -> bytearray:
                     size = 8 + int.from_bytes(plain[4:], order)
                     if size > room:
                         raise DamageError(f"with it the file unpacks to more than {LIMIT >> 20} MiB")
-                    plain = bytearray(size)  # pages that are not written to take no memory
+                    plain = bytearray(size)  # untouched pages take no memory
                     plain[:8] = part
                 filled = end
                 if not part:
@@ -156,7 +160,7 @@ def _inflated(content: bytes, order: _Order, room: int) -> bytearray:
 
 
 def _elements(content: memoryview, order: _Order) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of the elements; those of at most four bytes share eight with their tag."""
+    """Type and content of the elements; those of at most four bytes share eight with their tag."""
     position = 0
     while position + 8 <= len(content):
         word = int.from_bytes(content[position : position + 4], order)
@@ -189,7 +193,7 @@ def _matrix(content: memoryview, order: _Order) -> _Matrix:
 def _gather(
     matrix: _Matrix, name: str, order: _Order, columns: dict[str, Column], others: list[str], room: int, depth: int
 ) -> None:
-    """Puts an array, or the arrays in a structure, into the columns."""
+    """Adds an array, or the arrays in a structure, to the columns."""
     if matrix.kind == _STRUCT and prod(matrix.sizes) == 1 and depth < _DEEPEST:
         for label, content in _fields(matrix, order):
             if len(content):  # MATLAB writes an empty field without a head
@@ -217,7 +221,7 @@ def _fields(matrix: _Matrix, order: _Order) -> Iterator[tuple[str, memoryview]]:
 
 
 def _array(matrix: _Matrix, order: _Order, room: int) -> Column:
-    """Numbers of a matrix, in MATLAB's type, columns first as MATLAB stores them."""
+    """Numbers of a matrix, in MATLAB's type and column-major order."""
     kind, content = next(matrix.elements, (0, memoryview(b"")))
     number = bool if matrix.flags & _LOGICAL else _CLASSES[matrix.kind]
     if prod(matrix.sizes) * np.dtype(number).itemsize > room:
@@ -226,12 +230,12 @@ def _array(matrix: _Matrix, order: _Order, room: int) -> Column:
     if len(stored) != prod(matrix.sizes) or any(size < 0 for size in matrix.sizes):
         raise DamageError(f"{len(stored)} numbers for sizes {matrix.sizes}")
     values = stored.reshape(matrix.sizes, order="F")
-    with np.errstate(invalid="ignore"):  # damaged numbers may not fit
+    with np.errstate(invalid="ignore"):  # damaged numbers may be out of range
         return column_from(values.astype(number, copy=False))
 
 
 def _numbers(kind: int, content: memoryview, order: _Order) -> Column:
-    """Numbers as they are stored."""
+    """Numbers in their stored format."""
     if kind not in _STORED:
         raise DamageError(f"numbers of unknown kind {kind}")
     stored = np.dtype(_STORED[kind]).newbyteorder("<" if order == "little" else ">")

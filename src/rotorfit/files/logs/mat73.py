@@ -1,6 +1,6 @@
 """MAT files of version 7.3, which are HDF5; needs h5py.
 
-HDF5 stores MATLAB's arrays by rows where MATLAB has columns: they come transposed and are turned back.
+HDF5 stores MATLAB's column-major arrays by rows: they arrive transposed and are transposed back.
 """
 
 from collections.abc import Collection, Iterator
@@ -34,15 +34,15 @@ _DEEPEST = 16
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether HDF5 begins, at the start or behind MATLAB's header."""
+    """Whether HDF5 begins, at the start or after MATLAB's header."""
     return head.startswith((_MAGIC, b"MATLAB 7.3 MAT-file")) or head[_USER_BLOCK:].startswith(_MAGIC)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001 - a MAT file is one table
-    """Reads the one table, named after the file: arrays of numbers; fields of structures are dotted.
+    """Reads the one table, named after the file: numeric arrays; names of structure fields are dotted.
 
     Raises:
-        LogError: h5py is not installed, HDF5 is damaged, or no array of numbers in it.
+        LogError: h5py is not installed, the HDF5 is damaged, or it contains no numeric array.
     """
     try:
         import h5py
@@ -64,7 +64,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
 def _gather(
     group: Any, prefix: str, columns: dict[str, Column], others: list[str], depth: int, seen: Iterator[int]
 ) -> None:
-    """Puts the arrays of a group, and of the structures in it, into the columns; one may be linked to many times."""
+    """Adds the arrays of a group and its structures to the columns; an array may be linked many times."""
     import h5py
 
     for label in group:
@@ -72,7 +72,7 @@ def _gather(
         name = f"{prefix}{label}"
         if label.startswith("#"):  # MATLAB's own store of cells and objects
             continue
-        # Links to other files or places are not followed: a log says nothing about files beside it.
+        # Links to other files or places are not followed: a log must not read files beside it.
         plain = isinstance(group.get(label, getlink=True), h5py.HardLink)
         item = group[label] if plain else None
         if isinstance(item, h5py.Group) and depth < _DEEPEST:
@@ -85,7 +85,7 @@ def _gather(
 
 
 def _is_numeric(item: Any) -> bool:
-    """Whether a dataset is an array of numbers that lies in this file and fits."""
+    """Whether a dataset is a numeric array stored in this file and within the limits."""
     kind = item.attrs.get("MATLAB_class", b"")
     kind = kind.decode() if isinstance(kind, bytes) else str(kind)
     inside = not item.external and not item.is_virtual
@@ -95,7 +95,7 @@ def _is_numeric(item: Any) -> bool:
 
 
 def _array(item: Any) -> Column:
-    """Values as MATLAB has them; an empty array stores its sizes in place of values."""
+    """Values as in MATLAB; an empty array stores its sizes in place of values."""
     if item.attrs.get("MATLAB_empty", 0):
         return np.zeros(0, item.dtype)
     return column_from(np.asarray(item[()]).T)

@@ -1,7 +1,7 @@
 """MCAP files with ROS messages (encodings cdr and ros1), read from front to back.
 
-The index behind each chunk only makes this faster: chunks without a wanted topic are not unpacked, messages are
-found at once and not one after the other.
+The index after each chunk only speeds this up: chunks without a requested topic are not decompressed, and messages are
+located all at once instead of one after the other.
 
 Source: https://mcap.dev/spec
 """
@@ -45,9 +45,9 @@ from rotorfit.files.logs.ros_messages import Topic, normal_type
 from rotorfit.files.logs.topics import Collector
 
 ATTACHED, EVENTS = "rotorfit", "/rotorfit/event"
-"""Name of the Metadata record, and the topic of std_msgs/msg/String, in which `rotorfit fly` writes what it did."""
+"""Name of the Metadata record, and the std_msgs/msg/String topic, in which `rotorfit fly` records what it did."""
 
-_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the place in the unpacked chunk
+_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])  # the offset in the decompressed chunk
 
 _MOST_INDEXED, _MOST_CHANNELS = BLOCK_LIMIT // PREFIX.size, 1 << 12  # messages, channels in the index of a chunk
 
@@ -57,12 +57,12 @@ _LANGUAGES: dict[str, Literal["msg", "idl"]] = {"ros1msg": "msg", "ros2msg": "ms
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the file begins as MCAP does."""
+    """Whether the file begins with MCAP's magic."""
     return head.startswith(MAGIC)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted topics; see `sources.read`.
+    """Reads the requested topics; see `files.logs.read`.
 
     Raises:
         LogError: No message before the damage.
@@ -74,12 +74,12 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 @dataclass
 class _Known:
-    """What earlier records of the file have said.
+    """Definitions read so far.
 
     Attributes:
         schemas: Number to name, language and text.
-        topics: Number of the channel to topic.
-        text: Bytes of all those texts.
+        topics: Channel number to topic.
+        text: Total length of the schema texts [byte].
     """
 
     schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
@@ -89,13 +89,13 @@ class _Known:
 
 @dataclass
 class _Chunk:
-    """A chunk that waits until the index behind it is known.
+    """A chunk that waits until the index after it is known.
 
     Attributes:
-        start: Of its record's data in the file.
-        length: Of them, as far as they are there.
-        torn: Whether damage stands right behind it, so that its last record may be torn.
-        index: Channel to the places of its messages in the unpacked chunk.
+        start: Offset of its record's data in the file.
+        length: Length of the data, as far as present [byte].
+        torn: Whether damage follows directly, so that its last record may be torn.
+        index: Channel to the offsets of its messages in the decompressed chunk.
     """
 
     start: int
@@ -105,7 +105,7 @@ class _Chunk:
 
 
 def collect(path: Path, collector: Collector) -> None:
-    """Gives all messages of a file to a collector."""
+    """Passes all messages of a file to a collector."""
     size = path.stat().st_size
     known = _Known()
     with path.open("rb") as file:
@@ -116,14 +116,14 @@ def collect(path: Path, collector: Collector) -> None:
 
 @dataclass
 class _Walk:
-    """A walk from record to record, and what waits to be taken.
+    """A walk from record to record, with what is still pending.
 
     Attributes:
-        file: That is read.
-        size: Of it.
-        place: Of the record that is looked at.
-        chunk: Waits until the index behind it is known.
-        message: Outside of chunks, with its place: waits until a record follows, for before damage it may be torn.
+        file: The file that is read.
+        size: Its size [byte].
+        place: Offset of the current record.
+        chunk: Chunk that waits until the index after it is known.
+        message: Message outside of chunks, with its offset: it waits until a record follows, as it may be torn.
     """
 
     file: BinaryIO
@@ -134,7 +134,7 @@ class _Walk:
 
 
 def _walked(walk: _Walk, known: _Known, collector: Collector) -> _Walk | None:
-    """Walks to the end, or to damage: then gives the walk from behind it, if there is one."""
+    """Walks to the end, or to damage; in the latter case returns a walk that resumes behind it, if possible."""
     try:
         while walk.place < walk.size:
             kind, start, length = _head(walk)
@@ -157,7 +157,7 @@ def _walked(walk: _Walk, known: _Known, collector: Collector) -> _Walk | None:
 
 
 def _pass(walk: _Walk, kind: int, start: int, length: int, known: _Known, collector: Collector) -> bool:
-    """Takes one record, and what waited for it; False where it ends the data."""
+    """Handles one record, and what waited for it; False where the data end."""
     if kind == INDEX:
         if walk.chunk is not None:
             _keep_index(walk.file, walk.chunk, start, length)
@@ -181,7 +181,7 @@ def _pass(walk: _Walk, kind: int, start: int, length: int, known: _Known, collec
 
 
 def _settle(walk: _Walk, known: _Known, collector: Collector) -> None:
-    """Takes what waited."""
+    """Handles what is pending."""
     chunk, message, walk.chunk, walk.message = walk.chunk, walk.message, None, None
     if chunk is not None:
         _take(walk, chunk, known, collector)
@@ -190,7 +190,7 @@ def _settle(walk: _Walk, known: _Known, collector: Collector) -> None:
 
 
 def _behind(walk: _Walk, start: int, known: _Known, collector: Collector, in_chunk: bool = True) -> int | None:
-    """Where records follow each other again; what the summary says of channels is known from then on."""
+    """Where records resume; the channels listed in the summary are known from then on."""
     if collector.losses.many:
         return None
     with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
@@ -201,7 +201,7 @@ def _behind(walk: _Walk, start: int, known: _Known, collector: Collector, in_chu
 
 
 def _keep_index(file: BinaryIO, chunk: _Chunk, start: int, length: int) -> None:
-    """Keeps where the messages of one channel are said to lie in the chunk; one that cannot be is forgotten."""
+    """Stores the offsets of one channel's messages in the chunk; the index is discarded if it is implausible."""
     try:
         if length > _MOST_INDEXED * _ENTRY.itemsize or len(chunk.index) == _MOST_CHANNELS:
             raise DamageError("more than fits in a chunk")
@@ -216,7 +216,7 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, start: int, length: int) -> None:
 
 
 def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> None:
-    """Takes the messages of a chunk; damage inside costs what it hit, of a packed chunk all behind it."""
+    """Takes the messages of a chunk; damage in it costs what it hit, in a compressed chunk everything behind it."""
     eventful = any(number in known.topics and _tells_events(known.topics[number]) for number in chunk.index)
     if not eventful and collector.passed_over(known.topics, chunk.index):
         return
@@ -227,7 +227,7 @@ def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> No
 
     try:
         plain, claim = _plain(_data(walk.file, chunk.start, chunk.length))
-        plain = plain[:-1] if chunk.torn else plain  # the last record is none then
+        plain = plain[:-1] if chunk.torn else plain  # makes the last record incomplete
         hints = np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)])
         for part in stretches(plain, hints, _ends, _starts, resume):
             left = len(plain) - int(part.starts[0]) if len(part.starts) else 0
@@ -242,7 +242,7 @@ def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> No
 
 
 def _plain(data: bytes) -> tuple[bytes, int]:
-    """A chunk unpacked, and how many bytes it says it is."""
+    """A decompressed chunk, and the size that it claims."""
     if len(data) < CHUNK_HEAD.size:
         raise DamageError("its head is cut short")
     _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
@@ -254,7 +254,7 @@ def _plain(data: bytes) -> tuple[bytes, int]:
 
 
 def _messages(plain: bytes, starts: Places, known: _Known, collector: Collector) -> None:
-    """Takes records of an unpacked chunk, all messages at once where their channels are known."""
+    """Takes records of a decompressed chunk, all messages at once where their channels are known."""
     bodies = starts + PREFIX.size
     found = Messages(plain, bodies, integers(plain, bodies - 8, "<u8"))
     kinds = integers(plain, starts, "u1")
@@ -267,7 +267,7 @@ def _messages(plain: bytes, starts: Places, known: _Known, collector: Collector)
 def _at_once(
     found: Messages, kinds: Places, is_message: npt.NDArray[np.bool_], known: _Known, collector: Collector
 ) -> bool:
-    """Takes all messages at once; False, with none taken, where one is cut short or of no channel."""
+    """Takes all messages at once; returns False, with none taken, if one is cut short or has no channel."""
     try:
         for row in np.flatnonzero(~is_message).tolist():
             _record(int(kinds[row]), found.one(row), known, collector)
@@ -287,7 +287,7 @@ def _at_once(
 
 
 def _ends(data: bytes, starts: Places) -> Places | None:
-    """Ends of the records at these starts; None where one does not fit, or is none."""
+    """Ends of the records with these starts; None if one exceeds the data or is invalid."""
     if len(data) < PREFIX.size or starts.min() < 0 or starts.max() > len(data) - PREFIX.size:
         return None
     lengths = integers(data, starts + 1, "<u8")
@@ -298,7 +298,7 @@ def _ends(data: bytes, starts: Places) -> Places | None:
 
 
 def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]:
-    """Walks records from one place to another: their starts, and what is wrong behind the last that is whole."""
+    """Walks records from one offset to another: their starts, and the fault after the last whole one."""
     starts: list[int] = []
     prefix = PREFIX.unpack_from
     try:
@@ -316,7 +316,7 @@ def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]
 
 
 def _record(kind: int, data: bytes, known: _Known, collector: Collector) -> None:
-    """Takes a message, a channel, a schema or what is attached; other records hold nothing for us."""
+    """Handles a message, a channel, a schema or metadata; other records are ignored."""
     schemas, topics = known.schemas, known.topics
     if kind == MESSAGE:
         if len(data) < MESSAGE_HEAD.size:
@@ -357,7 +357,7 @@ def _tells_events(topic: Topic) -> bool:
 
 
 def _event(time: int, data: bytes, to: Collector) -> None:
-    """Takes an event; a damaged one costs itself only."""
+    """Takes an event; a damaged one is left out with a note."""
     try:
         value, _ = text_at(data, 4)  # behind the head of CDR
         to.happened(Event(time, one_line(value.rstrip("\0"))))
@@ -366,7 +366,7 @@ def _event(time: int, data: bytes, to: Collector) -> None:
 
 
 def _attached(data: bytes, to: Collector) -> None:
-    """Takes the Metadata record of `rotorfit fly`: a name, then a map of texts. A damaged one costs itself only."""
+    """Takes the Metadata record of `rotorfit fly`: a name, then a map of texts; a damaged one is left out."""
     try:
         name, start = text_at(data, 0)
         if name != ATTACHED:
@@ -381,7 +381,7 @@ def _attached(data: bytes, to: Collector) -> None:
 
 
 def _head(walk: _Walk) -> tuple[int, int, int]:
-    """Kind, place and length of the data of the record that is looked at; only a chunk may be cut short."""
+    """Kind, start and length of the data of the current record; only a chunk may be cut short."""
     walk.file.seek(walk.place)
     prefix = walk.file.read(PREFIX.size)
     if len(prefix) < PREFIX.size:

@@ -1,4 +1,4 @@
-"""Records of MCAP by themselves: their heads, the numbers and texts in them, and whether bytes can be one.
+"""Single records of MCAP: their heads, the numbers and texts in them, and whether bytes can be a record.
 
 Source: https://mcap.dev/spec
 """
@@ -32,21 +32,21 @@ _DAY = 86_400_000_000_000
 def next_record(
     data: Block, start: int, channels: Collection[int], until: int | None, in_chunk: bool = True
 ) -> int | None:
-    """Where records follow each other again behind damage; None where they do not.
+    """Finds where records resume after damage; None where they do not.
 
     Args:
         data: A chunk, or the file.
-        start: Where to look first.
-        channels: Numbers that a message may bear.
-        until: When the last message was recorded [ns]; those behind it are within a day of it.
-        in_chunk: False to pass over records that stand in chunks.
+        start: Offset at which the search begins.
+        channels: Channel numbers that a message may have.
+        until: When the last message was recorded [ns]; plausible ones are within a day of it.
+        in_chunk: False to skip records inside chunks.
     """
     places = matches(_ANY if in_chunk else _NO_MESSAGES, data, start)
     return resumed(data, places, lambda block, place: _after(block, place, channels, until))
 
 
 def _after(data: Block, place: int, channels: Collection[int], until: int | None) -> int | None:
-    """Where the record at a place ends; None where there can be none."""
+    """End of the record at an offset; None if there can be none."""
     start = place + PREFIX.size
     if start > len(data):
         return None
@@ -54,7 +54,7 @@ def _after(data: Block, place: int, channels: Collection[int], until: int | None
     if length > min(BLOCK_LIMIT, len(data) - start):
         return None
     end = start + length
-    if kind == FOOTER:  # nothing but the magic stands behind it
+    if kind == FOOTER:  # only the magic follows it
         return len(data) if length == FOOTER_SIZE and data[end:] == MAGIC else None
     return end if _plausible(kind, data[start : min(end, start + 64)], length, channels, until) else None
 
@@ -81,7 +81,7 @@ def _plausible(kind: int, head: bytes, length: int, channels: Collection[int], u
 
 
 def summary_channels(data: Block) -> Iterator[tuple[int, bytes]]:
-    """The schemas and channels that the summary at the end of a file repeats: kind and data."""
+    """The schemas and channels repeated in the summary at the end of a file: kind and data."""
     footer = len(data) - len(MAGIC) - FOOTER_SIZE - PREFIX.size
     if data[-len(MAGIC) :] != MAGIC or data[footer : footer + PREFIX.size] != PREFIX.pack(FOOTER, FOOTER_SIZE):
         return
@@ -97,14 +97,14 @@ def summary_channels(data: Block) -> Iterator[tuple[int, bytes]]:
 
 
 def small_at(data: bytes, start: int) -> tuple[int, int]:
-    """A two-byte number, and where it ends."""
+    """A two-byte number, and its end."""
     if start + 2 > len(data):
         raise DamageError("a record is cut short")
     return int.from_bytes(data[start : start + 2], "little"), start + 2
 
 
 def bytes_at(data: bytes, start: int) -> tuple[bytes, int]:
-    """Bytes with their length before them, and where they end."""
+    """Bytes with a length prefix, and their end."""
     end = start + 4 + int.from_bytes(data[start : start + 4], "little")
     if start + 4 > len(data) or end > len(data):
         raise DamageError("a record is cut short")
@@ -112,6 +112,6 @@ def bytes_at(data: bytes, start: int) -> tuple[bytes, int]:
 
 
 def text_at(data: bytes, start: int) -> tuple[str, int]:
-    """Text with its length before it, and where it ends."""
+    """Text with a length prefix, and its end."""
     value, end = bytes_at(data, start)
     return value.decode(errors="replace"), end

@@ -1,8 +1,8 @@
-"""Parquet: one flat table of columns, as pandas, polars and most tools of data write it.
+"""Parquet: one flat table of columns, as written by pandas, polars and most data tools.
 
-It is decoded by polars in a process of its own, with a bound on memory and time: a few wrong bytes make polars take
-its process down (an allocation of 2^61 bytes, polars 2.1). What describes the columns stands at the end of such a
-file, so that a file cut short gives nothing.
+polars decodes it in a separate process with limits on memory and time: a few wrong bytes make polars crash its process
+(an allocation of 2^61 bytes, polars 2.1). The description of the columns is at the end of the file, so nothing can be
+read from a file that is cut short.
 
 Source: https://parquet.apache.org/docs/file-format/
 """
@@ -27,7 +27,7 @@ _SECONDS = 120
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the file begins as Parquet does."""
+    """Whether the file begins with Parquet's magic."""
     return head.startswith(_MAGIC)
 
 
@@ -52,7 +52,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:  # noqa: ARG001
 
 
 def _check_end(path: Path) -> None:
-    """Raises unless the description of the columns can be there."""
+    """Raises `LogError` unless the file can end with the description of the columns."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
@@ -62,7 +62,7 @@ def _check_end(path: Path) -> None:
 
 
 def _decoded(path: Path, folder: Path) -> dict[str, list[str]]:
-    """Has the columns put into a folder as `0.npy` and so on; returns their names, what was left out, or a problem."""
+    """Decodes the columns into a folder as `0.npy` and so on; returns their names, what was left out, or a problem."""
     root = str(Path(__file__).resolve().parents[2])
     paths = filter(None, (root, os.environ.get("PYTHONPATH")))
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "RUST_BACKTRACE": "0", "POLARS_MAX_THREADS": "1"}

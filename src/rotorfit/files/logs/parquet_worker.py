@@ -1,4 +1,4 @@
-"""What `parquet` runs in a process of its own: decodes a file's columns of numbers and leaves them in a folder."""
+"""Process of `parquet`: decodes the numeric columns of a file into a folder."""
 
 import json
 import sys
@@ -13,17 +13,17 @@ from rotorfit.files.logs.content import too_wide
 if TYPE_CHECKING:
     import polars as pl
 
-_PROCESS = 900 << 20  # bytes that the process may write to, 135 MiB of polars' own among them
+_PROCESS = 900 << 20  # bytes of data memory for the process, 135 MiB of them for polars itself
 
-_LONGEST = 4  # columns of the longest kind that fit: each is unpacked and copied as a whole
+_LONGEST = 4  # the limit holds this many of the longest column: each is decompressed and copied as a whole
 
 
 def columns_to(path: Path, folder: Path, limit: int) -> dict[str, list[str]]:
-    """Decodes the columns of numbers to `0.npy` and so on.
+    """Decodes the numeric columns to `0.npy` and so on.
 
     Args:
-        path: Of the Parquet file.
-        folder: Where to.
+        path: The Parquet file.
+        folder: Destination.
         limit: Most bytes of numbers.
 
     Returns:
@@ -39,7 +39,7 @@ def columns_to(path: Path, folder: Path, limit: int) -> dict[str, list[str]]:
             return {"problem": [told]}
         if count * len(names) * 8 > limit or count * 8 > limit / _LONGEST:
             return {"problem": [f"more than {limit >> 20} MiB of numbers; cut the log to the flight that you need"]}
-        # Each reading parses what describes all columns: few at a time takes the square of their number.
+        # Each call parses the description of all columns: reading few at a time takes time quadratic in their number.
         together = max(1, limit // _LONGEST // max(1, count * 16))
         for first in range(0, len(names), together):
             part = pl.read_parquet(path, columns=names[first : first + together], use_statistics=False)
@@ -66,7 +66,7 @@ def _numbers(series: "pl.Series") -> Column:
 
 
 def _bound_memory() -> None:
-    """Keeps a file that claims huge sizes from taking the memory of the machine, where the system can."""
+    """Limits the process's memory where the system supports it, because a file may claim huge sizes."""
     try:
         import resource
     except ImportError:  # not on Windows
