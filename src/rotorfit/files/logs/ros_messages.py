@@ -1,8 +1,8 @@
 """ROS messages: from bytes and the definition in the bag to columns of numbers.
 
-Nothing generated from a bag is executed. A definition is parsed to a list of fields; a walk over one message says
-where each number lies; all messages of the same shape (same length, same strings' lengths) are then read at once as
-one structured array. Poses come out thirty times faster than one by one.
+Nothing generated from a bag is executed. A definition is parsed to a list of fields; a walk over one message locates
+each number; all messages of the same shape (same length, same lengths of strings) are then read at once as one
+structured array. Poses are decoded thirty times faster than one by one.
 """
 
 import re
@@ -20,13 +20,13 @@ from rotorfit.files.logs.content import WIDEST, DamageError, one_line
 Fields = Sequence[tuple[str, Any]]
 
 Types = Mapping[str, Fields]
-"""Message type to its fields; a field is a name and what rosbags' parsers say of it: kind and details."""
+"""Message type to its fields; a field is a name and its kind and details as returned by rosbags' parsers."""
 
 BULK_TYPES = frozenset(
     f"sensor_msgs/msg/{name}"
     for name in ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan", "MultiEchoLaserScan")
 ) | {"nav_msgs/msg/OccupancyGrid", "stereo_msgs/msg/DisparityImage", "theora_image_transport/msg/Packet"}
-"""Topics of these types are pixels and ranges, decoded only when asked for by name."""
+"""Topics of these types are pixels and ranges, decoded only when requested by name."""
 
 _BOOL = "?1"
 
@@ -40,27 +40,27 @@ _NUMBERS = {
     "float64": "f8",
 }
 
-_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields as rosbags numbers them (interfaces.Nodetype); 4 is a sequence
+_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields as numbered by rosbags (interfaces.Nodetype); 4 is a sequence
 
 _TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
 
-_FILLER = "structure_needs_at_least_one_member"  # what an empty message is in ROS 2
+_FILLER = "structure_needs_at_least_one_member"  # the only field of an empty message in ROS 2
 
-_COMPUTED = re.compile(r"<<|\bconst\b[^;]*=[^;]*\*")  # a stranger's may grow without bound
+_COMPUTED = re.compile(r"<<|\bconst\b[^;]*=[^;]*\*")  # an untrusted one may grow without bound
 
 _DEEPEST, _MOST_STEPS, _LONGEST, _MOST_SHAPES = 24, 100_000, 1 << 18, 32
 
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """A topic of a bag and how its messages are written.
+    """A topic of a bag and the encoding of its messages.
 
     Attributes:
         name: Name, as recorded.
         msgtype: Type in the form `package/msg/Name`.
-        encoding: `cdr` (ROS 2), `ros1`, or a name that nobody here reads.
+        encoding: `cdr` (ROS 2), `ros1`, or an unsupported name.
         definition: Text of the definition; empty where the bag has none.
-        language: Of the definition: `msg` or `idl`.
+        language: Language of the definition: `msg` or `idl`.
     """
 
     name: str
@@ -71,13 +71,13 @@ class Topic:
 
 
 def normal_type(name: str) -> str:
-    """`package/Name` of ROS 1 as `package/msg/Name`."""
+    """Converts a ROS 1 type `package/Name` to `package/msg/Name`."""
     parts = name.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
 def types_of(topic: Topic) -> Types:
-    """Parses the definition of a topic's type and of all types within; standard types need none in the bag.
+    """Parses the definition of a topic's type and of all nested types; standard types need no definition in the bag.
 
     Raises:
         DamageError: Unknown encoding, no definition, or one that cannot be parsed.
@@ -112,7 +112,7 @@ def types_of(topic: Topic) -> Types:
 
 
 def has_numbers(types: Types, typename: str) -> bool:
-    """Whether a type has a stamp, a number or a row of numbers outside of lists of other types."""
+    """Whether a type has a stamp, a number or an array of numbers outside of lists of other types."""
     seen: set[str] = set()
     ahead = [typename]
     while ahead:
@@ -131,7 +131,7 @@ def has_numbers(types: Types, typename: str) -> bool:
 
 
 def _idl_parts(text: str) -> list[str]:
-    """Parts of an IDL definition as ROS 2 joins them: a line of equal signs, `IDL: name`, the text."""
+    """Parts of an IDL definition as concatenated by ROS 2: a line of equal signs, `IDL: name`, the text."""
     bar = "=" * 80 + "\nIDL: "
     if not text.startswith(bar):
         return [text]
@@ -140,7 +140,7 @@ def _idl_parts(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class _Leaf:
-    """One column in a message: `count` is None for a single number, `stamp` says seconds and nanoseconds."""
+    """One column in a message: `count` is None for a single number, `stamp` marks seconds and nanoseconds."""
 
     name: str
     format: str
@@ -151,15 +151,17 @@ class _Leaf:
 
 @dataclass
 class _Walk:
-    """A walk over one message along its definition: collects where numbers lie and where lengths are written.
+    """A walk over one message along its definition; it collects the offsets of numbers and of lengths.
 
     Attributes:
         data: The message.
         types: Definitions.
-        ros1: Whether it is written as ROS 1 does: packed, without alignment.
-        position: Of the next byte.
+        ros1: Whether it is in the ROS 1 format: packed, without alignment.
+        order: Byte order of the numbers.
+        position: Offset of the next byte.
         leaves: Columns found so far.
-        lengths: Offsets of the four-byte lengths of strings and sequences, which make the shape of a message.
+        lengths: Offsets of the four-byte lengths of strings and sequences, which define the shape of a message.
+        steps: Number of types walked, for the limit.
     """
 
     data: bytes
@@ -175,7 +177,7 @@ class _Walk:
         """Walks the whole message.
 
         Raises:
-            DamageError: The message is not what the definition says.
+            DamageError: The message does not match the definition.
         """
         if not self.ros1:
             if self.data[:2] not in (b"\0\0", b"\0\1") or len(self.data) < 4:
@@ -188,7 +190,7 @@ class _Walk:
             raise DamageError(f"a message of {len(self.data)} bytes where the definition says {self.position}")
 
     def struct(self, typename: str, name: str, depth: int, quiet: bool = False) -> None:
-        """Walks the fields of a type; `quiet` without giving columns, as for the elements of a list."""
+        """Walks the fields of a type; `quiet` adds no columns, as for the elements of a list."""
         self.steps += 1
         if depth > _DEEPEST or self.steps > _MOST_STEPS + len(self.data):
             raise DamageError("a definition that nests too deeply")
@@ -228,7 +230,7 @@ class _Walk:
                         break
 
     def base(self, name: str, number: str, count: int | None, quiet: bool) -> None:
-        """Walks a number or a string, or `count` of them in a row."""
+        """Walks a number or a string, or `count` of them."""
         if number == "string":
             for _ in range(1 if count is None else count):
                 self.skip(1, self.length())
@@ -247,7 +249,7 @@ class _Walk:
         return int.from_bytes(self.data[start : start + 4], "little" if self.order == "<" else "big")
 
     def skip(self, size: int, count: int) -> int:
-        """Goes past `count` numbers of `size` bytes; returns where the first begins."""
+        """Advances past `count` numbers of `size` bytes; returns the offset of the first."""
         if not self.ros1 and count:
             self.position += -(self.position - 4) % size  # alignment counts from behind the CDR header
         start = self.position
@@ -261,11 +263,10 @@ class _Walk:
 class Decoded:
     """Columns of a batch of messages.
 
-    Attributes:
-        columns: Name to values, shape (N,) or (N, M).
-        rows: Which messages they came from, shape (N,).
-        uneven: Names left out because their length differs from message to message.
-        fault: Why the first of the other messages could not be decoded; empty where all were.
+    columns: Name to values, shape (N,) or (N, M).
+    rows: Indices of the messages they came from, shape (N,).
+    uneven: Names left out because their length differs between messages.
+    fault: Why the first undecodable message failed; empty if all were decoded.
     """
 
     columns: dict[str, Column]
@@ -275,7 +276,7 @@ class Decoded:
 
 
 def decoded(topic: Topic, types: Types, messages: Messages) -> Decoded:
-    """Decodes messages of one topic, all of the same shape at once."""
+    """Decodes messages of one topic, all those of the same shape at once."""
     parts: list[tuple[npt.NDArray[np.int64], dict[str, Column]]] = []
     fault = ""
     for members in _by_length(messages.lengths):
@@ -296,7 +297,7 @@ def decoded(topic: Topic, types: Types, messages: Messages) -> Decoded:
 
 
 def _by_length(lengths: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-    """Rows of equal length together, in their order."""
+    """Groups rows of equal length, keeping their order."""
     if len(lengths) == 0 or (lengths == lengths[0]).all():
         return [np.arange(len(lengths))] if len(lengths) else []
     order = np.argsort(lengths, kind="stable")
@@ -304,7 +305,7 @@ def _by_length(lengths: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
 
 
 def _of_same_shape(block: npt.NDArray[np.uint8], rows: npt.NDArray[np.int64], walk: _Walk) -> npt.NDArray[np.bool_]:
-    """Which rows have the lengths of strings and sequences (and the byte order) of the first of them."""
+    """Which rows have the same lengths of strings and sequences (and byte order) as the first of them."""
     places = [offset + byte for offset in walk.lengths for byte in range(4)]
     if not walk.ros1:
         places += [0, 1]
@@ -338,7 +339,7 @@ def _numbers(block: npt.NDArray[np.uint8], rows: npt.NDArray[np.int64], walk: _W
 
 
 def _format(leaf: _Leaf, order: str) -> Any:
-    """Numpy's format of a leaf; truth values as bytes, because a stranger's may be neither 0 nor 1."""
+    """Numpy format of a leaf; booleans as bytes, because untrusted ones may be neither 0 nor 1."""
     if leaf.stamp:
         return np.dtype([("s", order + leaf.format), ("n", order + ("u4" if leaf.format == "u4" else "i4"))])
     number = "u1" if leaf.format == _BOOL else order + leaf.format
@@ -346,7 +347,7 @@ def _format(leaf: _Leaf, order: str) -> Any:
 
 
 def _joined(parts: list[tuple[npt.NDArray[np.int64], dict[str, Column]]], fault: str) -> Decoded:
-    """Puts the messages of all shapes back into their order; columns that are not alike in all are left out."""
+    """Merges the messages of all shapes in their original order; columns that differ between shapes are left out."""
     if not parts:
         return Decoded({}, np.zeros(0, np.int64), frozenset(), fault)
     first = parts[0][1]

@@ -1,7 +1,7 @@
-"""ROS 1 bags (format 2.0), read from front to back, so that a bag cut short or without index gives what it has.
+"""ROS 1 bags (format 2.0), read from front to back, so that a bag cut short or without index yields what it has.
 
-The index behind each chunk only makes this faster: chunks without a wanted topic are not unpacked, messages are
-found at once and not one after the other.
+The index after each chunk only speeds this up: chunks without a requested topic are not decompressed, and messages are
+located all at once instead of one after the other.
 
 Source: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -46,16 +46,16 @@ _LEAST_RECORD = 8  # bytes
 
 _MOST_INDEXED = 1 << 12  # connections in a chunk
 
-_MOST_LAYOUTS = 8  # of message headers in a chunk; a writer has one
+_MOST_LAYOUTS = 8  # layouts of message headers in a chunk; one writer uses a single one
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the file begins as a ROS 1 bag does."""
+    """Whether the file begins with the magic of a ROS bag."""
     return head.startswith(_MAGIC)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted topics; see `sources.read`.
+    """Reads the requested topics; see `files.logs.read`.
 
     Raises:
         LogError: Another version, encrypted, or no message before the damage.
@@ -77,15 +77,15 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 @dataclass
 class _Chunk:
-    """A chunk that waits until the index behind it is known.
+    """A chunk that waits until the index after it is known.
 
     Attributes:
-        header: Of its record.
-        place: Of that in the file.
-        start: Of its bytes in the file.
-        length: Of them, as far as they are there.
-        torn: Whether damage stands right behind it, so that its last record may be torn.
-        index: Connection to the places of its messages in the unpacked chunk.
+        header: Header of its record.
+        place: Offset of the record in the file.
+        start: Offset of its data in the file.
+        length: Length of the data, as far as present [byte].
+        torn: Whether damage follows directly, so that its last record may be torn.
+        index: Connection to the offsets of its messages in the decompressed chunk.
     """
 
     header: Header
@@ -98,15 +98,15 @@ class _Chunk:
 
 @dataclass
 class _Walk:
-    """A walk from record to record, and what waits to be taken.
+    """A walk from record to record, with what is still pending.
 
     Attributes:
-        path: Of the file.
-        file: That is read.
-        size: Of it.
-        place: Of the record that is looked at.
-        chunk: Waits until the index behind it is known.
-        message: Outside of chunks, with its place: waits until a record follows, for before damage it may be torn.
+        path: Path of the file.
+        file: The file that is read.
+        size: Its size [byte].
+        place: Offset of the current record.
+        chunk: Chunk that waits until the index after it is known.
+        message: Message outside of chunks, with its offset: it waits until a record follows, as it may be torn.
     """
 
     path: Path
@@ -118,7 +118,7 @@ class _Walk:
 
 
 def _walked(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> _Walk | None:
-    """Walks to the end, or to damage: then gives the walk from behind it, if there is one."""
+    """Walks to the end, or to damage; in the latter case returns a walk that resumes behind it, if possible."""
     try:
         while walk.place < walk.size:
             header, start, length = _head(walk)
@@ -139,7 +139,7 @@ def _walked(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> _Wal
 
 
 def _pass(walk: _Walk, header: Header, start: int, length: int, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes one record, and what waited for it."""
+    """Handles one record, and what waited for it."""
     kind = header.get(b"op")
     if kind == INDEX:
         if walk.chunk is not None:
@@ -166,7 +166,7 @@ def _pass(walk: _Walk, header: Header, start: int, length: int, topics: dict[int
 
 
 def _settle(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes what waited."""
+    """Handles what is pending."""
     chunk, message, walk.chunk, walk.message = walk.chunk, walk.message, None, None
     if chunk is not None:
         _take(walk, chunk, topics, collector)
@@ -175,13 +175,13 @@ def _settle(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> None
 
 
 def _behind(walk: _Walk, start: int, topics: dict[int, Topic], in_chunk: bool = True) -> int | None:
-    """Where records follow each other again."""
+    """Where records resume."""
     with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
         return next_record(data, start, topics, in_chunk)
 
 
 def _check_bag_header(path: Path, header: Header, size: int, collector: Collector) -> None:
-    """Says whether the bag was closed and is whole; an encrypted one cannot be read."""
+    """Reports whether the bag was closed and is whole; raises `LogError` on an encrypted one."""
     if header.get(b"encryptor"):
         raise LogError(f"{path}: an encrypted bag; decrypt it with `rosbag decrypt`")
     index = number_of(header, b"index_pos", U64)
@@ -192,7 +192,7 @@ def _check_bag_header(path: Path, header: Header, size: int, collector: Collecto
 
 
 def _keep_index(file: BinaryIO, chunk: _Chunk, header: Header, start: int, length: int) -> None:
-    """Keeps where the messages of one connection are said to lie in the chunk; one that cannot be is forgotten."""
+    """Stores the offsets of one connection's messages in the chunk; the index is discarded if it is implausible."""
     try:
         number, claim = number_of(header, b"conn", U32), number_of(chunk.header, b"size", U32)
         room = claim // _LEAST_RECORD - sum(map(len, chunk.index.values()))
@@ -204,7 +204,7 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, header: Header, start: int, lengt
 
 
 def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes the messages of a chunk; damage inside costs what it hit, of a packed chunk all behind it."""
+    """Takes the messages of a chunk; damage in it costs what it hit, in a compressed chunk everything behind it."""
     if collector.passed_over(topics, chunk.index):
         return
     left = chunk.length
@@ -216,8 +216,8 @@ def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Colle
         claim = number_of(chunk.header, b"size", U32)
         packed = _bytes(walk.file, chunk.start, chunk.length)
         plain = unpacked(packed, chunk.header.get(b"compression", b"").decode("latin-1"), claim)
-        del packed  # a chunk may be large: one copy of it is enough
-        plain = plain[:-1] if chunk.torn else plain  # the last record is none then
+        del packed  # a chunk may be large: one copy is enough
+        plain = plain[:-1] if chunk.torn else plain  # makes the last record incomplete
         hints = np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)])
         for part in stretches(plain, hints, _ends, _starts, resume):
             left = len(plain) - int(part.starts[0]) if len(part.starts) else 0
@@ -232,7 +232,7 @@ def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Colle
 
 
 def _messages(plain: bytes, starts: Places, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes records of an unpacked chunk, all at once where they are as writers make them."""
+    """Takes records of a decompressed chunk, all at once where their headers are uniform."""
     heads = integers(plain, starts, "<u4")
     bodies = starts + 8 + heads
     found = Messages(plain, bodies, integers(plain, bodies - 4, "<u4"))
@@ -243,7 +243,7 @@ def _messages(plain: bytes, starts: Places, topics: dict[int, Topic], collector:
 
 
 def _at_once(headers: Messages, found: Messages, topics: dict[int, Topic], collector: Collector) -> bool:
-    """Takes messages with headers of a few layouts at once; False, with none taken, where they are otherwise."""
+    """Takes messages with headers of a few layouts at once; returns False, with none taken, otherwise."""
     numbers, times = np.full(len(found), -1), np.zeros(len(found), np.int64)
     left, layouts = np.arange(len(found)), 0
     try:
@@ -267,12 +267,12 @@ def _at_once(headers: Messages, found: Messages, topics: dict[int, Topic], colle
 
 @dataclass(frozen=True)
 class _Alike:
-    """Messages whose headers differ in connection and time only.
+    """Messages whose headers differ only in connection and time.
 
     Attributes:
-        rows: Which of the records, shape (N,).
+        rows: Indices of the records, shape (N,).
         numbers: Connections, shape (N,).
-        times: Of recording [ns], shape (N,).
+        times: Recording times [ns], shape (N,).
     """
 
     rows: Places
@@ -281,7 +281,7 @@ class _Alike:
 
 
 def _alike(headers: Messages, left: Places) -> _Alike:
-    """Of the records `left`, those with a header like that of the first, which is a message's."""
+    """Among the records `left`, those with a header like that of the first, which must be a message's."""
     header = headers.one(int(left[0]))
     spans = spans_of(header)
     number, time = _place(spans, b"conn", U32), _place(spans, b"time", TIME)
@@ -299,7 +299,7 @@ def _alike(headers: Messages, left: Places) -> _Alike:
 
 
 def _place(spans: dict[bytes, tuple[int, int]], name: bytes, form: struct.Struct) -> int:
-    """Where a value of a header begins."""
+    """Offset of a value in a header."""
     start, end = spans.get(name, (0, 0))
     if end - start != form.size:
         raise DamageError(f"a message without {name.decode()}")
@@ -307,7 +307,7 @@ def _place(spans: dict[bytes, tuple[int, int]], name: bytes, form: struct.Struct
 
 
 def _ends(data: bytes, starts: Places) -> Places | None:
-    """Ends of the records at these starts; None where one does not fit, or is none."""
+    """Ends of the records with these starts; None if one exceeds the data or is invalid."""
     if len(data) < 8 or starts.min() < 0 or starts.max() > len(data) - 8:
         return None
     heads = integers(data, starts, "<u4")
@@ -319,7 +319,7 @@ def _ends(data: bytes, starts: Places) -> Places | None:
 
 
 def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]:
-    """Walks records from one place to another: their starts, and what is wrong behind the last that is whole."""
+    """Walks records from one offset to another: their starts, and the fault after the last whole one."""
     starts: list[int] = []
     length_at = U32.unpack_from
     try:
@@ -339,7 +339,7 @@ def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]
 
 
 def _record(header: Header, data: bytes, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes a message or a connection."""
+    """Handles a message or a connection."""
     kind = header.get(b"op")
     if kind == MESSAGE:
         topic = topics.get(number_of(header, b"conn", U32))
@@ -367,7 +367,7 @@ def _topic(header: Header, details: Header) -> Topic:
 
 
 def _head(walk: _Walk) -> tuple[Header, int, int]:
-    """Header, place and length of the data of the record that is looked at; only a chunk may be cut short."""
+    """Header, start and length of the data of the current record; only a chunk may be cut short."""
     walk.file.seek(walk.place)
     header = fields_of(_block(walk.file, walk.size - walk.place))
     start = walk.file.tell() + 4
@@ -386,7 +386,7 @@ def _bytes(file: BinaryIO, start: int, length: int) -> bytes:
 
 
 def _block(file: BinaryIO, left: int) -> bytes:
-    """Bytes with their length before them."""
+    """Bytes with a length prefix."""
     length = _length(file, left)
     if not 0 < length <= LONGEST_HEADER:
         raise TornError("bytes that are no record")
@@ -396,7 +396,7 @@ def _block(file: BinaryIO, left: int) -> bytes:
 
 
 def _length(file: BinaryIO, left: int) -> int:
-    """The length that stands before a block."""
+    """The length prefix of a block."""
     if left < 4:
         raise DamageError("a record is cut short")
     return int.from_bytes(file.read(4), "little")

@@ -16,13 +16,13 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([kind]) for k
 
 U32, U64, TIME = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
 
-INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u4")])  # the place in the unpacked chunk
+INDEX_ENTRY = np.dtype([("time", "<u8"), ("place", "<u4")])  # the offset in the decompressed chunk
 
 LONGEST_HEADER = 1 << 20
 
 _ANY, _NO_MESSAGES = re.compile(rb"\x04\0\0\0op=[\x02-\x07]"), re.compile(rb"\x04\0\0\0op=[\x04-\x06]")
 
-_BEFORE, _LONGEST_BEHIND = 64, 1 << 12  # bytes of a header before `op`, as writers order its fields; of a header
+_BEFORE, _LONGEST_BEHIND = 64, 1 << 12  # most bytes of a header before its field `op`; of a header after damage
 
 _NEEDED = {
     MESSAGE: {b"conn": U32.size, b"time": TIME.size},
@@ -37,20 +37,20 @@ Header = dict[bytes, bytes]
 
 
 def next_record(data: Block, start: int, connections: Collection[int], in_chunk: bool = True) -> int | None:
-    """Where records follow each other again behind damage; None where they do not.
+    """Finds where records resume after damage; None where they do not.
 
     Args:
         data: A chunk, or the file.
-        start: Where to look first.
-        connections: Numbers that a message may bear.
-        in_chunk: False to pass over records that stand in chunks.
+        start: Offset at which the search begins.
+        connections: Connection numbers that a message may have.
+        in_chunk: False to skip records inside chunks.
     """
     places = _places(data, start, _ANY if in_chunk else _NO_MESSAGES)
     return resumed(data, places, lambda block, place: _after(block, place, connections))
 
 
 def _places(data: Block, start: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
-    """Where a header may begin that holds the field `op`."""
+    """Offsets at which a header with the field `op` may begin."""
     for found in matches(pattern, data, start):
         for place in range(max(start, found - 4 - _BEFORE), found - 3):
             if found + 8 - place - 4 <= int.from_bytes(data[place : place + 4], "little") <= _LONGEST_BEHIND:
@@ -58,7 +58,7 @@ def _places(data: Block, start: int, pattern: re.Pattern[bytes]) -> Iterator[int
 
 
 def _after(data: Block, place: int, connections: Collection[int]) -> int | None:
-    """Where the record at a place ends; None where there can be none."""
+    """End of the record at an offset; None if there can be none."""
     start = place + 4
     body = start + int.from_bytes(data[place:start], "little") + 4
     if not start < body - 4 <= start + _LONGEST_BEHIND or body > len(data):
@@ -84,7 +84,7 @@ def fields_of(header: bytes) -> Header:
 
 
 def spans_of(header: bytes) -> dict[bytes, tuple[int, int]]:
-    """Where the values of a header lie; its fields are `name=value`, each with its length before it."""
+    """Start and end of each value in a header; its fields are `name=value`, each with a length prefix."""
     spans: dict[bytes, tuple[int, int]] = {}
     position, size = 0, len(header)
     while position < size:

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder with metadata.yaml, or a lone storage file; SQLite here, MCAP next door."""
+"""ROS 2 bags: a folder with metadata.yaml, or a single storage file; SQLite is read here, MCAP in `mcap`."""
 
 import shutil
 import sqlite3
@@ -25,19 +25,19 @@ _FIRST_ROW = -(1 << 63)
 
 _UNPACKED_LIMIT = 1 << 34  # on disk
 
-_Row = tuple[int, object, object, object]  # rowid, topic, time, message, of whatever types a stranger chose
+_Row = tuple[int, object, object, object]  # rowid, topic, time, message, of any type in an untrusted file
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether it is a folder with metadata.yaml, an SQLite file, or a file that ROS 2 packed with zstd."""
+    """Whether it is a folder with metadata.yaml, an SQLite file, or a file compressed with zstd by ROS 2."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else head.startswith((_SQLITE, ZSTD_MAGIC))
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted topics; see `sources.read`. The files of a split bag follow each other.
+    """Reads the requested topics; see `files.logs.read`. The files of a split bag are read in sequence.
 
     Raises:
-        LogError: metadata.yaml cannot be understood, a file it names is missing or of another kind, no message.
+        LogError: metadata.yaml is invalid, a file it names is missing or of another kind, or there is no message.
     """
     collector = Collector(path, tables)
     for file in _storage_files(path) if path.is_dir() else [path]:
@@ -54,7 +54,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 
 def _storage_files(folder: Path) -> list[Path]:
-    """The files that metadata.yaml names, in its order; folders that it names do not matter, the bag was moved."""
+    """The files named in metadata.yaml, in its order; folders in their names are ignored, as bags get moved."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -74,7 +74,7 @@ def _storage_files(folder: Path) -> list[Path]:
 
 @contextmanager
 def _plain(file: Path, collector: Collector) -> Iterator[Path]:
-    """The file itself or, where it is packed as a whole, an unpacked copy that vanishes afterwards."""
+    """Yields the file itself or, if it is compressed as a whole, a temporary decompressed copy."""
     with file.open("rb") as stream:
         packed = stream.read(4) == ZSTD_MAGIC
     if not packed:
@@ -90,13 +90,13 @@ def _plain(file: Path, collector: Collector) -> Iterator[Path]:
 
 
 def _collect(named: Path, file: Path, collector: Collector) -> None:
-    """Gives all messages of an SQLite file to a collector; `named` is what the user calls it."""
+    """Passes all messages of an SQLite file to a collector; `named` is the user's name for it."""
     if Path(f"{named}-wal").is_file():
         collector.note(
             f"{named.name}-wal was never merged, its messages are not read; open the bag once with `ros2 bag info`"
         )
     try:
-        # Immutable: nothing is written beside the log, and no journal is played into it.
+        # Immutable: nothing is written beside the log, and no journal is replayed into it.
         with (
             _whole_pages(named, file, collector) as whole,
             closing(sqlite3.connect(f"{whole.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database,
@@ -115,10 +115,10 @@ def _collect(named: Path, file: Path, collector: Collector) -> None:
 
 @contextmanager
 def _whole_pages(named: Path, file: Path, collector: Collector) -> Iterator[Path]:
-    """The file itself or, where it was cut short, a copy of its whole pages.
+    """Yields the file itself or, if it was cut short, a copy of its whole pages.
 
-    SQLite would fill a page that is half there with zeros, and poses would become zeros with it; a page that is not
-    there at all is an error. Source: sqlite.org/fileformat.html, 1.3.
+    SQLite would fill an incomplete page with zeros, so poses would become zeros; a missing page is an error.
+    Source: sqlite.org/fileformat.html, 1.3.
     """
     with file.open("rb") as stream:
         head = stream.read(32)
@@ -134,12 +134,12 @@ def _whole_pages(named: Path, file: Path, collector: Collector) -> Iterator[Path
         with whole.open("r+b") as stream:
             stream.truncate(size - size % page)
             stream.seek(28)
-            stream.write((size // page).to_bytes(4, "big"))  # SQLite opens no file that is shorter than it says
+            stream.write((size // page).to_bytes(4, "big"))  # SQLite opens no file shorter than it claims
         yield whole
 
 
 def _check_schema(named: Path, database: sqlite3.Connection) -> None:
-    """Raises unless `topics` and `messages` are tables: a view could compute rows without end."""
+    """Raises `LogError` unless `topics` and `messages` are tables: a view could compute rows without end."""
     rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND sql LIKE 'CREATE TABLE%'")
     if not {"topics", "messages"} <= {name for (name,) in rows}:
         raise LogError(f"{named}: an SQLite file but no ROS 2 bag: it has no topics and messages")
@@ -165,9 +165,10 @@ def _topics(database: sqlite3.Connection) -> dict[int, Topic]:
 
 
 def _messages(file: Path, database: sqlite3.Connection, topics: dict[int, Topic], collector: Collector) -> None:
-    """Gives the messages in the order of recording.
+    """Passes the messages to the collector in the order of recording.
 
-    From the pages where they are as rosbag2 writes them, else by SQLite, and behind damage from the pages again.
+    They are read from the pages where these are as rosbag2 writes them, else through SQLite, and behind damage from the
+    pages again.
     """
     last = _FIRST_ROW
     wanted = [number for number, topic in topics.items() if collector.wants(topic)]
@@ -192,10 +193,10 @@ def _messages(file: Path, database: sqlite3.Connection, topics: dict[int, Topic]
 
 
 def _slow_rows(file: Path, database: sqlite3.Connection, wanted: list[int], after: int) -> Iterator[_Row]:
-    """Rows behind one, one by one; of topics that are not wanted SQLite fetches no bytes.
+    """Rows after a rowid, one by one; for topics that are not requested SQLite fetches no message data.
 
     Raises:
-        DamageError: Together they are larger than their file, whose pages then belong to several of them.
+        DamageError: The messages together are larger than the file, so pages must belong to several of them.
     """
     numbers, left = ",".join(map(str, wanted)), file.stat().st_size
     for row in database.execute(

@@ -1,9 +1,9 @@
 """Rows of the table `messages` of a ROS 2 bag, many at once, straight from the pages of the SQLite file.
 
-SQLite gives one row after the other to Python, and none behind a page that is missing. Here the leaf pages of the
-table are found from its root, or by their looks where the pages between are gone, and the rows that are written
-alike (same lengths of all columns) are taken together. Only what is exactly as rosbag2 writes it is taken; for
-everything else the reader of the bag asks SQLite itself.
+SQLite passes rows to Python one by one, and none behind a missing page. Here the leaf pages of the table are found
+from its root, or by their appearance where interior pages are missing, and rows with the same layout (same lengths of
+all columns) are extracted together. Only pages exactly as rosbag2 writes them are used; for everything else the reader
+of the bag queries SQLite.
 
 Source: https://sqlite.org/fileformat2.html, sections 1.6 (b-tree pages), 2.1 (record format)
 """
@@ -24,14 +24,14 @@ _INTERIOR, _LEAF = 5, 13
 
 _LEAF_HEAD, _INTERIOR_HEAD = 8, 12
 
-_BLOCK = 1 << 22  # bytes of leaves, or of messages beyond them, taken at once
+_BLOCK = 1 << 22  # bytes of leaves, or of messages beyond them, processed at once
 
-_PREFIX = 48  # bytes of a row that its lengths, its rowid, its topic and its time never exceed
+_PREFIX = 48  # most bytes of a row taken by its lengths, rowid, topic and time
 
 _DEEPEST, _MOST_LAYOUTS = 20, 64
 
 _INTEGER_SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Serial type to bytes; types 8 and 9 are the numbers 0 and 1 themselves."""
+"""Serial type to length in bytes; types 8 and 9 are the numbers 0 and 1 themselves."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class LeafRows:
 
     Attributes:
         rowids: Shape (N,).
-        numbers: Of the topics, shape (N,).
-        times: Of recording [ns], shape (N,).
-        messages: N of them.
-        here: Bytes of each message that lie in the block, shape (N,): only messages that do as a whole may be used.
+        numbers: Topic numbers, shape (N,).
+        times: Recording times [ns], shape (N,).
+        messages: N messages.
+        here: Bytes of each message inside the block, shape (N,): only messages entirely inside may be used.
     """
 
     rowids: Places
@@ -54,7 +54,7 @@ class LeafRows:
 
     @property
     def whole(self) -> npt.NDArray[np.bool_]:
-        """Which messages lie in the block as a whole, shape (N,)."""
+        """Which messages are entirely inside the block, shape (N,)."""
         return np.asarray(self.here == self.messages.lengths)
 
     def __getitem__(self, which: slice | npt.NDArray[np.bool_] | Places) -> "LeafRows":
@@ -65,7 +65,7 @@ class LeafRows:
 
 @dataclass
 class _Pages:
-    """The pages of a file: how large, how much of each is used, how many, and how many messages have gone on in."""
+    """The pages of a file: page size, used bytes of each, page count, and overflow pages read so far."""
 
     file: BufferedReader
     size: int
@@ -76,17 +76,17 @@ class _Pages:
 
 @dataclass(frozen=True)
 class _Layout:
-    """How rows of the same lengths are written: places count from the first byte of the row.
+    """Layout of rows with the same lengths; offsets count from the first byte of the row.
 
     Attributes:
-        mask: Bits of the prefix that are the same in all of them, shape (_PREFIX,).
-        rowid: Where the rowid begins and ends.
-        topic: Place and serial type of the topic's number.
-        time: Place and serial type of the time.
-        data: Place of the message.
-        length: Bytes of the message.
-        here: Bytes of the message that lie in the page.
-        end: Where the part of the row ends that lies in the page.
+        mask: Bits of the prefix that are equal in all such rows, shape (_PREFIX,).
+        rowid: Start and end of the rowid.
+        topic: Offset and serial type of the topic number.
+        time: Offset and serial type of the time.
+        data: Offset of the message.
+        length: Length of the message [byte].
+        here: Bytes of the message in the page.
+        end: End of the part of the row in the page.
     """
 
     mask: npt.NDArray[np.uint8]
@@ -100,15 +100,15 @@ class _Layout:
 
 
 def rows_of_table(path: Path, root: int, wanted: list[int]) -> Iterator[LeafRows]:
-    """Rows of a table with the columns id, topic_id, timestamp, data, of which id is the rowid, in their order.
+    """Rows, in order, of a table with the columns id, topic_id, timestamp, data, where id is the rowid.
 
     Args:
         path: The file, of whole pages.
         root: The table's root page.
-        wanted: Numbers of the topics whose messages are given whole.
+        wanted: Numbers of the topics whose messages are returned in full.
 
     Raises:
-        DamageError: The rest is not as expected; what was given before is right.
+        DamageError: The rest is not as expected; the rows yielded before are right.
     """
     with path.open("rb") as file:
         pages = _pages(file, path.stat().st_size)
@@ -124,12 +124,12 @@ def rows_of_table(path: Path, root: int, wanted: list[int]) -> Iterator[LeafRows
 
 
 def rows_left(path: Path, after: int, wanted: list[int]) -> Iterator[LeafRows]:
-    """Rows of that table behind the rowid `after`, from every page of the file that looks like a leaf of it.
+    """Rows of that table after the rowid `after`, from every page of the file that looks like a leaf of it.
 
     Args:
         path: The file, of whole pages, some of the table's missing.
-        after: Rowid of the last row that is known.
-        wanted: As for `rows_of_table`; what is not there as a whole is left out.
+        after: Last rowid that is known.
+        wanted: As for `rows_of_table`; incomplete messages are left out.
     """
     with path.open("rb") as file:
         pages = _pages(file, path.stat().st_size)
@@ -144,7 +144,7 @@ def rows_left(path: Path, after: int, wanted: list[int]) -> Iterator[LeafRows]:
 
 
 def _rows_that_are_right(pages: _Pages, leaves: Places) -> Iterator[LeafRows]:
-    """The rows of some leaves but for those leaves that are damaged."""
+    """The rows of some leaves, without damaged leaves."""
     try:
         yield _rows(pages, leaves)
     except DamageError:
@@ -155,7 +155,7 @@ def _rows_that_are_right(pages: _Pages, leaves: Places) -> Iterator[LeafRows]:
 
 
 def _pages(file: BufferedReader, size: int) -> _Pages:
-    """The pages that the head of a file promises."""
+    """The pages according to the header of the file."""
     head = file.read(100)
     page = int.from_bytes(head[16:18], "big")
     page = 65536 if page == 1 else page
@@ -165,7 +165,7 @@ def _pages(file: BufferedReader, size: int) -> _Pages:
 
 
 def _leaves(pages: _Pages, root: int) -> tuple[Places, bool]:
-    """Numbers of the leaf pages in the order of the rows, up to the first that is missing, and whether it is all."""
+    """Numbers of the leaf pages in the order of the rows, up to the first missing one, and whether these are all."""
     level, are_all = np.array([root]), True
     for _ in range(_DEEPEST):
         missing = np.flatnonzero((level < 2) | (level > pages.count))
@@ -180,7 +180,7 @@ def _leaves(pages: _Pages, root: int) -> tuple[Places, bool]:
 
 
 def _scattered(pages: _Pages) -> Places:
-    """Numbers of the pages that look like leaves with messages, by the rowid of their first row."""
+    """Numbers of the pages that look like leaves with messages, ordered by the rowid of their first row."""
     found: list[tuple[int, int]] = []
     for number in range(2, pages.count + 1):
         page = _page(pages, number)
@@ -196,13 +196,13 @@ def _scattered(pages: _Pages) -> Places:
 
 
 def _page(pages: _Pages, number: int) -> bytes:
-    """One page; page 1 is the first."""
+    """One page; numbers start at 1."""
     pages.file.seek((number - 1) * pages.size)
     return pages.file.read(pages.size)
 
 
 def _children(pages: _Pages, number: int) -> Places:
-    """Numbers of the pages below an interior page, in their order."""
+    """Numbers of the pages below an interior page, in order."""
     page = _page(pages, number)
     count = int.from_bytes(page[3:5], "big")
     if page[0] != _INTERIOR or _INTERIOR_HEAD + 2 * count > pages.used:
@@ -230,7 +230,7 @@ def _rows(pages: _Pages, leaves: Places) -> LeafRows:
 
 
 def _read(pages: _Pages, leaves: Places) -> npt.NDArray[np.uint8]:
-    """Pages end to end, those that follow each other in the file at once, and room for a prefix behind them."""
+    """Concatenates pages, reading consecutive ones at once, with room for a prefix after them."""
     data = bytearray(len(leaves) * pages.size + _PREFIX)
     view = memoryview(data)
     edges = [0, *(np.flatnonzero(np.diff(leaves) != 1) + 1).tolist(), len(leaves)]
@@ -254,7 +254,7 @@ def _taken(data: npt.NDArray[np.uint8], starts: Places, limits: Places, used: in
         for word in np.flatnonzero(mask := layout.mask.view(np.uint64)).tolist():  # eight bytes at once
             same &= (words[left, word] ^ words[left[0], word]) & mask[word] == 0
         layouts += 1
-        if layouts > _MOST_LAYOUTS:  # each row is its own: to look for others like it would take too long
+        if layouts > _MOST_LAYOUTS:  # too many layouts: searching for equal rows would take too long
             same = np.arange(len(left)) == 0
         rows, left = left[same], left[~same]
         if (starts[rows] + layout.end > limits[rows]).any():
@@ -268,7 +268,7 @@ def _taken(data: npt.NDArray[np.uint8], starts: Places, limits: Places, used: in
 
 
 def _layout(row: bytes, used: int) -> _Layout:
-    """How a row is written, from its first bytes."""
+    """Layout of a row, from its first bytes."""
     payload, rowid = _varint(row, 0)
     _, body = _varint(row, rowid)
     head, at = _varint(row, body)
@@ -287,14 +287,14 @@ def _layout(row: bytes, used: int) -> _Layout:
         raise DamageError("a row whose lengths do not add up")
     mask = np.zeros(_PREFIX, np.uint8)
     mask[:at] = 0xFF
-    mask[rowid:body] = 0x80  # of a rowid only its length
+    mask[rowid:body] = 0x80  # only the length of a rowid
     local = _local(payload, used)
     end = body + local + (4 if local < payload else 0)
     return _Layout(mask, (rowid, body), (at, topic), (time_at, time), data, length, body + local - data, end)
 
 
 def _local(payload: int, used: int) -> int:
-    """Bytes of a row that lie in its leaf; the number of the page with the next ones follows them."""
+    """Bytes of a row that are in its leaf; the number of the overflow page follows them."""
     if payload <= used - 35:
         return payload
     least = (used - 12) * 32 // 255 - 23
@@ -308,7 +308,7 @@ def _rowid(row: bytes) -> int:
 
 
 def _varint(data: bytes, start: int) -> tuple[int, int]:
-    """A number of one to nine bytes, and where it ends."""
+    """A number of one to nine bytes, and its end."""
     value = 0
     for place in range(start, start + 8):
         value = value << 7 | data[place] & 0x7F
@@ -322,14 +322,14 @@ def _integers(data: npt.NDArray[np.uint8], places: Places, kind: int) -> Places:
     if kind in (8, 9):
         return np.full(len(places), kind - 8)
     size = _INTEGER_SIZES[kind]
-    if size in (3, 6):  # a signed number above an unsigned one of twice its size
+    if size in (3, 6):  # combines a signed high part and an unsigned low part of twice its size
         high, low = integers(data, places, f">i{size // 3}"), integers(data, places + size // 3, f">u{size // 3 * 2}")
         return high << 8 * (size // 3 * 2) | low
     return integers(data, places, f">i{size}")
 
 
 def _filled(pages: _Pages, rows: LeafRows, wanted: list[int]) -> Iterator[LeafRows]:
-    """The same rows, a few at a time, the messages of wanted topics fetched where they go on beyond their leaf."""
+    """The same rows, in portions, with the messages of requested topics fetched from overflow pages."""
     beyond = np.flatnonzero(~rows.whole & np.isin(rows.numbers, wanted))
     sizes = np.cumsum(rows.messages.lengths[beyond]) // _BLOCK
     edges = [0, *beyond[np.flatnonzero(np.diff(sizes)) + 1].tolist(), len(rows.rowids)]
@@ -339,7 +339,7 @@ def _filled(pages: _Pages, rows: LeafRows, wanted: list[int]) -> Iterator[LeafRo
 
 
 def _fetched(pages: _Pages, rows: LeafRows, beyond: list[int]) -> LeafRows:
-    """Rows of which some messages are put together from the pages beyond, unless one of those is missing."""
+    """Rows with messages assembled from overflow pages, unless one of those is missing."""
     if not beyond:
         return rows
     starts, here = rows.messages.starts.copy(), rows.here.copy()
@@ -356,7 +356,7 @@ def _fetched(pages: _Pages, rows: LeafRows, beyond: list[int]) -> LeafRows:
 
 
 def _message(pages: _Pages, block: bytes, start: int, here: int, length: int) -> bytes:
-    """A message that goes on in a chain of pages, as far as they are there."""
+    """A message that continues in a chain of overflow pages, as far as these are present."""
     parts, missing = [block[start : start + here]], length - here
     following = block[start + here : start + here + 4]
     while missing > 0 and length <= BLOCK_LIMIT:

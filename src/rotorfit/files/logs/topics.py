@@ -1,4 +1,4 @@
-"""What all bags share: messages, one after the other, become tables with `log_time`."""
+"""Shared by all bags: messages, added one after the other, become tables with `log_time`."""
 
 from collections.abc import Collection, Mapping, Sized
 from dataclasses import dataclass, field
@@ -30,21 +30,24 @@ _MOST_NOTES, _MOST_EVENTS = 100, 10_000
 
 @dataclass
 class _Stream:
-    """Messages of one topic on their way to a table.
+    """Messages of one topic, collected for a table.
 
     Attributes:
         topic: As first seen.
         types: Its definitions; None where it is not decoded.
         reason: Why it is not decoded.
-        count: Messages seen.
-        times: Of the messages that came one by one [ns].
-        messages: Those.
-        blocks: Times and messages, before those, that came many at once.
-        rows: Messages that wait to be decoded.
-        waiting: Bytes of them.
-        columns: Name to what is decoded, with room for more at the end.
-        filled: Rows decoded.
-        uneven: Names of columns that differ in shape from message to message.
+        count: Number of messages.
+        lost: Number of messages that could not be decoded.
+        fault: Why the first of them could not.
+        foreign: Number of messages of another type.
+        times: Recording times of the messages added singly [ns].
+        messages: Those messages.
+        blocks: Times and messages added in blocks, before those.
+        rows: Number of messages that wait to be decoded.
+        waiting: Their length [byte].
+        columns: Name to decoded values, with spare room at the end.
+        filled: Number of rows decoded.
+        uneven: Names of columns that differ in shape between messages.
     """
 
     topic: Topic
@@ -65,9 +68,9 @@ class _Stream:
 
 
 class Collector:
-    """Takes the messages of a bag in the order of the file and gives the content.
+    """Collects the messages of a bag in the order of the file and converts them to the content.
 
-    Only messages of wanted topics are kept, and those only until a batch of them is decoded.
+    Only messages of requested topics are kept, and only until a batch of them is decoded.
 
     Attributes:
         losses: Holes in the file between messages.
@@ -89,22 +92,22 @@ class Collector:
         self._events: list[Event] = []
 
     def note(self, text: str) -> None:
-        """Says what was lost or recovered."""
+        """Adds a note on what was lost or recovered."""
         if len(self._notes) < _MOST_NOTES:
             self._notes.append(one_line(text))
         else:
             self._more_notes += 1
 
     def damaged(self, text: str) -> None:
-        """Says what is lost because the file is damaged or cut short."""
+        """Records what is lost because the file is damaged or cut short."""
         if len(self._damage) < _MOST_NOTES:
             self._damage.append(one_line(text))
 
     def attach(self, texts: Mapping[str, str]) -> None:
-        """Takes what was written beside the messages.
+        """Adds texts that were written beside the messages.
 
         Raises:
-            DamageError: It is more text than any recorder writes.
+            DamageError: There is more text than any recorder writes.
         """
         self._text += sum(map(len, texts.values()))
         if self._text > _MOST_TEXT:
@@ -112,20 +115,20 @@ class Collector:
         self._attached |= texts
 
     def happened(self, event: Event) -> None:
-        """Takes an event.
+        """Adds an event.
 
         Raises:
-            DamageError: There are more than anything notes in flight.
+            DamageError: There are more events than any flight produces.
         """
         if len(self._events) == _MOST_EVENTS:
             raise DamageError(f"more than {_MOST_EVENTS} events")
         self._events.append(event)
 
     def declare(self, topic: Topic) -> None:
-        """Makes a topic known, also one that may turn out to have no message.
+        """Registers a topic, even if it turns out to have no message.
 
         Raises:
-            DamageError: There are more of them, or more text of definitions, than any recorder writes.
+            DamageError: There are more topics, or longer definitions, than any recorder writes.
         """
         self._text += len(topic.definition)
         if len(self._of_topic) == _MOST_TOPICS or self._text > _MOST_TEXT:
@@ -139,18 +142,18 @@ class Collector:
         return self._of_topic[topic].types is not None
 
     def pass_over(self, topic: Topic, count: int) -> None:
-        """Counts messages of a topic that is not wanted."""
+        """Counts messages of a topic that is not requested."""
         self._of_topic[topic].count += count
 
     def passed_over(self, topics: Mapping[int, Topic], index: Mapping[int, Sized]) -> bool:
-        """Only counts the messages that the index of a chunk names, if it names known topics and none that is wanted.
+        """Only counts a chunk's messages if its index names known topics and none that is requested.
 
         Args:
-            topics: Those known so far, by number.
-            index: Number of a topic to the places of its messages in the chunk.
+            topics: Known topics by number.
+            index: Topic number to the offsets of its messages in the chunk.
 
         Returns:
-            Whether the chunk need not be unpacked.
+            Whether the chunk can be skipped.
         """
         if not index or not all(number in topics and not self.wants(topics[number]) for number in index):
             return False
@@ -159,10 +162,10 @@ class Collector:
         return True
 
     def add(self, topic: Topic, time: int, data: bytes) -> None:
-        """Takes one message, recorded at `time` [ns].
+        """Adds one message, recorded at `time` [ns].
 
         Raises:
-            LogError: The numbers of this log would take more memory than `LIMIT`.
+            LogError: The numbers of this log would exceed `LIMIT`.
         """
         stream = self._of_topic[topic]
         stream.count += 1
@@ -183,12 +186,12 @@ class Collector:
         self._count(stream, 1, len(data))
 
     def add_block(self, topic: Topic, times: npt.NDArray[np.int64], messages: Messages) -> None:
-        """Takes many messages of one topic; their block may go afterwards.
+        """Adds many messages of one topic; their block may be freed afterwards.
 
         Args:
-            topic: Of all of them.
-            times: Of recording [ns], shape (N,).
-            messages: N of them, in their order.
+            topic: Topic of all of them.
+            times: Recording times [ns], shape (N,).
+            messages: N messages, in order.
 
         Raises:
             LogError: As `add`.
@@ -219,16 +222,16 @@ class Collector:
         times: npt.NDArray[np.int64],
         messages: Messages,
     ) -> bool:
-        """Takes many messages of several topics.
+        """Adds many messages of several topics.
 
         Args:
-            topics: Number to topic, as the file numbers them.
-            numbers: Of the topic of each message, shape (N,); what has a number below 0 is none.
-            times: Of recording [ns], shape (N,).
-            messages: N of them, in their order.
+            topics: Number to topic, as in the file.
+            numbers: Topic number of each message, shape (N,); messages with a negative number are skipped.
+            times: Recording times [ns], shape (N,).
+            messages: N messages, in order.
 
         Returns:
-            Whether all numbers are known; where they are not, nothing is taken.
+            Whether all numbers are known; if not, nothing is added.
 
         Raises:
             LogError: As `add`.
@@ -258,7 +261,7 @@ class Collector:
         """The tables of all messages.
 
         Raises:
-            LogError: There was no message at all.
+            LogError: There was no message at all, or its numbers exceed `LIMIT`.
         """
         damage = (*self._damage, *self.losses.texts())
         for stream in self._streams.values():
@@ -302,7 +305,7 @@ class Collector:
         return _Stream(topic, types, "")
 
     def _types_of(self, topic: Topic) -> Types:
-        """The definitions of a topic's type, parsed once for all topics of the type."""
+        """The definitions of a topic's type, parsed once for all topics of that type."""
         key = (topic.msgtype, topic.encoding, topic.definition, topic.language)
         if key not in self._types:
             self._parsed += len(topic.definition)
@@ -312,21 +315,21 @@ class Collector:
         return self._types[key]
 
     def _is_foreign(self, stream: _Stream, topic: Topic, count: int) -> bool:
-        """Whether messages are of another type than the first on their topic; they are counted then."""
+        """Whether messages are of another type than the first on their topic; if so, they are counted."""
         if (topic.msgtype, topic.encoding) == (stream.topic.msgtype, stream.topic.encoding):
             return False
         stream.foreign += count
         return True
 
     def _count(self, stream: _Stream, rows: int, size: int) -> None:
-        """Counts messages that wait, and decodes them where they are enough."""
+        """Counts waiting messages, and decodes them once there are enough."""
         stream.rows += rows
         stream.waiting += size
         if stream.rows >= _BATCH or stream.waiting >= _BATCH_BYTES:
             self._decode(stream)
 
     def _decode(self, stream: _Stream) -> None:
-        """Decodes the messages that wait."""
+        """Decodes the waiting messages."""
         _close(stream)
         if stream.types is None or not stream.blocks:
             return
@@ -345,20 +348,20 @@ class Collector:
 
 
 def _stable_order(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """What sorts numbers from 0 on and keeps the order of equal ones; numpy counts small ones, which is faster."""
+    """Indices that sort non-negative numbers stably; small ones as uint16, for which numpy uses a faster sort."""
     small = numbers.max(initial=0) < 1 << 16
     return np.argsort(numbers.astype(np.uint16) if small else numbers, kind="stable")
 
 
 def _close(stream: _Stream) -> None:
-    """Makes a block of the messages that came one by one."""
+    """Moves the messages added singly into a block."""
     if stream.messages:
         stream.blocks.append((np.array(stream.times, dtype=np.int64), messages_of(stream.messages)))
         stream.times, stream.messages = [], []
 
 
 def _any_packed(topic: Topic, messages: Messages) -> bool:
-    """Whether messages are packed one by one (`--compression-mode message`); CDR never begins as zstd does."""
+    """Whether single messages are compressed (`--compression-mode message`); CDR never begins like zstd."""
     if topic.encoding != "cdr":
         return False
     heads = integers(messages.data, messages.starts[messages.lengths >= len(ZSTD_MAGIC)], "<u4")
@@ -366,7 +369,7 @@ def _any_packed(topic: Topic, messages: Messages) -> bool:
 
 
 def _append(stream: _Stream, batch: dict[str, Column]) -> None:
-    """Puts a batch behind what is decoded; columns that are not alike in all batches are left out."""
+    """Appends a batch to the decoded columns; columns that differ in shape or type are left out."""
     start, stop = stream.filled, stream.filled + len(batch["log_time"])
     if start == 0:
         stream.columns = {name: np.array(values, order="C") for name, values in batch.items()}  # its own: it will grow
@@ -375,7 +378,7 @@ def _append(stream: _Stream, batch: dict[str, Column]) -> None:
         stream.uneven |= (stream.columns.keys() | batch.keys()) - alike
         stream.columns = {name: values for name, values in stream.columns.items() if name in alike}
         for name, values in stream.columns.items():
-            if len(values) < stop:  # in its place: the system moves large ones without a copy
+            if len(values) < stop:  # in place: large arrays are remapped without a copy
                 values.resize((stop + stop // 8, *values.shape[1:]), refcheck=False)
             values[start:stop] = batch[name]
     stream.filled = stop

@@ -1,9 +1,9 @@
-"""PX4 logs (ULog): topics of the autopilot, each a table; instance 1 of a topic is the table `topic_1`.
+"""PX4 logs (ULog): each topic of the autopilot is a table; instance 1 of a topic is the table `topic_1`.
 
-The file is a chain of records. Where it is broken (a full card, an empty battery, a bad sector), the chain is taken
-up at the next record that can be one. The reader is our own because pyulog 1.3 goes on only at the next mark for
-that, up to half a second later, and ends in a KeyError on some damaged definitions; a test holds ours to pyulog's
-answers on whole files.
+The file is a chain of records. Where it is broken (a full card, an empty battery, a bad sector), it resumes at the
+next plausible record. pyulog is not used because its version 1.3 resumes only at the next synchronisation mark, up to
+half a second later, and fails with a KeyError on some damaged definitions; a test compares this reader with pyulog on
+whole files.
 
 Source: https://docs.px4.io/main/en/dev_log/ulog_file_format
 """
@@ -24,7 +24,7 @@ _MAGIC = b"ULog\x01\x12\x35"
 
 _HEADER = 16
 
-_HEAD = struct.Struct("<HBH")  # size and kind of a record, then what is a topic's number in the records of data
+_HEAD = struct.Struct("<HBH")  # size and kind of a record, then the topic number in a data record
 
 _FLAGS = struct.Struct("<8s8s3Q")
 
@@ -51,7 +51,7 @@ _WIDEST_RECORD, _DEEPEST, _MOST_COLUMNS, _MOST_OF_ALL = 1 << 16, 16, 1 << 12, 1 
 
 @dataclass
 class _Topic:
-    """An instance of a topic on its way to a table; `layout` is None where it is not decoded, for a `reason`."""
+    """An instance of a topic, collected for a table; `layout` is None where it is not decoded, `reason` says why."""
 
     layout: RecordLayout | None
     reason: str
@@ -63,17 +63,16 @@ class _Topic:
 class _Log:
     """What was found in a file so far.
 
-    Attributes:
-        wanted: Names of the tables to decode; None for all.
-        formats: Name of a type to its fields, as text.
-        topics: Name of a table to its topic.
-        numbers: Number that records of data bear to topic, and the least and largest size of such a record.
-        instances: Type and instance to name of the table.
-        layouts: Type to its columns, its size, and its size without the padding at its end.
-        columns: How many columns were seen in definitions.
-        omitted: Columns left out.
-        dropouts: Lengths of what the logger could not write [ms].
-        damage: Breaks in the chain.
+    wanted: Names of the tables to decode; None for all.
+    formats: Name of a type to its fields, as text.
+    topics: Name of a table to its topic.
+    numbers: Topic number in data records to topic, and the least and largest size of such a record [byte].
+    instances: Type and instance to name of the table.
+    layouts: Type to its columns, its size, and its size without trailing padding [byte].
+    columns: Number of columns in all definitions.
+    omitted: Columns left out.
+    dropouts: Durations in which the logger could not write [ms].
+    damage: Breaks in the chain.
     """
 
     wanted: Collection[str] | None
@@ -89,15 +88,15 @@ class _Log:
 
 
 def sniff(path: Path, head: bytes) -> bool:  # noqa: ARG001 - one signature for all formats
-    """Whether the file begins as ULog does."""
+    """Whether the file begins with ULog's magic."""
     return head.startswith(_MAGIC)
 
 
 def read(path: Path, tables: Collection[str] | None) -> Content:
-    """Reads the wanted topics; see `sources.read`.
+    """Reads the requested topics; see `files.logs.read`.
 
     Raises:
-        LogError: Features that no reader of this version may ignore, no message before the damage, too many numbers.
+        LogError: Unsupported features of a later version, no message before the damage, or too many numbers.
     """
     size = size_of(path)
     log = _Log(tables)
@@ -117,7 +116,7 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
 
 
 def _bounds(path: Path, first: bytes, size: int) -> list[int]:
-    """Where parts of the file begin and end: what a crash left behind is appended, after a record cut short."""
+    """Boundaries of the parts of the file: data recovered from a crash are appended after an incomplete record."""
     if len(first) < 3 + _FLAGS.size or first[2:3] != b"B":
         return [_HEADER, max(size, _HEADER)]
     _, incompatible, *offsets = _FLAGS.unpack_from(first, 3)
@@ -128,14 +127,14 @@ def _bounds(path: Path, first: bytes, size: int) -> list[int]:
 
 
 def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
-    """Takes the records of a block, and definitions as they come; returns where the next block must begin.
+    """Takes the records of a block, and definitions as they occur; returns where the next block must begin.
 
-    A record is believed when a record follows: what stands before a break may be torn itself.
+    A record is accepted only if another record follows: the one before a break may be torn itself.
     """
     places: dict[int, list[int]] = {number: [] for number in log.numbers}
-    known: dict[bytes, tuple[list[int], int]] = {}  # heads of data seen in this block: where they go, their length
+    known: dict[bytes, tuple[list[int], int]] = {}  # data heads in this block: positions, length
     position, end = 0, len(data)
-    before, latest = 0, None  # the record before this one, and the list that it went to
+    before, latest = 0, None  # the previous record, and the list that holds it
     while position + _HEAD.size <= end:
         if record := known.get(data[position : position + _HEAD.size]):
             found, length = record
@@ -159,14 +158,14 @@ def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
             break
         else:
             before, latest = position, None
-            if kind == _SUBSCRIPTION:  # the number may have been another topic's
+            if kind == _SUBSCRIPTION:  # the number may have belonged to another topic
                 number = int.from_bytes(data[position + 4 : position + 6], "little")
                 _gather(log, data, {number: places.pop(number, [])})
                 places[number] = []
                 known.clear()
             _define(log, kind, data[position + 3 : after])
         position = after
-    if not last and latest:  # whether a record follows is seen in the next block
+    if not last and latest:  # the next block shows whether a record follows
         latest.pop()
         position = before
     _gather(log, data, places)
@@ -174,7 +173,7 @@ def _step(log: _Log, data: bytes, offset: int, last: bool) -> int:
 
 
 def _gather(log: _Log, data: bytes, places: Mapping[int, list[int]]) -> None:
-    """Gives records, by the number that they bear, to their topics."""
+    """Assigns records to their topics by number."""
     for number, found in places.items():
         if found:
             topic = log.numbers[number][0]
@@ -184,7 +183,7 @@ def _gather(log: _Log, data: bytes, places: Mapping[int, list[int]]) -> None:
 
 
 def _next(log: _Log, data: bytes, position: int) -> int:
-    """Where the next record begins that can be one and has another behind it; near the end of the block if none."""
+    """Start of the next plausible record that is followed by another; near the end of the block if there is none."""
     for match in _KINDS.finditer(data, position + 2):
         start = match.start() - 2
         if _plausible(log, data, start):
@@ -195,7 +194,7 @@ def _next(log: _Log, data: bytes, position: int) -> int:
 
 
 def _plausible(log: _Log, data: bytes, position: int) -> bool:
-    """Whether what stands here can be a record."""
+    """Whether a record can begin here."""
     if position + _HEAD.size > len(data):
         return False
     length, kind, number = map(int, _HEAD.unpack_from(data, position))
@@ -223,12 +222,12 @@ def _plausible(log: _Log, data: bytes, position: int) -> bool:
 
 
 def _is_key(text: bytes, length: int) -> bool:
-    """Whether a piece of information is named as all are: a type, a name."""
+    """Whether the key of an information record is valid: a type and a name."""
     return len(text) == length and _KEY.fullmatch(text) is not None
 
 
 def _define(log: _Log, kind: int, content: bytes) -> None:
-    """Takes a record that is not one of data."""
+    """Handles a record other than data."""
     match chr(kind):
         case "F":
             name, _, fields = content.decode("utf-8", errors="replace").partition(":")
@@ -241,7 +240,7 @@ def _define(log: _Log, kind: int, content: bytes) -> None:
 
 
 def _subscribe(log: _Log, number: int, name: str, instance: int) -> None:
-    """Makes a topic known by the number that its records bear."""
+    """Registers a topic under the number in its records."""
     table = log.instances.get((name, instance))
     if table is None:
         table = f"{name}_{instance}" if instance else name
@@ -261,10 +260,10 @@ def _subscribe(log: _Log, number: int, name: str, instance: int) -> None:
 
 
 def _layout(log: _Log, name: str) -> tuple[tuple[Leaf, ...], int, int]:
-    """Columns of a type, its size, and its size without the padding at its end, which is not always written.
+    """Columns of a type, its size, and its size without trailing padding, which is not always written [byte].
 
     Raises:
-        DamageError: A definition that is missing, cannot be understood or does not fit in a record.
+        DamageError: A definition is missing, invalid or does not fit in a record.
     """
     leaves: list[Leaf] = []
     omitted: list[str] = []
@@ -276,7 +275,11 @@ def _layout(log: _Log, name: str) -> tuple[tuple[Leaf, ...], int, int]:
 def _fields(
     log: _Log, kind: str, prefix: str, start: int, leaves: list[Leaf], omitted: list[str], depth: int
 ) -> tuple[int, int]:
-    """Puts the columns of a type that begins at `start` into the leaves; returns where it ends, and without padding."""
+    """Appends the columns of a type that begins at `start`; returns its end, and its end without padding.
+
+    Raises:
+        DamageError: As `_layout`.
+    """
     if kind not in log.formats:
         raise DamageError(f"the definition of {one_line(kind)} is not in the log")
     if depth > _DEEPEST:
@@ -301,7 +304,7 @@ def _fields(
             for index in range(count):
                 inside = f"{name}[{index}]." if found["count"] else f"{name}."
                 begin, (place, _) = place, _fields(log, found["type"], inside, place, leaves, omitted, depth + 1)
-                if place == begin:  # as many of these as one likes would fit
+                if place == begin:  # an empty type could be repeated without limit
                     raise DamageError(f"its definition holds the empty type {found['type']}")
         if place > _WIDEST_RECORD or len(leaves) + len(omitted) > _MOST_COLUMNS or log.columns > _MOST_OF_ALL:
             raise DamageError("its definition is larger than a record can be, or the log has too many columns")
@@ -311,7 +314,7 @@ def _fields(
 
 
 def _content(path: Path, log: _Log, size: int) -> Content:
-    """Tables of what was found."""
+    """Tables of the collected topics."""
     damage, notes = log.damage.texts(size), list[str]()
     if not any(topic.count for topic in log.topics.values()):
         why = f" ({damage[0]})" if damage else f" ({len(log.topics)} topics announced)"
