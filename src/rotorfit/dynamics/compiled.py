@@ -1,9 +1,9 @@
-"""How compiled functions are compiled.
+"""Options of compiled functions.
 
-`kernel` is for those that Python calls; `inner` for those that other compiled functions call, and nothing else: what
-would let Python call them is left out, as it takes a sixth of their compiling or more. Called from Python they crash.
+`kernel` is for functions called from Python; `inner` for those called only by other compiled functions: the wrappers
+for calls from Python are left out, which saves a sixth of the compile time or more. Called from Python they crash.
 
-Products of arrays, sums of slices and the like compile for seconds where a loop takes none: kernels are written out.
+Array products, sums of slices and the like take seconds to compile, loops do not: kernels are written as loops.
 """
 
 import functools

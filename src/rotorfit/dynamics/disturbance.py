@@ -1,13 +1,13 @@
 """The slow disturbance and the pose noise: a Kalman filter that whitens.
 
-What the commands do not explain is, on each axis of the heading frame,
+The motion that the commands do not explain is, on each axis of the heading frame,
 
     n' = s,   s'' = -alpha s' - kappa alpha^2 / 4 s + sqrt(q) xi,   y = n + e,   e ~ N(0, r)
 
-a velocity coloured by two real poles: wind with a memory that acts through drag. The poles sum to -alpha, and they are
-equal where the overlap kappa is 1 and far apart where it is small, so that neither has a name to swap with the other.
-They are the disturbance's own (the Box-Jenkins form), so its four levels share no parameter with the response and the
-information matrix falls into two blocks. The position starts unknown, s and s' start in their stationary state.
+a velocity coloured by two real poles: wind with a memory that acts through drag. The poles sum to -alpha; they are
+equal where the overlap kappa is 1 and far apart where it is small, so that they cannot swap labels. They belong to the
+disturbance alone (the Box-Jenkins form), so its four levels share no parameter with the response and the information
+matrix is block diagonal. The position starts unknown, s and s' start in their stationary state.
 """
 
 from typing import Any
@@ -18,14 +18,14 @@ from rotorfit.core.frames import Array, Indices
 from rotorfit.dynamics.compiled import inner, kernel
 
 LEVELS = ("wind_power", "pose_variance", "wind_damping", "wind_overlap")
-"""q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order of every array of disturbance levels."""
+"""q [unit^2/s^5], r [unit^2], alpha [1/s], kappa in (0, 1]: the order in every array of disturbance levels."""
 
 STEP_GRAIN = 1e-5
-"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s moves 1 um in it. The response
-to the commands is not rounded."""
+"""Steps of the disturbance filter are rounded to this [s]: a residual motion of 0.1 m/s travels 1 um in that time. The
+response to the commands is not rounded."""
 
 LARGEST_SPEED = 10.0
-"""Bound on the standard deviation of s at a start [m/s]: poles near 0 would lose the filter's precision."""
+"""Bound on the initial standard deviation of s [m/s]: with poles near 0 the filter would lose precision."""
 
 START_POSITION_VARIANCE = 1.0
 
@@ -55,8 +55,8 @@ def _impulse_response(series: Array, t: float) -> Any:
 def discretize(damping: float, stiffness: float, dt: float, F: Array, Q: Array) -> None:
     """Fills the transition F (3, 3) and the covariance Q (3, 3) of (n, s, s') over dt for a unit q.
 
-    A power series in dt, which knows no singular case (equal poles, poles at 0, complex poles), on a step short enough,
-    then doubled.
+    A power series in dt, which has no singular case (equal poles, poles at 0, complex poles), over a sufficiently short
+    step, followed by doubling.
     """
     doublings, step = 0, dt
     while step * max(damping, np.sqrt(stiffness)) > 1.0:
@@ -106,7 +106,7 @@ def distinct_steps(time: Array) -> tuple[Array, Indices]:
         time: Increasing, shape (B,) [s].
 
     Returns:
-        The distinct steps, shape (U,) [s], and which of them leads to each stamp, shape (B,).
+        The distinct steps, shape (U,) [s], and the index of the step that leads to each stamp, shape (B,).
     """
     grains = np.rint(np.diff(time, prepend=time[:1]) / STEP_GRAIN)
     values, index = np.unique(grains, return_inverse=True)
@@ -115,7 +115,7 @@ def distinct_steps(time: Array) -> tuple[Array, Indices]:
 
 @kernel()
 def step_tables(steps: Array, damping: float, overlap: float) -> Any:
-    """Transition and covariance for a unit power of every distinct step: twice (U, 3, 3)."""
+    """Transition and unit-power covariance of every distinct step: two arrays (U, 3, 3)."""
     F, Q = np.zeros((steps.size, 3, 3)), np.zeros((steps.size, 3, 3))
     fill_step_tables(steps, damping, overlap, F, Q)
     return F, Q
@@ -123,21 +123,21 @@ def step_tables(steps: Array, damping: float, overlap: float) -> Any:
 
 @kernel()
 def fill_step_tables(steps: Array, damping: float, overlap: float, F: Array, Q: Array) -> None:
-    """Fills those tables, (U, 3, 3) each."""
+    """Fills the tables of `step_tables`, (U, 3, 3) each."""
     for i in range(steps.size):
         discretize(damping, 0.25 * overlap * damping * damping, steps[i], F[i], Q[i])
 
 
 @kernel()
 def stationary(levels: Array) -> Any:
-    """Variances of s, never beyond what flies, and of s', uncorrelated, in the stationary state of levels (4,)."""
+    """Stationary variances of s, bounded by `LARGEST_SPEED`, and of s', which are uncorrelated, at levels (4,)."""
     variance = levels[0] / (2 * levels[2])
     return min(variance / (0.25 * levels[3] * levels[2] * levels[2]), LARGEST_SPEED**2), variance
 
 
 @inner()
 def rotate(vector: Array, c: float, s: float) -> None:
-    """Turns the frame of a (6,) state (n, s, s' of x, then of y) by the angle of cosine c and sine s, in place."""
+    """Rotates the frame of a (6,) state (n, s, s' of x, then of y) by the angle of cosine c and sine s, in place."""
     for k in range(3):
         x, y = vector[k], vector[3 + k]
         vector[k] = c * x + s * y
@@ -146,7 +146,7 @@ def rotate(vector: Array, c: float, s: float) -> None:
 
 @inner()
 def propagate(vector: Array, fx: Array, fy: Array) -> None:
-    """Moves a (6,) state one step by the transitions (3, 3) of x and y, in place."""
+    """Propagates a (6,) state one step by the transitions (3, 3) of x and y, in place."""
     for a in range(2):
         F = fx if a == 0 else fy
         n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
@@ -157,7 +157,7 @@ def propagate(vector: Array, fx: Array, fy: Array) -> None:
 
 @inner()
 def _turn_covariance(P: Array, m: int, c: float, s: float) -> None:
-    """Turns the frame of a covariance held as blocks: P[m, 0] of x, 1 of y, 2 of x with y, each (3, 3), in place."""
+    """Rotates the frame of a covariance held as blocks: P[m, 0] of x, 1 of y, 2 of x with y, each (3, 3), in place."""
     cc, ss, cs = c * c, s * s, c * s
     for i in range(3):
         for j in range(i, 3):
@@ -185,7 +185,7 @@ def _step_block(P: Array, m: int, b: int, F: Array, g: int, first: int, second: 
 
 @kernel()
 def axis_start(P: Array, levels: Array) -> None:
-    """Fills the covariance P (3, 3) of one axis with what is known before the first pose; levels have shape (4,)."""
+    """Fills the prior covariance P (3, 3) of one axis before the first pose; levels have shape (4,)."""
     P[:] = 0.0
     P[0, 0] = START_POSITION_VARIANCE
     P[1, 1], P[2, 2] = stationary(levels)
@@ -193,7 +193,7 @@ def axis_start(P: Array, levels: Array) -> None:
 
 @inner()
 def start_covariance(P: Array, levels: Array) -> None:
-    """Fills the blocks P (3, 3, 3) with what is known before the first pose."""
+    """Fills the blocks P (3, 3, 3) with the prior covariance before the first pose."""
     P[:] = 0.0
     for a in range(2):
         axis_start(P[a], levels[a])
@@ -203,18 +203,18 @@ def start_covariance(P: Array, levels: Array) -> None:
 def predict_covariance(
     P: Array, m: int, F: Array, Q: Array, g: int, k: int, qx: float, qy: float, c: float, s: float
 ) -> None:
-    """Moves the blocks P[m] one step: half the turn, the step with its driving noise, the other half; in place.
+    """Propagates the blocks P[m] one step: half the turn, the step with its driving noise, the other half; in place.
 
-    Whole arrays and places in them, here and below: of each part that is cut out, its references are counted, and that
-    took most of the time of a filter.
+    Whole arrays with indices are passed, here and below: slicing counts references, which took most of the time of a
+    filter.
 
     Args:
         P: Blocks, shape (M, 3, 3, 3).
-        m: Whose.
+        m: Index of the blocks.
         F: Transitions of the two axes, shape (A, 2, U, 3, 3).
-        Q: Covariances for a unit power, of the same shape.
-        g: Which of the A.
-        k: Which of the U.
+        Q: Covariances for a unit power, same shape.
+        g: Index into A.
+        k: Index into U.
         qx: Power along x.
         qy: Power along y.
         c: Cosine of half the turn.
@@ -222,7 +222,7 @@ def predict_covariance(
     """
     if s != 0.0:
         _turn_covariance(P, m, c, s)
-    for b in range(3):  # one call for all: numba compiles once more for a number that is written out
+    for b in range(3):  # a single call: numba would compile again for each literal argument
         _step_block(P, m, b, F, g, b % 2, (b + 1) // 2, k)
     for a in range(2):
         power = qx if a == 0 else qy
@@ -236,7 +236,7 @@ def predict_covariance(
 
 @inner()
 def update_covariance(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
-    """Takes a measured position of one axis into the blocks P[m]; fills the gain (6,), returns the variance."""
+    """Updates the blocks P[m] with a measured position of one axis; fills the gain (6,), returns the variance."""
     S = P[m, axis, 0, 0] + noise
     for i in range(3):
         gain[3 * axis + i] = P[m, axis, i, 0] / S
@@ -247,7 +247,7 @@ def update_covariance(P: Array, m: int, axis: int, noise: float, gain: Array) ->
 
 @inner()
 def update_rate(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
-    """The same of a measured velocity s of one axis."""
+    """Updates the blocks P[m] with a measured velocity s of one axis; as `update_covariance`."""
     S = P[m, axis, 1, 1] + noise
     for i in range(3):
         gain[3 * axis + i] = P[m, axis, 1, i] / S
@@ -258,7 +258,7 @@ def update_rate(P: Array, m: int, axis: int, noise: float, gain: Array) -> Any:
 
 @inner()
 def _take_off(P: Array, m: int, gain: Array, S: float) -> None:
-    """What a measurement of variance S with this gain takes off the blocks P[m]."""
+    """Subtracts the update by a measurement of variance S with this gain from the blocks P[m]."""
     for i in range(3):
         for j in range(3):
             P[m, 0, i, j] -= gain[i] * gain[j] * S

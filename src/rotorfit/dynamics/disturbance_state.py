@@ -1,4 +1,4 @@
-"""The disturbance of one axis as the filter sees it at every sample: mean and covariance of (n, s, s')."""
+"""The disturbance of one axis as filtered up to every sample: mean and covariance of (n, s, s')."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ from rotorfit.dynamics.disturbance import axis_start, step_tables
 
 @kernel()
 def disturbance_states(steps: Array, step: Any, residual: Array, noise: Array, levels: Array) -> Any:
-    """Filters what the commands leave unexplained.
+    """Filters the motion that the commands leave unexplained.
 
     Args:
         steps: Distinct steps between the samples, shape (U,) [s].
-        step: Which of them leads to each sample, shape (B,).
-        residual: Measured less driven position, shape (B,).
-        noise: Variance of the measurement of each, shape (B,).
-        levels: q, r, alpha, kappa, no logarithms, shape (4,); r is not looked at.
+        step: Index of the step that leads to each sample, shape (B,).
+        residual: Measured minus driven position, shape (B,).
+        noise: Variance of each measurement, shape (B,).
+        levels: q, r, alpha, kappa, not as logarithms, shape (4,); r is ignored.
 
     Returns:
         Means (B, 3) and covariances (B, 3, 3) of n, s and s' after each sample.
@@ -40,7 +40,7 @@ def disturbance_states(steps: Array, step: Any, residual: Array, noise: Array, l
 
 @inner()
 def step_state(m: Array, P: Array, F: Array, Q: Array, power: float, M: Array) -> None:
-    """Moves mean (3,) and covariance (3, 3) by a step, in place; Q is for a unit power, its upper triangle."""
+    """Propagates mean (3,) and covariance (3, 3) by a step, in place; Q is the upper triangle for a unit power."""
     a, b, c = m[0], m[1], m[2]
     for r in range(3):
         m[r] = F[r, 0] * a + F[r, 1] * b + F[r, 2] * c
@@ -54,7 +54,7 @@ def step_state(m: Array, P: Array, F: Array, Q: Array, power: float, M: Array) -
 
 @inner()
 def take_position(m: Array, P: Array, residual: float, noise: float) -> None:
-    """Takes a position that was measured into mean and covariance, in place."""
+    """Updates mean and covariance with a measured position, in place."""
     variance = P[0, 0] + noise
     off = residual - m[0]
     g0, g1, g2 = P[0, 0] / variance, P[1, 0] / variance, P[2, 0] / variance

@@ -1,9 +1,9 @@
-"""How far off is a prediction? Error bands of every start, stated before what comes is seen, and how often they held.
+"""Error bands of predictions, stated at every start from the past alone, and how often they contained the truth.
 
-A band starts from the variance that the filter itself predicts: the disturbance as it will go on, and trim and start
-velocity as far as they are unknown. What the filter cannot know, such as a law that is a little wrong, is learned from
-the flight: the squared errors of its own earlier predictions over the same horizon, over what was predicted for them,
-give a factor. Few of them are independent, so that factor is drawn to 1 and the band is one of Student's t.
+A band starts from the variance that the filter itself predicts: the future disturbance, and the uncertainty of trim and
+start velocity. What the filter cannot know, such as a slightly wrong law, is learned from the flight: the ratio of the
+squared errors of its own earlier predictions over the same horizon to their predicted variances gives a factor. Few of
+these errors are independent, so the factor is shrunk towards 1 and the band is one of Student's t.
 
 Source: A. Gelman et al., Bayesian Data Analysis (2013), ch. 2.6, for the scaled inverse chi-squared that draws to 1;
 I. Gibbs, E. Candes, NeurIPS 34 (2021), for bands that follow their own past errors.
@@ -21,29 +21,29 @@ from rotorfit.dynamics.kinematics import REFERENCE_HALF_WIDTH, REFERENCE_LEAST
 from rotorfit.dynamics.protocol import LEAST_SCORES, START_EVERY, Predictions, end_errors
 
 NOMINAL = (0.5, 0.95)
-"""Shares of the errors that the bands are to hold."""
+"""Shares of the errors that the bands should contain."""
 
 MEMORY = 60.0
-"""Time after which a past error counts 1/e [s]."""
+"""Time after which the weight of a past error has decayed to 1/e [s]."""
 
 SMOOTH_VALUE, SMOOTH_SLOPE = 9 / 4, 75 / 4
-"""Variance of the value, and of the slope times the square of the half width, that a cubic through n points has at
-their middle, times n over the variance of a point: the velocity of reference errs too."""
+"""Variance of the value, and of the slope times the squared half width, at the middle of a cubic fitted to n points,
+times n over the variance of a point: the reference velocity has an error, too."""
 
 DRAWN = 6.0
-"""Independent errors that the filter's own variance counts for."""
+"""Number of independent errors that the filter's own variance counts as (prior degrees of freedom)."""
 
 MOST_FREEDOM = 12.0
-"""Degrees of freedom at the most: the errors of real flights have heavier tails than a Gaussian."""
+"""Largest number of degrees of freedom: the errors of real flights have heavier tails than a Gaussian."""
 
 
 @dataclass(frozen=True)
 class Bands:
-    """At one horizon, S starts; quantities are position and velocity, axes x, y, z, yaw in the heading frame.
+    """Error bands at one horizon for S starts; quantities are position and velocity, axes x, y, z, yaw, heading frame.
 
     Attributes:
         start: Shape (S,) [s].
-        error: What the predictions were off by, shape (S, 2, 4); NaN where that is not measured.
+        error: Prediction errors, shape (S, 2, 4) [m, rad; m/s, rad/s]; NaN where not measured.
         deviation: Predicted standard error, from the past alone, shape (S, 2, 4); NaN for axes without a prediction.
         freedom: Degrees of freedom of Student's t, shape (S, 2, 4).
     """
@@ -54,19 +54,19 @@ class Bands:
     freedom: Array
 
     def half_width(self, nominal: float, of: Any = ...) -> Array:
-        """Half the width of the bands that are to hold a share of the errors, shape (S, 2, 4), or of some of them."""
+        """Half width of the bands with this nominal coverage, shape (S, 2, 4), or of the selected elements."""
         from scipy.special import stdtrit
 
         return np.asarray(stdtrit(self.freedom[of], 0.5 + nominal / 2) * self.deviation[of])
 
 
 class Stated(NamedTuple):
-    """What bands are made of, at one horizon, S starts.
+    """Errors and predicted variances at one horizon for S starts, from which bands are made.
 
     Attributes:
         start: Shape (S,) [s].
-        error: As in `Bands`.
-        variance: What the filters predict for what will be measured, shape (S, 2, 4).
+        error: See `Bands`.
+        variance: Variance of the measurement as predicted by the filters, shape (S, 2, 4).
     """
 
     start: Array
@@ -75,22 +75,22 @@ class Stated(NamedTuple):
 
 
 def stated(part: Predictions, horizon: float) -> Stated:
-    """Errors, and what the filters predicted for them, of some predictions with their states."""
+    """Errors of predictions, and the variances predicted by their filters; the predictions must have states."""
     return Stated(part.start, end_errors(part, part.predicted, horizon), _variance(part, horizon))
 
 
 def error_bands(parts: Sequence[Predictions], horizon: float) -> Bands:
-    """Bands of all predictions of a flight at one horizon.
+    """Error bands of all predictions of a flight at one horizon.
 
     Args:
         parts: In the order of their starts, with their states.
-        horizon: [s].
+        horizon: Horizon [s].
     """
     return bands_of([stated(part, horizon) for part in parts], horizon)
 
 
 def bands_of(pieces: Sequence[Stated], horizon: float) -> Bands:
-    """The same of what was stated, piece by piece."""
+    """Error bands from pieces in the order of their starts, at one horizon [s]."""
     none = Stated(np.empty(0), np.empty((0, 2, 4)), np.empty((0, 2, 4)))
     start, error, variance = (np.concatenate(column) for column in zip(none, *pieces, strict=True))
     factor, freedom = _learned(start, error**2 / variance, horizon)
@@ -98,7 +98,7 @@ def bands_of(pieces: Sequence[Stated], horizon: float) -> Bands:
 
 
 def _variance(part: Predictions, horizon: float) -> Array:
-    """What the filters predict for what will be measured, in the heading at the horizon, (S, 2, 4)."""
+    """Variance of the measurement as predicted by the filters, in the heading frame at the horizon, (S, 2, 4)."""
     out = np.full((part.start.size, 2, 4), np.nan)
     half = max(REFERENCE_HALF_WIDTH, (REFERENCE_LEAST - 1) / 2 * float(np.median(np.diff(part.time))))
     count = max(REFERENCE_LEAST, 2 * half * part.time.size / (part.time[-1] - part.time[0]))
@@ -120,17 +120,17 @@ def _variance(part: Predictions, horizon: float) -> Array:
 
 
 def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]:
-    """Factor on the variance and degrees of freedom at every start, from errors that were seen by then; (S, 2, 4).
+    """Variance factor and degrees of freedom at every start, from errors known by then, both (S, 2, 4).
 
     Args:
         start: Increasing, shape (S,) [s].
         square: Squared errors over their predicted variances, shape (S, 2, 4); NaN where there is none.
-        horizon: [s]; predictions that overlap share their errors.
+        horizon: Horizon [s]; overlapping predictions share their errors.
     """
     factor, freedom = np.ones(square.shape), np.full(square.shape, DRAWN)
     known, seen = np.nan_to_num(square), np.isfinite(square)
     share = min(1.0, START_EVERY / horizon)
-    count, total = np.zeros(square.shape[1:]), np.zeros(square.shape[1:])  # both forgotten up to the start before
+    count, total = np.zeros(square.shape[1:]), np.zeros(square.shape[1:])  # both decayed to the previous start
     past = np.searchsorted(start + horizon + REFERENCE_HALF_WIDTH, start, side="right")
     for s in range(start.size):
         before = max(s - 1, 0)
@@ -146,10 +146,10 @@ def _learned(start: Array, square: Array, horizon: float) -> tuple[Array, Array]
 
 
 def band_scores(pieces: Mapping[float, Sequence[Stated]]) -> dict[str, dict[str, BandScore]]:
-    """How often the bands of a flight held: axis name to horizon [s] as `%g` to the score.
+    """Coverage of the bands of a flight: axis name to horizon [s] as `%g` to the score.
 
     Args:
-        pieces: Horizon [s] to what was stated, in the order of the starts.
+        pieces: Horizon [s] to errors and variances, in the order of the starts.
     """
     found = {f"{horizon:g}": bands_of(each, horizon) for horizon, each in pieces.items()}
     return {axis: {key: _score(bands, k) for key, bands in found.items()} for k, axis in enumerate(AXES)}

@@ -1,19 +1,19 @@
-"""A bank of disturbance filters that learns the levels of the flight that it filters, causally.
+"""A bank of disturbance filters that adapts to the levels of the filtered flight, causally.
 
 The levels of a calm flight mislead in a gusty one: the filter follows the gusts too slowly. So filters with other
-levels, the members, run beside the one with the model's own, and what they say is averaged, axis by axis, by weights
-from the past alone:
+levels, the members, run beside the one with the model's own levels, and their estimates are averaged, axis by axis,
+with weights from the past alone:
 
     log w = log w_0 + eta log L - n / 2 log E
 
-E is the mean square of the errors that a member made 0.5 s ahead, over n such stretches; L is the likelihood of its
-innovations; the past is forgotten with `MEMORY`. E is the judge: what counts is the prediction, and a law that is a
-little wrong, or pose noise that is not white, make the likelihood of one step prefer levels that predict worse. The
-likelihood counts little (eta), but knows at once where the levels are far off, and where an error is one false pose.
+E is the mean square of a member's prediction errors 0.5 s ahead, over n such stretches; L is the likelihood of its
+innovations; the past is forgotten with `MEMORY`. E dominates because prediction is the purpose: with a slightly wrong
+law, or pose noise that is not white, the one-step likelihood prefers levels that predict worse. The likelihood has a
+small weight (eta), but reacts at once to levels that are far off, and to an error caused by a single false pose.
 
-A member knows its levels up to one scale sigma^2 an axis, which it learns from its innovations. It serves the
-likelihood and the predicted error, not the prediction. `start_bank`, then for each stamp `move`, `judge`, `take` and
-`probe`: a state that only ever goes forwards.
+A member knows its levels up to one scale sigma^2 per axis, which it learns from its innovations. The scale enters the
+likelihood and the predicted error, not the prediction. Call `start_bank`, then for each stamp `move`, `judge`, `take`
+and `probe`: the state only moves forwards in time.
 
 Source: D. T. Magill, IEEE Trans. Automatic Control 10 (1965), pp. 434-439, for the bank; A. E. Raftery, M. Karny,
 P. Ettler, Technometrics 52 (2010), pp. 52-66, for forgetting; J. Geweke, G. Amisano, J. Econometrics 164 (2011), pp.
@@ -42,51 +42,51 @@ POWERS = 8.0 ** np.array([0, -1, 1, -2, 2, -3, 3, -4, 4])
 """Factors on the power of the wind at equal pose noise."""
 
 RATES = np.array([1.0, 0.4, 2.5])
-"""Factors on the damping of the wind; the power goes with their square, as it does over recorded flights."""
+"""Factors on the damping of the wind; the power scales with their square, as it does over recorded flights."""
 
 MEMORY = 20.0
-"""Time after which the past counts 1/e [s]."""
+"""Time after which the weight of the past has decayed to 1/e [s]."""
 
 OWN_SHARE = 0.5
 """Prior weight of the model's own levels."""
 
 AHEAD = 0.5
-"""How far ahead members are judged [s]; further ahead errors are too few to learn from in a minute."""
+"""Horizon at which members are judged [s]; at longer ones there are too few errors in a minute to learn from."""
 
 EVERY = 0.1
 """Time between the predictions that are judged [s]."""
 
 PENDING = 8
-"""Predictions that wait for their judgement at the most."""
+"""Largest number of predictions waiting to be judged."""
 
 SHARPNESS = 2.0
-"""Independent errors that a stretch of `AHEAD` counts for: members err alike, so that their differences are surer."""
+"""Number of independent errors that a stretch of `AHEAD` counts as: members err alike, so differences are surer."""
 
 TEMPER = 0.02
 """eta."""
 
 SCALE_FREEDOM = 30.0
-"""Innovations that the scale of the model's own levels counts for."""
+"""Number of innovations that the scale of the model's own levels counts as (prior degrees of freedom)."""
 
 
 class Bank(NamedTuple):
     """M members before the next stamp; arrays are changed in place.
 
     Attributes:
-        covariance: Of the disturbance, at the member's levels, shape (M, 3, 3, 3).
-        state: Of the data less the driven response, of two unit trims, of two unit start velocities, shape (M, 5, 6).
-        known: Trims (heading frame) and start velocities (world), as far as the data tell, shape (M, 4).
+        covariance: Covariance of the disturbance, at the member's levels, shape (M, 3, 3, 3).
+        state: Filtered data minus driven response, two unit trims and two unit start velocities, shape (M, 5, 6).
+        known: Estimates of trims (heading frame) and start velocities (world), shape (M, 4).
         spread: Their covariance, at the member's levels, shape (M, 4, 4).
-        squares: Sum of squares behind the scale of each axis, shape (M, 2).
-        freedom: How many they are, shape (M, 2).
-        likelihood: Logarithm of L, of each axis, shape (M, 2).
-        error: Sum of the squared errors behind E, shape (M, 2).
-        errors: How many they are, shape (2,).
-        waiting: Disturbance as predicted for now by what waits for its judgement, shape (PENDING, M, 6).
-        believed: `known` when it was predicted, shape (PENDING, M, 4).
-        due: When it is judged, shape (PENDING,) [s].
-        judged: Whether it has been, on each axis, shape (PENDING, 2).
-        probed: When something was last predicted, shape (1,) [s].
+        squares: Sum of squares of the scale of each axis, shape (M, 2).
+        freedom: Number of squares, shape (M, 2).
+        likelihood: Logarithm of L for each axis, shape (M, 2).
+        error: Sum of the squared errors of E, shape (M, 2).
+        errors: Number of those errors, shape (2,).
+        waiting: Disturbance now, as predicted by the predictions that wait to be judged, shape (PENDING, M, 6).
+        believed: `known` at the time of prediction, shape (PENDING, M, 4).
+        due: Time of judgement, shape (PENDING,) [s].
+        judged: Whether it has been judged on each axis, shape (PENDING, 2).
+        probed: Time of the last prediction, shape (1,) [s].
     """
 
     covariance: Array
@@ -106,13 +106,14 @@ class Bank(NamedTuple):
 
 
 def bank_levels(levels: Array, adapt: bool) -> Array:
-    """Levels of the members, class by class of equal wind damping, the model's own first.
+    """Levels of the members, grouped in classes of equal wind damping, the model's own first.
 
     Args:
         levels: q, r, alpha, kappa of two axes, shape (2, 4).
-        adapt: False for the model's own only.
+        adapt: False for only the model's own levels.
 
     Returns:
+        Shape (A, G, 2, 4): A classes of G members.
         Shape (A, G, 2, 4): A classes of G members.
     """
     if not adapt:
@@ -124,7 +125,7 @@ def bank_levels(levels: Array, adapt: bool) -> Array:
 
 
 def start_bank(levels: Array, prior: Array) -> Bank:
-    """A bank before the first stamp. Made by Python, as all arrays here: in a kernel each takes its time to compile.
+    """A bank before the first stamp. Arrays are allocated in Python: in a kernel each takes time to compile.
 
     Args:
         levels: From `bank_levels`, shape (A, G, 2, 4).
@@ -154,7 +155,7 @@ def start_bank(levels: Array, prior: Array) -> Bank:
 
 
 def bank_tables(steps: Array, levels: Array) -> tuple[Array, Array]:
-    """Transitions and unit covariances of every class, axis and distinct step: twice (A, 2, U, 3, 3)."""
+    """Transitions and unit-power covariances of every class, axis and distinct step: two arrays (A, 2, U, 3, 3)."""
     A = levels.shape[0]
     F, Q = np.zeros((2, A, 2, steps.size, 3, 3))
     for g, a in np.ndindex(A, 2):
@@ -164,7 +165,7 @@ def bank_tables(steps: Array, levels: Array) -> tuple[Array, Array]:
 
 @inner()
 def fade(z: Array, row: int, column: int, F: Array, g: int, k: int, c: float, s: float) -> None:
-    """Moves the disturbance z[row, column] (6,) of class g by step k of F; c and s belong to half the turn."""
+    """Propagates the disturbance z[row, column] (6,) of class g by step k of F; c and s are for half the turn."""
     n, v, w = z[row, column, 0], z[row, column, 1], z[row, column, 2]
     N, V, W = z[row, column, 3], z[row, column, 4], z[row, column, 5]
     if s != 0.0:
@@ -185,7 +186,7 @@ def fade(z: Array, row: int, column: int, F: Array, g: int, k: int, c: float, s:
 
 @inner(fastmath={"contract"})
 def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: float) -> None:
-    """Moves a bank by one step, number k of the tables, of dt [s] while the heading turns by `turn` [rad]."""
+    """Propagates a bank by one step of dt [s], index k in the tables, while the heading turns by `turn` [rad]."""
     G = levels.shape[1]
     M = levels.shape[0] * G
     covariance, state, waiting, judged = bank.covariance, bank.state, bank.waiting, bank.judged
@@ -211,7 +212,7 @@ def move(bank: Any, levels: Array, F: Array, Q: Array, k: int, turn: float, dt: 
 
 @inner(fastmath={"contract"})
 def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
-    """Compares what was predicted for now, t [s], with what `take` will take; see there."""
+    """Compares predictions that are due at time t [s] with the measurement; arguments as for `take`."""
     at = 3 * axis + (1 if rate else 0)
     judged, due, waiting, believed, error = bank.judged, bank.due, bank.waiting, bank.believed, bank.error
     for i in range(PENDING):
@@ -228,14 +229,14 @@ def judge(bank: Any, axis: int, rate: Any, measured: Array, t: float) -> None:
 
 @inner(fastmath={"contract"})
 def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array, gain: Array, e: Array, along: Array) -> None:
-    """Takes a measurement of one axis into all members.
+    """Updates all members with a measurement of one axis.
 
     Args:
         bank: Changed in place.
         levels: Shape (A, G, 2, 4).
         axis: 0 or 1.
         rate: Whether a velocity was measured, else a position.
-        measured: Along the axis: data less the driven response, then the response to two unit trims and two unit start
+        measured: Along the axis: data minus driven response, then the response to two unit trims and two unit start
             velocities, shape (5,).
         gain: Work space, shape (6,).
         e: Work space, shape (5,).
@@ -271,7 +272,7 @@ def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array, gain: 
                     spread[m, j, i] -= share * along[i]
         square, n = innovation * innovation / variance, freedom[m, axis]
         scale = squares[m, axis] / n
-        # Student's t with n degrees of freedom; what its normalisation lacks of a Gaussian's is the same for all.
+        # Student's t with n degrees of freedom; the difference of its normalisation from a Gaussian's is common to all.
         likelihood[m, axis] -= 0.5 * np.log(variance * scale) + 0.5 * (n + 1) * np.log1p(square / (n * scale))
         squares[m, axis] += square
         freedom[m, axis] += 1.0
@@ -279,7 +280,7 @@ def take(bank: Any, levels: Array, axis: int, rate: Any, measured: Array, gain: 
 
 @inner()
 def probe(bank: Any, t: float) -> None:
-    """Sets down what every member predicts, so that it is judged `AHEAD`; not where there is only one."""
+    """Stores every member's prediction, to be judged after `AHEAD`; does nothing with a single member."""
     if bank.known.shape[0] == 1 or t < bank.probed[0] + EVERY:
         return
     oldest = 0
@@ -302,7 +303,7 @@ def probe(bank: Any, t: float) -> None:
 
 @inner()
 def disturbance(state: Array, known: Array, m: int, i: int) -> float:
-    """Number i of the disturbance of one member, less what it takes for trims and start velocities."""
+    """Element i of the disturbance of one member, minus the share explained by trims and start velocities."""
     z = state[m, 0, i]
     for j in range(4):
         z -= known[m, j] * state[m, 1 + j, i]
@@ -310,7 +311,7 @@ def disturbance(state: Array, known: Array, m: int, i: int) -> float:
 
 
 def weights(bank: Bank) -> Array:
-    """Weights of the members, of each axis, shape (M, 2)."""
+    """Weights of the members for each axis, shape (M, 2)."""
     out: Array = np.empty((len(bank.known), 2))
     fill_weights(bank, out)
     return out
@@ -318,7 +319,7 @@ def weights(bank: Bank) -> Array:
 
 @kernel()
 def fill_weights(bank: Any, out: Array) -> None:
-    """Fills them, (M, 2)."""
+    """Fills the weights, shape (M, 2)."""
     M = bank.known.shape[0]
     for a in range(2):
         least = bank.error[0, a]
@@ -342,21 +343,21 @@ def fill_weights(bank: Any, out: Array) -> None:
 
 
 STRAIGHT = 1e-6
-"""Damping below which the motion is taken as undamped [1/s]."""
+"""Damping below which the motion is treated as undamped [1/s]."""
 
 
 @dataclass(frozen=True)
 class StartState:
-    """At S starts, about K axes, each along itself as the heading then is, in A classes of equal wind damping.
+    """States at S starts, for K axes along the heading of the start, in A classes of equal wind damping.
 
-    A state has six numbers: what trims and start velocities add to the position and to the velocity of the axis, its
-    trim, and n, s, s' of the disturbance.
+    A state has six elements: the contributions of trims and start velocities to the position and velocity of the axis,
+    its trim, and n, s, s' of the disturbance.
 
     Attributes:
         share: Weight of each class, shape (S, A, K).
-        mean: Its mean state, shape (S, A, K, 6).
-        covariance: Its covariance, shape (S, A, K, 6, 6).
-        power: Its power of the wind q, shape (S, A, K).
+        mean: Mean state of each class, shape (S, A, K, 6).
+        covariance: Covariance of the state, shape (S, A, K, 6, 6).
+        power: Power q of the wind in each class, shape (S, A, K).
         noise: Variance of one measurement, shape (S, K).
         rates: Damping alpha and overlap kappa of each class, shape (A, K, 2).
         damping: b, shape (K,) [1/s].
@@ -371,10 +372,10 @@ class StartState:
     damping: Array
 
     def variance(self, ahead: float) -> Array:
-        """Predicted variance of position and velocity, shape (S, 2, K), as if the law and its coefficients were known.
+        """Predicted variance of position and velocity, shape (S, 2, K), given the law and its coefficients.
 
         Args:
-            ahead: How long after the start [s].
+            ahead: Time after the start [s].
         """
         A, K = self.share.shape[1:]
         ways, Q = np.empty((A, K, 2, 6)), np.empty((A, K, 3, 3))
@@ -397,11 +398,11 @@ class StartState:
 
 
 def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartState:
-    """The states at S starts.
+    """The states at S starts from the rows filled by `sum_bank`.
 
     Args:
-        rows: Of `sum_bank`, shape (S, `row_size(A)`).
-        levels: Of the members, shape (A, G, 2, 4).
+        rows: Shape (S, `row_size(A)`).
+        levels: Levels of the members, shape (A, G, 2, 4).
         damping: b, shape (2,) [1/s].
     """
     A = levels.shape[0]
@@ -413,19 +414,19 @@ def start_state_from_rows(rows: Array, levels: Array, damping: Array) -> StartSt
 
 
 def row_size(A: int) -> int:
-    """Numbers of a row: share, mean, covariance and power of A classes, and the noise."""
+    """Length of a row: share, mean, covariance and power of A classes for two axes, and the noise."""
     return 2 * A * (1 + 6 + 36 + 1) + 2
 
 
 class Sum(NamedTuple):
-    """What the M members of a bank know together, and work space. Filled in place.
+    """Combined estimate of the M members of a bank, and work space. Filled in place.
 
     Attributes:
-        known: Trims and start velocities as each axis has them, shape (2, 4).
-        add: What they add to the world position and velocity, shape (4,).
-        parts: The disturbance, in shares of the classes that add up, shape (A, 1, 6).
-        weight: Of the members, of each axis, shape (M, 2).
-        effect: Work space: of a unit trim or start velocity on the six numbers of a state, shape (4, 6).
+        known: Trims and start velocities by the weights of each axis, shape (2, 4).
+        add: Their contribution to the world position and velocity, shape (4,).
+        parts: The disturbance, as contributions of the classes that sum up, shape (A, 1, 6).
+        weight: Weights of the members for each axis, shape (M, 2).
+        effect: Work space: effect of a unit trim or start velocity on the six elements of a state, shape (4, 6).
         half: Work space, shape (4, 6).
         means: Work space: mean states of the members, shape (M, 6).
     """
@@ -440,7 +441,7 @@ class Sum(NamedTuple):
 
 
 def empty_sum(levels: Array) -> Sum:
-    """Where `sum_bank` puts its result, for members with levels (A, G, 2, 4)."""
+    """An empty result for `sum_bank`, for members with levels (A, G, 2, 4)."""
     A, G = levels.shape[:2]
     work = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((A * G, 6))
     return Sum(np.zeros((2, 4)), np.zeros(4), np.zeros((A, 1, 6)), np.zeros((A * G, 2)), *work)
@@ -448,17 +449,17 @@ def empty_sum(levels: Array) -> Sum:
 
 @inner()
 def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: Any, rows: Array, row: int) -> None:
-    """What the members of a bank know together, each axis of the heading frame by its own weights.
+    """Combines the estimates of the members of a bank, each axis of the heading frame with its own weights.
 
     Args:
         bank: The bank.
-        levels: Of its members, shape (A, G, 2, 4).
+        levels: Levels of its members, shape (A, G, 2, 4).
         driven: State of the motion, of two unit trims and of two unit start velocities; see `general_step.P`.
         c: Cosine of the heading.
         s: Its sine.
         both: A `Sum`, filled.
-        rows: For `start_state_from_rows`, zeros, shape (S, `row_size(A)`); one of them is filled.
-        row: Which.
+        rows: Zeros, shape (S, `row_size(A)`); one row is filled, for `start_state_from_rows`.
+        row: Index of that row.
     """
     A, G = levels.shape[0], levels.shape[1]
     M = A * G
@@ -466,7 +467,7 @@ def sum_bank(bank: Any, levels: Array, driven: Array, c: float, s: float, both: 
     state, believed, spread, covariance = bank.state, bank.known, bank.spread, bank.covariance
     squares, freedom = bank.squares, bank.freedom
     fill_weights(bank, weight)
-    # the row holds share, mean, covariance, power and noise, from these places on
+    # the row holds share, mean, covariance, power and noise, starting at these indices
     second, third, fourth, fifth = 2 * A, 14 * A, 86 * A, 88 * A
     for i in range(4):
         add[i] = 0.0

@@ -1,8 +1,8 @@
-"""The motion under the general law of `structure`, with every sensitivity that the likelihood needs.
+"""The motion under the general law of `core.laws`, with every sensitivity that the likelihood needs.
 
-Between two events (a switch of the delayed command, a pose) the command is constant, and `move` leads from one
-to the next, all columns at once. The derivative by the delay enters at the switches: an impulse into the velocity, or
-into the lagged input where there is a lag. A zero makes every switch an impulse into the acceleration.
+Between two events (a switch of the delayed command, a pose) the command is constant, and `move` propagates all columns
+at once from one to the next. The derivative with respect to the delay enters at the switches: an impulse into the
+velocity, or into the lagged input where there is a lag. With a zero every switch is an impulse into the acceleration.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ from rotorfit.dynamics.general_step import (
 )
 
 WARM_UP = 0.6
-"""Time before the first scored pose over which the lagged input is followed [s]: the longest delay that is searched."""
+"""Time before the first scored pose over which the lagged input is simulated [s]: the longest delay searched."""
 
 _DRAG_STEP = 0.005
 
@@ -41,7 +41,7 @@ _SERIES_REACH = 0.5
 
 @inner()
 def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
-    """Fills what the commands u (K,) demand of every column."""
+    """Fills the demand of the commands u (K,) in every column."""
     K, C = law.shape[0], what.size
     for a in range(K):
         other = u[1 - a] if K == 2 else 0.0
@@ -56,7 +56,7 @@ def demands(law: Array, what: Any, whose: Any, u: Array, z: Array) -> None:
 
 @inner()
 def _led(law: Array, z: Array, C: int, sign: float) -> None:
-    """Adds Z / T of the demand to the acceleration of a second order: before a switch taken off, after it put on."""
+    """Adds sign times Z / T times the demand to the acceleration of a second order: -1 before, +1 after a switch."""
     for a in range(law.shape[0]):
         if law[a, ORDER] == 2 and law[a, ZERO] != 0.0:
             lead = sign * law[a, ZERO] / law[a, LAG]
@@ -66,7 +66,7 @@ def _led(law: Array, z: Array, C: int, sign: float) -> None:
 
 @inner()
 def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new: float, psi: float) -> None:
-    """The delayed command of axis `at` becomes `new`; the derivative by its delay gets its impulse."""
+    """Switches the delayed command of axis `at` to `new` and applies the impulse to the derivative by its delay."""
     K, C = law.shape[0], what.size
     before0, before1 = z[W], z[W + COLUMNS * (K - 1)]
     _led(law, z, C, -1.0)
@@ -98,7 +98,7 @@ def _switch(law: Array, what: Any, whose: Any, z: Array, u: Array, at: int, new:
 
 @inner()
 def settle(law: Array, z: Array, C: int, yaw: float) -> None:
-    """Fills the lagged parts of C columns as after long holding the command in force, at their world velocities."""
+    """Fills the lagged parts of C columns with their steady values under the present command and world velocity."""
     c, s = np.cos(yaw), np.sin(yaw)
     for j in range(C):
         x, y = z[V + j], z[V + COLUMNS + j]
@@ -111,7 +111,7 @@ def settle(law: Array, z: Array, C: int, yaw: float) -> None:
 
 @inner()
 def longest_step(law: Array) -> float:
-    """Length of the steps into which a longer stretch is cut [s]."""
+    """Longest admissible step [s]; longer stretches are subdivided."""
     longest = np.inf
     for a in range(law.shape[0]):
         if law[a, ORDER] > 0:
@@ -130,32 +130,32 @@ def advance(
     law: Array, series: Array, longest: float, what: Any, whose: Any, z: Array, u: Array,
     S: Array,
 ) -> None:  # fmt: skip
-    """Moves all columns from t to t_end through every switch on the way, in place.
+    """Propagates all columns from t to t_end through every switch in between, in place.
 
     Args:
         t: Start [s].
         t_end: End [s].
         yaw: Heading at t [rad]; linear in between.
         yaw_end: Heading at t_end [rad].
-        k: Command in force of each axis, shape (K,).
+        k: Index of the command in force on each axis, shape (K,); updated.
         last: One past the last command that may come into force.
         command_time: Shape (M,) [s].
         command: Shape (M, K).
-        law: Numbers of the law by axis, shape (K, LAW_SIZE).
-        series: Of `lag_series`.
-        longest: Of `longest_step`.
-        what: Place of the law by which each column is the derivative, or `MEAN`, `START`, `NOTHING`, shape (C,); the
-            mean comes first.
+        law: Vectors of the law by axis, shape (K, LAW_SIZE).
+        series: From `lag_series`.
+        longest: From `longest_step`.
+        what: Index in the law of the parameter that each column is the derivative by, or `MEAN`, `START`, `NOTHING`,
+            shape (C,); the mean comes first.
         whose: Axis of that parameter, shape (C,).
-        z: Of the columns, see `P`, shape (STATE,).
-        u: Command in force, shape (K,).
+        z: State of the columns, see `P`, shape (STATE,).
+        u: Command in force, shape (K,); updated.
         S: Work space, shape (K, 3, 12).
     """
     K = law.shape[0]
     begin, span = t, max(t_end - t, 1e-12)
     kicked = law[0, KICKS] + law[K - 1, KICKS] > 0
     while t < t_end:
-        t_next, switch = t_end, K  # which is none
+        t_next, switch = t_end, K  # K means no switch
         for j in range(K):
             if k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t_next:
                 t_next, switch = command_time[k[j] + 1] + law[j, DELAY], j
@@ -179,7 +179,7 @@ def advance(
 def command_in_force(
     t: float, first: int, last: int, command_time: Array, command: Array, law: Array, k: Any, u: Array
 ) -> None:
-    """Fills which command of each axis is in force at t, and its value, both shape (K,)."""
+    """Fills the index and the value of the command in force at t on each axis, both shape (K,)."""
     for j in range(law.shape[0]):
         k[j] = first
         while k[j] + 1 < last and command_time[k[j] + 1] + law[j, DELAY] <= t:
@@ -213,13 +213,13 @@ def motion_response(
         command_time: Shape (M,) [s].
         command: Shape (M, K); two axes are forward and left.
         weight: One over the number of poses of each block, shape (B,).
-        yaw: Heading at the poses, shape (N,) [rad]; linear in between; one axis does not look at it.
-        law: Numbers of the law by axis, shape (K, LAW_SIZE).
-        what: Of each column, see `advance`, shape (C,).
-        whose: Axis of that parameter, shape (C,); of a velocity at the start, its world component.
-        velocity: World, at the start of each segment, shape (S, K).
+        yaw: Heading at the poses, shape (N,) [rad]; linear in between; ignored for one axis.
+        law: Vectors of the law by axis, shape (K, LAW_SIZE).
+        what: Parameter of each column, see `advance`, shape (C,).
+        whose: Axis of that parameter, shape (C,); for a start velocity, its world component.
+        velocity: World velocity at the start of each segment, shape (S, K).
 
-    Returns:
+        Returns:
         Shape (B, C, K), world components where K is 2.
     """
     K = len(law)
@@ -237,7 +237,7 @@ def _motion_response(
     command: Array, weight: Array, yaw: Array, law: Array, what: Any, whose: Any, velocity: Array, series: Array,
     z: Array, u: Array, S: Array, k: Any, out: Array,
 ) -> None:  # fmt: skip
-    """The loop; what follows `series` is work space, zeros."""
+    """The compiled loop; the arguments after `series`, except `out`, are work space filled with zeros."""
     C, K = what.size, law.shape[0]
     longest = longest_step(law)
     lagged = max(law[0, ORDER], law[K - 1, ORDER]) > 0
@@ -276,9 +276,9 @@ def _motion_response(
 
 @inner()
 def _begin(law: Array, what: Any, whose: Any, z: Array, velocity: Array, yaw: float) -> None:
-    """Sets the trims, and the world velocity of a start in the place of that of the warm-up.
+    """Sets the trims, and replaces the world velocity of the warm-up by that of the start.
 
-    The acceleration of a second order answers to the change of velocity and to the trim as it would after its lag.
+    The acceleration of a second order takes the value that it would have, after its lag, at the new velocity and trim.
     """
     K, C = law.shape[0], what.size
     c, s = (np.cos(yaw), np.sin(yaw)) if K == 2 else (1.0, 0.0)

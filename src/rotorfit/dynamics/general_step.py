@@ -1,8 +1,8 @@
-"""One step of the motion under the general law of `structure`: the demand, the linear step, the kicks.
+"""One step of the motion under the general law of `core.laws`: the demand, the linear step, the kicks.
 
-The linear part of the law, lag included, is stepped in closed form. Quadratic drag and the damping across the axes act
-as kicks on the velocity, half before and half after each linear step (Strang splitting, error of second order in a step
-of a few milliseconds). A column is the motion itself or its derivative by one parameter; all columns pass through the
+The linear part of the law, including the lag, is stepped in closed form. Quadratic drag and the damping across the axes
+act as kicks on the velocity, half before and half after each linear step (Strang splitting, with second-order error in
+a step of a few milliseconds). A column is the motion itself or its derivative by one parameter; all columns take the
 same steps.
 
 Source: G. Strang, SIAM J. Numer. Anal. 5 (1968), pp. 506-517, for the splitting.
@@ -31,16 +31,16 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.response import transition
 
 MEAN, START, NOTHING = -1, -2, -3
-"""What a column is besides the derivative by a place of the law: the motion, the derivative by the velocity at the
-start, or nothing."""
+"""Kinds of columns besides the derivative by an element of the law: the motion, its derivative by the start velocity,
+or nothing."""
 
 COLUMNS = 32
-"""The most columns that are moved together."""
+"""Largest number of columns propagated together."""
 
 P, V, Q, W, T = 0, 2 * COLUMNS, 4 * COLUMNS, 6 * COLUMNS, 8 * COLUMNS
-"""Places of the columns in an array of `STATE` numbers, of axis 0 and then of axis 1: world position, world velocity,
-lagged demand (second order: acceleration) in the heading frame, demand, trim. One array with places that the compiler
-knows: it sees that nothing overlaps, and takes four columns at once."""
+"""Offsets of the columns in an array of `STATE` numbers, for axis 0 and then axis 1: world position, world velocity,
+lagged demand (second order: acceleration) in the heading frame, demand, trim. A single array with constant offsets
+shows the compiler that nothing overlaps, so that it vectorises over four columns."""
 
 STATE = 10 * COLUMNS
 
@@ -51,7 +51,7 @@ _INVERSE_FACTORIAL = np.array([1.0 / float(np.prod(np.arange(1, n + 1, dtype=flo
 
 @inner()
 def demand(law: Array, a: int, u: float, other: float) -> float:
-    """The acceleration w that a command of axis a and one of the other axis demand."""
+    """Acceleration w demanded by the commands of axis a and of the other axis."""
     size = min(max(abs(u) - law[a, DEAD], 0.0), law[a, LEVEL])
     signed = size if u >= 0 else -size
     return law[a, GAIN] * (signed + law[a, ASYMMETRY] * size) + law[a, CROSS_INPUT] * other  # type: ignore[no-any-return]
@@ -59,7 +59,7 @@ def demand(law: Array, a: int, u: float, other: float) -> float:
 
 @inner()
 def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> float:
-    """Derivative of the demand by a place of the law."""
+    """Derivative of the demand by an element of the law."""
     over = abs(u) - law[a, DEAD]
     size = min(max(over, 0.0), law[a, LEVEL])
     sign = 1.0 if u >= 0 else -1.0
@@ -75,9 +75,9 @@ def demand_slope(law: Array, a: int, place: int, u: float, other: float) -> floa
 
 
 def lag_series(law: Array) -> Array:
-    """Power series of the answer to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
+    """Power series of the response to an impulse into v'' where v'' = -A v' - B v, by axis: shape (K, 2, 2, terms).
 
-    The answer's integral and its second integral; each with its derivative by B. All else follows, see `linear_step`.
+    The first and second integrals of the response, each with its derivative by B; `linear_step` derives all else.
     """
     out: Array = np.zeros((len(law), 2, 2, _TERMS))
     if np.any(law[:, ORDER]):
@@ -87,7 +87,7 @@ def lag_series(law: Array) -> Array:
 
 @kernel()
 def _fill_lag_series(law: Array, raw: Array, out: Array) -> None:
-    """Fills them; `raw` is work space, zeros."""
+    """Fills the series; `raw` is work space filled with zeros."""
     for a in range(law.shape[0]):
         if law[a, ORDER] == 0:
             continue
@@ -113,10 +113,12 @@ def _lag_rates(law: Array, a: int) -> Any:
 def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     """Fills the linear step of axis a and its derivatives by the linear damping and by the rate of the lag.
 
-    S[a] has shape (3, 12): in each row what p gains, v and q become (four each) from v, q, the demand and the trim.
+    S[a] has shape (3, 12): each row has four coefficients each for the gain in p and the new v and q, as functions of
+    v, q, the demand and the trim.
 
-    With G the answer of `lag_series`, D its derivative, J and H its integrals: G + A J + B H = t and D + A G + B J = 1;
-    the derivative of each by A is that by B of the next one in the row H, J, G, D.
+    With G the response of `lag_series`, D its derivative, J and H its integrals: G + A J + B H = t and D + A G + B J =
+    1;
+    the derivative of each by A equals the derivative by B of the next in the sequence H, J, G, D.
     """
     order, beta = law[a, ORDER], law[a, DAMPING] * (1.0 - law[a, SHARE])
     if order < 2:
@@ -128,7 +130,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     rate = 1.0 / law[a, LAG]
     A, B = _lag_rates(law, a)
     reach = dt * max(A, np.sqrt(B))
-    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # what is left out is below 1e-12 of it
+    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else _TERMS)  # relative truncation error below 1e-12
     J = H = JB = HB = 0.0
     for n in range(terms - 1, -1, -1):
         J, JB = J * dt + series[a, 0, 0, n], JB * dt + series[a, 0, 1, n]
@@ -165,7 +167,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
 
 @inner(fastmath={"contract"})
 def _turn_velocities(z: Array, C: int, c: float, s: float) -> None:
-    """Turns the frame of the velocities of all columns, in place."""
+    """Rotates the frame of the velocities of all columns, in place."""
     for j in range(C):
         x, y = z[V + j], z[V + COLUMNS + j]
         z[V + j], z[V + COLUMNS + j] = c * x + s * y, c * y - s * x
@@ -173,7 +175,7 @@ def _turn_velocities(z: Array, C: int, c: float, s: float) -> None:
 
 @inner()
 def _kick(law: Array, what: Any, whose: Any, z: Array, c: float, s: float, dt: float) -> None:
-    """Quadratic drag and the damping across act for dt on the velocities of all columns; c and s are of the heading."""
+    """Applies quadratic drag and cross damping for dt to the velocities of all columns; c and s are of the heading."""
     K, C = law.shape[0], what.size
     if K == 2:
         _turn_velocities(z, C, c, s)
@@ -245,7 +247,7 @@ def _move_plane(z: Array, S: Array, c: float, s: float, C: int) -> None:
 
 @inner(fastmath={"contract"})
 def move(law: Array, what: Any, whose: Any, z: Array, S: Array, c: float, s: float, dt: float, kicked: bool) -> None:
-    """Moves all columns by dt; `S` (K, 3, 12) holds the linear step, the heading has cosine c and sine s."""
+    """Propagates all columns by dt; `S` (K, 3, 12) holds the linear step, the heading has cosine c and sine s."""
     K, C = law.shape[0], what.size
     if kicked:
         _kick(law, what, whose, z, c, s, 0.5 * dt)

@@ -1,8 +1,8 @@
 """Position -> velocity and acceleration: a polynomial fitted by least squares around every stamp.
 
-The stamps are taken as they are: irregular, jittered, with holes where stale poses were dropped. Nothing is resampled.
+The stamps are used as they are: irregular, jittered, with gaps where stale poses were dropped. Nothing is resampled.
 
-What was measured in a segment, on one clock, and the velocity of reference: what the prediction protocol needs.
+Also the measurements of a segment on one clock, with the reference velocity, for the prediction protocol.
 """
 
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from rotorfit.core.results import Motion
 from rotorfit.dynamics.compiled import kernel
 
 NANOSECOND = 1e-9
-"""Grace at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not decide
-whether a sample on the edge belongs."""
+"""Tolerance at the edge of a window [s]: stamps are whole nanoseconds, and the rounding of their difference must not
+decide whether a sample on the edge belongs to the window."""
 
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Local polynomials at M stamps, of K columns; where there is no result all is NaN and `centred` is False.
+    """Local polynomials at M stamps, for K columns; without a result all values are NaN and `centred` is False.
 
     Attributes:
         value: The polynomial's own value, shape (M, K), in the unit of the data.
         velocity: First time derivative, shape (M, K) [unit/s].
         acceleration: Second time derivative, shape (M, K) [unit/s^2].
-        half_width: Half the width of the window that was used, after widening, shape (M,) [s].
-        count: Number of samples in it, shape (M,); 0 where there is no result.
-        centred: Whether the data reach both edges of the window, shape (M,). Where they do not (next to the ends of
-            the data and of holes longer than `max_gap`) the fit is one-sided and its derivatives are much noisier.
+        half_width: Half width of the window used, after widening, shape (M,) [s].
+        count: Number of samples in it, shape (M,); 0 without a result.
+        centred: Whether the data reach both edges of the window, shape (M,). Where they do not (near the ends of the
+            data and of gaps longer than `max_gap`) the fit is one-sided and its derivatives are much noisier.
     """
 
     value: Array
@@ -52,12 +52,12 @@ def local_polynomial(
     least: int | None = None,
     max_gap: float = 1.0,
 ) -> Derivatives:
-    """Fits an unweighted polynomial to the samples within `at` +- `half_width`, for each stamp of `at`; differentiates.
+    """Fits an unweighted polynomial to the samples within `half_width` of each stamp in `at`, and differentiates it.
 
-    A window that holds fewer than `least` samples is widened, symmetrically in time, until it holds them. A hole
-    between two samples longer than `max_gap` cuts the data into runs, and no window reaches over it. There is no result
-    (NaN) at a stamp inside such a hole, before the first or after the last sample, or in a run of fewer than `least`
-    samples. A NaN among the samples makes the windows that hold it NaN.
+    A window with fewer than `least` samples is widened, symmetrically in time, until it holds them. A gap longer than
+    `max_gap` between two samples splits the data into runs, and no window crosses it. There is no result (NaN) at a
+    stamp inside such a gap, before the first or after the last sample, or in a run of fewer than `least` samples. A NaN
+    sample makes the windows that contain it NaN.
 
     Each fit projects on polynomials that are orthogonal on the stamps of its own window (Forsythe's recurrence, time in
     units of the window), so no normal equations are formed; it is exact for polynomials up to `degree`.
@@ -65,17 +65,17 @@ def local_polynomial(
     Args:
         time: Strictly increasing stamps, shape (N,) [s].
         value: Samples, shape (N, K); angles unwrapped.
-        at: Stamps to differentiate at, in any order, shape (M,) [s].
-        half_width: Half the width of the window [s].
-        degree: Of the polynomial, at least 2.
-        least: Smallest number of samples in a window, more than `degree`; None for `degree` + 2.
-        max_gap: Longest hole between two samples that a window may reach over [s].
+        at: Stamps at which to differentiate, in any order, shape (M,) [s].
+        half_width: Half width of the window [s].
+        degree: Degree of the polynomial, at least 2.
+        least: Least number of samples in a window, more than `degree`; None for `degree` + 2.
+        max_gap: Longest gap between two samples that a window may cross [s].
 
     Returns:
-        Value, velocity and acceleration at the M stamps, and how each window came out.
+        Value, velocity and acceleration at the M stamps, with the properties of each window.
 
     Raises:
-        ValueError: For shapes, stamps or numbers that cannot be meant.
+        ValueError: Inconsistent shapes, stamps that are not finite and increasing, or invalid parameters.
 
     Source: G. E. Forsythe, Generation and use of orthogonal polynomials for data-fitting with a digital computer,
     J. SIAM 5 (1957), pp. 74-88. The paper (section 5) says "differentiating ... through polynomial approximation".
@@ -104,7 +104,7 @@ def local_polynomial(
 
 
 def _runs(time: Array, max_gap: float) -> tuple[Indices, Indices]:
-    """First sample of the run that each sample lies in, and one past its last: two arrays of shape (N,)."""
+    """First sample of each sample's run, and one past its last: two arrays of shape (N,)."""
     cuts = np.flatnonzero(np.diff(time) > max_gap) + 1
     edges = np.concatenate([[0], cuts, [len(time)]]).astype(np.int64)
     length = np.diff(edges)
@@ -127,10 +127,10 @@ def _windows(
     width: Array,
     centred: Mask,
 ) -> None:
-    """Fills first sample, one past the last, half-width used, and `centred` of each window, each of shape (M,).
+    """Fills first sample, one past the last, half width used, and `centred` of each window, each of shape (M,).
 
-    `before` is the last sample up to each stamp, `low` the first and `high` one past the last within the half-width.
-    What is filled comes empty: zeros, and NaN for the width.
+    `before` is the last sample up to each stamp, `low` the first and `high` one past the last within the half width.
+    The outputs must be initialised: zeros, and NaN for the width.
     """
     for i in range(at.size):
         t = at[i]
@@ -169,7 +169,7 @@ def _project(
     """Fills value and two derivatives at each stamp by projection on orthogonal polynomials, shape (3, M, K).
 
     The recurrence p[k+1] = (s - a) p[k] - b p[k-1] runs on the samples and, with its derivatives, at the stamp (s = 0).
-    In the work space, as long as the longest window, lie s, p[k] and p[k-1]; in `at_zero` (2, 3) the latter two at 0.
+    The work space, as long as the longest window, holds s, p[k] and p[k-1]; `at_zero` (2, 3) the latter two at 0.
     """
     k_columns = columns.shape[0]
     for i in range(at.size):
@@ -188,7 +188,7 @@ def _project(
             at_zero[0, d] = 1.0 if d == 0 else 0.0
             at_zero[1, d] = 0.0
         norm_old = 1.0
-        # Taking one sample off keeps a flight far from the origin as accurate as one at it.
+        # Subtracting one sample keeps a flight far from the origin as accurate as one at the origin.
         middle = lo + n // 2
         for k_column in range(k_columns):
             result[0, i, k_column] = columns[k_column, middle]
@@ -224,7 +224,7 @@ DEGREE = 5
 """Degree of the differentiating polynomial."""
 
 HALF_WIDTH = 0.25
-"""Half the width of the differentiating window [s].
+"""Half width of the differentiating window [s].
 
 Chosen on simulated flights, set B of the published coefficients. White noise of 0.5 mm at 120 Hz becomes 1.9 mm/s of
 velocity and 24 mm/s^2 of acceleration, and 99.2 % of an acceleration at 1 Hz passes; a cubic of the same noise
@@ -234,27 +234,28 @@ velocity and 24 mm/s^2 of acceleration, and 99.2 % of an acceleration at 1 Hz pa
 """
 
 LEAST = 11
-"""Smallest number of poses in a window, so that slow recordings get a wider one.
+"""Least number of poses in a window, so that slow recordings get a wider one.
 
-Chosen on simulated flights. At 10 Hz and 5 mm, the paper's inputs on z, noise takes 63 % off the damping with 7 poses,
-37 % with 9, 25 % with 11, 14 % with 15; but 15 poses take up to 15 % off the gain of multisines up to 0.9 Hz.
+Chosen on simulated flights. At 10 Hz and 5 mm, with the paper's inputs on z, noise biases the damping by -63 % with
+7 poses, -37 % with 9, -25 % with 11, -14 % with 15; but 15 poses bias the gain of multisines up to 0.9 Hz by up to
+-15 %.
 """
 
 
 def motion_from_flight(
     flight: Flight, half_width: float = HALF_WIDTH, degree: int = DEGREE, least: int = LEAST
 ) -> Motion:
-    """Differentiates the pose of a flight and holds the command against it, at the stamps of the poses.
+    """Differentiates the poses of a flight, with the command held at the stamp of each pose.
 
-    Poses outside the segments are not looked at: what moved the vehicle there is not known. Left out are stamps whose
-    window leaves the segment or holds a hole longer than half of itself, because one-sided fits are noisy (the
-    acceleration at the very end of a run has 100 times the noise of one in its middle).
+    Poses outside the segments are ignored: the commands there are unknown. Stamps whose window leaves the segment, or
+    contains a gap longer than half of itself, are left out, because one-sided fits are noisy (the acceleration at the
+    very end of a run has 100 times the noise of one in its middle).
 
     Args:
         flight: The flight.
-        half_width: Half the width of the window [s].
+        half_width: Half width of the window [s].
         degree: Degree of the polynomial.
-        least: Smallest number of poses in a window.
+        least: Least number of poses in a window.
 
     Returns:
         Commands, velocities and accelerations, possibly of length 0.
@@ -278,23 +279,23 @@ def motion_from_flight(
 
 
 REFERENCE_HALF_WIDTH = 0.125
-"""Of the local cubic that gives the velocity of reference [s]; widened until it holds `LEAST` samples."""
+"""Half width of the local cubic for the reference velocity [s]; widened until it holds `REFERENCE_LEAST` samples."""
 
 REFERENCE_LEAST = 7
 
 
 @dataclass(frozen=True)
 class MeasuredSegment:
-    """One segment on the clock of the poses, and of the velocities too where axes have nothing else. N stamps.
+    """One segment on the clock of the poses, and of the velocities for axes without poses; N stamps.
 
     Attributes:
         time: Shape (N,) [s].
-        pose: Measured x, y, z, yaw, shape (N, 4); between poses where only the velocity has a stamp.
-        reference: Velocity that predictions are held against, shape (N, 4), NaN where there is none.
+        pose: Measured x, y, z, yaw, shape (N, 4) [m, rad]; interpolated where only the velocity has a stamp.
+        reference: Velocity that predictions are compared with, shape (N, 4), NaN where there is none.
         alone: Axes that are tracked by their velocity.
         velocity: World, shape (N, 4), NaN where there is none; None where every axis has poses.
-        tracked: Whether what tracks each axis was measured at a stamp, shape (N, 4); None likewise.
-        rounding: Variance that the rounding adds to the velocity of the lone axes, shape (4,).
+        tracked: Whether the measurement that tracks each axis exists at a stamp, shape (N, 4); None likewise.
+        rounding: Variance added by the rounding of the velocity of axes without poses, shape (4,).
     """
 
     time: Array
@@ -306,7 +307,7 @@ class MeasuredSegment:
     rounding: Array = field(default_factory=lambda: np.zeros(len(AXES)))
 
     def velocity_of(self, pair: Sequence[int]) -> tuple[Array, Mask, Mask]:
-        """What `predict` needs of two axes: velocities, what was measured when, and which has velocities only."""
+        """Inputs of `Forecast` for two axes: velocities, what was measured when, and which have velocities only."""
         if self.velocity is None or self.tracked is None:
             return np.empty((0, 2)), np.ones((self.time.size, 2), bool), np.zeros(2, bool)
         alone = np.array([AXES[i] in self.alone for i in pair])
@@ -315,7 +316,7 @@ class MeasuredSegment:
 
 
 def seen_in(flight: Flight, low: float, high: float) -> MeasuredSegment:
-    """What a flight measured between two times [s]."""
+    """What a flight measured between two times, both included [s]."""
     inside = (flight.pose_time >= low) & (flight.pose_time <= high)
     t, pose = flight.pose_time[inside], np.column_stack([flight.position, flight.yaw])[inside]
     if flight.velocity is None or not flight.velocity_only or not t.size:

@@ -1,8 +1,8 @@
 """The exact response of one axis under a linear law with a lag, with every sensitivity that the likelihood needs.
 
-`general_response` knows every law and two axes, `axis_response` the first-order law of one axis; this is between them,
-for a lag on the input, T q' = w - q, and for a second order with a zero, T v'' + v' + b v = w + Z w'. The motion of one
-axis under a linear law is the sum of what input, trim and start velocity do, so that few numbers need to be followed.
+`general_response` handles every law and two axes, `axis_response` the first-order law of one axis; this module covers
+linear laws of one axis with a lag on the input, T q' = w - q, or of second order with a zero, T v'' + v' + b v = w +
+Z w'. Their motion is the sum of the responses to input, trim and start velocity, so few numbers need to be propagated.
 """
 
 from typing import Any
@@ -40,8 +40,8 @@ def lagged_axis_response(
         command_time: Shape (M,) [s].
         command: Shape (M,).
         weight: One over the number of poses of each block, shape (B,).
-        law: Numbers of the law of the axis, shape (1, LAW_SIZE), linear and with a lag.
-        velocity: At the start of each segment, shape (S,) [unit/s].
+        law: Vector of the law of the axis, shape (1, LAW_SIZE), linear and with a lag.
+        velocity: Velocity at the start of each segment, shape (S,) [unit/s].
 
     Returns:
         Shape (B, 8, 1): the position, and its derivatives by g, b, tau, T, Z, c and the velocity at the start of the
@@ -60,7 +60,7 @@ def _lagged_axis_response(
     starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
     command: Array, weight: Array, law: Array, velocity: Array, series: Array, out: Array,
 ) -> None:  # fmt: skip
-    """The loop; `out` is zeros."""
+    """The compiled loop; `out` is filled with zeros."""
     gain, trim, damping, delay = law[0, GAIN], law[0, TRIM], law[0, DAMPING], law[0, DELAY]
     rate, second, lead = 1.0 / law[0, LAG], law[0, ORDER] == 2, law[0, ZERO] / law[0, LAG]
     longest = longest_step(law)
@@ -70,8 +70,8 @@ def _lagged_axis_response(
         while k + 1 < last and command_time[k + 1] + delay <= t:
             k += 1
         u = command[k]
-        # position, velocity and third state (lagged demand; acceleration of a second order) of: a gain of one,
-        # a trim of one, a start velocity of one, and the derivatives by damping, delay, lag and zero
+        # position, velocity and third state (lagged demand, or acceleration of a second order) for: a unit gain,
+        # a unit trim, a unit start velocity, and the derivatives by damping, delay, lag and zero
         gp = gv = cp = cv = cq = sp = sv = sq = 0.0
         bp = bv = bq = tp = tv = tq = lp = lv = lq = zp = zv = zq = 0.0
         gq = u
@@ -124,7 +124,7 @@ def _lagged_axis_response(
                         f, kk, h, df, dk, dh = transition(damping, dt)
                         fade = np.exp(-rate * dt)
                         GB = JA
-                        over = q - w  # what the lag still has to give
+                        over = q - w  # what the lag still has to deliver
                         J1, G1 = JA + rate * JB, GA + rate * GB
                         bp += kk * bv + dk * v + J1 * over + dh * (w + c0)
                         bv = f * bv + df * v + G1 * over + dk * (w + c0)
@@ -155,7 +155,7 @@ def _lagged_axis_response(
                     tv -= lead * gain * change
                     k += 1
                     u = command[k]
-            if warming:  # the velocity is a parameter from here on; an acceleration answers to the change of velocity
+            if warming:  # the velocity is a parameter from here on; an acceleration responds to the change of velocity
                 warming = False
                 v0, c0 = velocity[s], trim
                 if second:
@@ -186,14 +186,14 @@ def _lagged_axis_response(
 
 @inner(inline="always")
 def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float) -> Any:
-    """The answer G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
+    """The response G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
 
     Returns:
         G, J, H, dG/dA, dJ/dA (which is dG/dB), dJ/dB (which is dH/dA), dH/dB; see `general_step.linear_step`.
     """
     A, B = (rate if second else rate + damping), rate * damping
     reach = dt * max(A, np.sqrt(B))
-    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else 12)  # what is left out is below 1e-12 of it
+    terms = 6 if reach < 0.03 else (8 if reach < 0.12 else 12)  # relative truncation error below 1e-12
     J = H = JB = HB = 0.0
     for n in range(terms - 1, -1, -1):
         J = J * dt + series[0, 0, n]

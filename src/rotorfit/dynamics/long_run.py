@@ -1,4 +1,4 @@
-"""The variance of the mean of an autocorrelated series, from its lowest frequencies, and the t that goes with it.
+"""Variance of the mean of an autocorrelated series, from its lowest frequencies, and its t test.
 
 Source: E. Lazarus, D. J. Lewis, J. H. Stock, M. W. Watson, J. Bus. Econ. Stat. 36 (2018), pp. 541-559.
 """
@@ -9,12 +9,12 @@ from rotorfit.core.frames import Array
 
 
 def frequencies(n: int) -> int:
-    """How many low frequencies of a series of n values serve the variance of its mean: Lazarus et al., 0.4 n^(2/3)."""
+    """Number of low frequencies used for the variance of the mean of n values: 0.4 n^(2/3), Lazarus et al."""
     return int(0.4 * n ** (2 / 3) + 1e-9)
 
 
 def variance_of_mean(series: Array, count: int) -> Array:
-    """Covariance (m, m) of the mean of an autocorrelated series (n, m), from so many of its lowest frequencies.
+    """Covariance (m, m) of the mean of an autocorrelated series (n, m), from its `count` >= 1 lowest frequencies.
 
     It is positive by construction, and a t-ratio with it has Student's distribution with `count` degrees of freedom.
 
@@ -28,7 +28,7 @@ def variance_of_mean(series: Array, count: int) -> Array:
 
 
 def two_sided(t: float, freedom: float) -> float:
-    """p-value of a t-ratio."""
+    """Two-sided p-value of a t-ratio."""
     from scipy.special import stdtr
 
     return float(2 * stdtr(freedom, -abs(t)))

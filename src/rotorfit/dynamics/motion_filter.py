@@ -1,8 +1,7 @@
-"""The motion of two axes from pose to pose: the driven motion of the law, and the disturbance beside it.
+"""The motion of two axes from pose to pose: the driven motion of the law, plus the disturbance.
 
-What the likelihood's filter does with a whole flight, sample by sample: the same response, transitions and update. Two
-axes go together: x and y through the heading, or z and yaw side by side under a heading of zero.
-
+It does sample by sample what the likelihood's filter does with a whole flight: same response, transitions and update.
+Two axes are processed together: x and y through the heading, or z and yaw in parallel under a heading of zero.
 Source: paper, eqs. (4) and (5), for the driven motion; R. E. Kalman, J. Basic Eng. 82 (1960), pp. 35-45.
 """
 
@@ -20,34 +19,35 @@ from rotorfit.dynamics.general_response import advance, command_in_force, demand
 from rotorfit.dynamics.general_step import COLUMNS, MEAN, STATE, P, T, V, lag_series
 
 SAMPLES = 30.0
-"""Poses a second that the filter keeps [1/s]: as many as the likelihood's blocks. A pose between two of them is taken,
-too, but forgotten when the next comes."""
+"""Rate of the poses that the filter keeps [Hz]: that of the likelihood's blocks. A pose between two of them is
+processed, too, but discarded when the next comes."""
 
 AHEAD = 1.0
-"""How far the prediction goes [s]."""
+"""Prediction horizon [s]."""
 
 VELOCITY, WIND, WIND_ERROR, GUSTS, LATER, LATER_ERROR = range(6)
-"""What `MotionFilter.told` gives of an axis, see there."""
+"""Columns of the result of `MotionFilter.told`."""
 
 
 @dataclass(frozen=True)
 class MotionFilter:
-    """A filter as it stands. Of its arrays with a leading 2 the first part is at the last pose kept, the other at the
-    last pose; they move.
+    """State of a filter, updated in place.
+
+    In arrays with a leading 2, row 0 is at the last pose kept and row 1 at the last pose.
 
     Attributes:
-        law: Numbers of the general law of both axes, trims with them, shape (2, LAW_SIZE).
-        series: Of `lag_series`.
-        levels: q, r, alpha, kappa of both, shape (2, 4).
-        known: Whether each axis is followed; one that is not only keeps the other company, shape (2,).
-        turns: Whether they are x and y, which the heading turns.
+        law: Vectors of the general law of both axes, including the trims, shape (2, LAW_SIZE).
+        series: From `lag_series`.
+        levels: q, r, alpha, kappa of both axes, shape (2, 4).
+        known: Whether each axis is filtered; otherwise it only accompanies the other, shape (2,).
+        turns: Whether the axes are x and y, which rotate with the heading.
         z: Driven state, shape (2, STATE).
-        k: Command in force of each axis, shape (2, 2).
-        u: Its value, shape (2, 2).
-        mean: Of n, s and s' of each axis, shape (2, 2, 3).
-        covariance: Shape (2, 2, 3, 3).
-        clock: Time, heading, and whether a pose has been taken, shape (2, 3).
-        grid: Time of the first pose, and number of the next that is kept, shape (2,).
+        k: Index of the command in force on each axis, shape (2, 2).
+        u: Value of that command, shape (2, 2).
+        mean: Mean of n, s and s' of each axis, shape (2, 2, 3).
+        covariance: Their covariance, shape (2, 2, 3, 3).
+        clock: Time, heading, and whether a pose has been processed, shape (2, 3).
+        grid: Time of the first pose, and number of the next pose to keep, shape (2,).
     """
 
     law: Array
@@ -65,21 +65,21 @@ class MotionFilter:
 
     @property
     def time(self) -> float:
-        """Of the last pose [s]; of the start before the first."""
+        """Stamp of the last pose [s]; before the first pose, the start."""
         return float(self.clock[1, 0])
 
     def follow(self, time: Array, position: Array, yaw: Array, command_time: Array, command: Array) -> Array:
-        """Takes poses.
+        """Processes poses.
 
         Args:
             time: Later than the last, shape (N,) [s].
-            position: World, shape (N, 3).
+            position: World, shape (N, 3) [m].
             yaw: Unwrapped, shape (N,) [rad].
-            command_time: All commands from that on which `k` counts, shape (M,) [s].
+            command_time: All commands from the one that index 0 in `k` refers to, shape (M,) [s].
             command: Shape (M, 4).
 
         Returns:
-            Of each pose and axis n, s, s', and driven position and velocity, shape (N, 2, 5).
+            For each pose and axis n, s, s', and driven position and velocity, shape (N, 2, 5).
         """
         return _follow(
             time, position, yaw, command_time, command, self.law, self.series, self.levels, self.known, self.turns,
@@ -87,11 +87,13 @@ class MotionFilter:
         )  # fmt: skip
 
     def told(self, command_time: Array, command: Array) -> Array:
-        """The motion at the last pose, shape (2, 6): of each axis
+        """The motion at the last pose, shape (2, 6); for each axis:
 
-        its velocity, world; the wind as an acceleration, and its standard error, of x and y along the heading where
-        both are followed; the standard deviation of the disturbance's velocity; the velocity `AHEAD` later if the last
-        command holds, and its standard error.
+        its world velocity; the wind as an acceleration, and its standard error (for x and y along the heading where
+        both
+        are filtered); the standard deviation of the disturbance's velocity; the velocity `AHEAD` later if the last
+        command
+        holds, and its standard error. NaN for an axis that is not filtered.
 
         Args:
             command_time: As for `follow`.
@@ -110,16 +112,16 @@ def motion_filter(
     """A filter before its first pose.
 
     Args:
-        begin: When it starts [s].
-        position: Where the driven motion begins, shape (2,).
-        velocity: World, shape (2,).
-        yaw: Heading there [rad].
+        begin: Start time [s].
+        position: Initial position of the driven motion, shape (2,).
+        velocity: Initial world velocity, shape (2,).
+        yaw: Initial heading [rad].
         command_time: Shape (M,) [s].
         command: Shape (M, 4).
-        law: As of the filter.
-        levels: As of the filter.
-        known: As of the filter.
-        turns: As of the filter.
+        law: See `MotionFilter`.
+        levels: See `MotionFilter`.
+        known: See `MotionFilter`.
+        turns: See `MotionFilter`.
     """
     z, k, u, heading = np.zeros((2, STATE)), np.zeros((2, 2), np.int64), np.zeros((2, 2)), yaw if turns else 0.0
     mean, covariance = np.zeros((2, 2, 3)), np.zeros((2, 2, 3, 3))
@@ -133,7 +135,7 @@ def _begin(
     begin: float, position: Array, velocity: Array, yaw: float, command_time: Array, command: Array, law: Array,
     levels: Array, turns: bool, z: Array, k: Any, u: Array, covariance: Array,
 ) -> None:  # fmt: skip
-    """Fills the state before the first pose; a lag starts as after long holding the command in force."""
+    """Fills the state before the first pose; a lag starts in its steady state under the command in force."""
     own = command[:, :2] if turns else command[:, 2:]
     what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
     for a in range(2):
@@ -151,7 +153,7 @@ def _moved(
     t: float, until: float, psi: float, yaw: float, command_time: Array, command: Array, law: Array, series: Array,
     z: Array, k: Any, u: Array,
 ) -> None:  # fmt: skip
-    """Moves the driven state."""
+    """Propagates the driven state."""
     what, whose, S = np.full(1, MEAN), np.zeros(1, np.int64), np.zeros((2, 3, 12))
     advance(
         t, until, psi, yaw, k, command_time.size, command_time, command, law, series, longest_step(law), what, whose, z,
@@ -214,7 +216,7 @@ def _told(
             continue
         at, level, b = COLUMNS * a, levels[a], law[a, DAMPING]
         push = variance = 0.0
-        for j in range(2):  # in the heading frame, where dampings and trims stand
+        for j in range(2):  # in the heading frame, in which dampings and trims are defined
             if j != a and not both:
                 continue
             share, m, C = (c if j == a else (s if a == 0 else -s)), mean[j], covariance[j]

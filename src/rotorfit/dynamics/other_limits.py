@@ -1,7 +1,7 @@
-"""Convert: the same drone under other tilt, climb and rotation limits.
+"""Convert: the same vehicle under other tilt, climb and rotation limits.
 
-Gains are per command. Where a command is a fraction of a limit, another limit makes another gain of the same vehicle;
-damping, delay, disturbance and trim are the vehicle's and the air's, and stay.
+Gains are per command. Where a command is a fraction of a limit, another limit changes the gain of the same vehicle;
+damping, delay, disturbance and trim belong to the vehicle and the air, and stay.
 """
 
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ PER_COMMAND: Mapping[str, int] = {
     "level": -1,
     "dead_zone": -1,
 }
-"""Name of a parameter or combination to the power of the factor that it is multiplied by: 1 for what is per command,
--1 for what is in commands. What is not named goes with the noun that holds it; outside of any it stays.
+"""Name of a parameter or combination to the power of the factor that it is multiplied by: 1 for quantities per command,
+-1 for quantities in commands. A number under another name inherits the power of what contains it, 0 at the top level.
 
-Whoever adds a parameter in the unit of the command to a structure adds its line here: coefficients, errors, intervals,
-combinations, optima, predictor and covariance all go by this table. `cross_input` is per command of the other
-horizontal axis, which has the same limit.
+A new parameter in the unit of the command needs a row here: coefficients, errors, intervals, combinations, optima,
+predictor and covariance are all scaled by this table. `cross_input` is per command of the other horizontal axis, which
+has the same limit.
 """
 
 
@@ -42,21 +42,23 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
     Gains of axes whose commands are fractions of a changed limit are multiplied by tan(t') / tan(t) for the tilt, and
     by the ratio for speeds and rates: input gains, steady gains, their errors and intervals, optima, the covariance and
     the paper's coefficients. Everything else stays. Commands u of the old setting are u divided by that factor under
-    the new one; then both models predict the same motion.
+    the new one; then both models predict the same motion. The accuracy table and the leave-one-out are dropped.
 
     Args:
-        model: Its card says what the commands mean and what the limits were.
-        limits: The new settings in the form of a card's `[limits]`, as `settings.limits_from_text` gives them; those
-            that are not named stay.
+        model: Its card defines the meaning of the commands and the old limits.
+        limits: The new settings in the form of a card's `[limits]`, as from `core.limits.limits_from_text`; limits that
+            are not named stay.
 
-    Returns:
-        The model with the new limits in its card and the old ones in `conversion`; back under its first limits it is
-        the first model again.
+        Returns:
+            The model with the new limits in its card and the old ones in `conversion`; converted back to its first
+            limits it
+            is the first model again.
 
-    Raises:
-        CardError: A limit, unit or size that no card may have.
-        ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits are
-            those of the model.
+        Raises:
+            CardError: An invalid limit, unit or size.
+            ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits
+                are
+                already those of the model.
 
     Source: at constant height a tilt t accelerates by 9.81 tan(t).
     """
@@ -77,14 +79,14 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
             for k, value in enumerate(model.paper)
         ),
         conversion=_conversion(model, card, factors),
-        uncertainty=None,  # these two are of the flights as they were flown
+        uncertainty=None,  # these two belong to the flights as flown
         leave_one_out=None,
     )
     return with_findings(converted, _findings(converted))
 
 
 def _card_under(model: Model, limits: Mapping[str, Any]) -> Card:
-    """The model's card with these limits; that of its flights again where these are theirs."""
+    """The model's card with these limits; the original card if they equal those of the fit."""
     raw = {**model.card.raw, "limits": {**model.card.raw.get("limits", {}), **limits}}
     card = card_from_mapping(raw, "under the new limits")
     if model.conversion is None or card.limits != _flown_under(model, model.conversion).limits:
@@ -98,7 +100,11 @@ def _flown_under(model: Model, conversion: Conversion) -> Card:
 
 
 def _axes_of(model: Model, limit: str) -> list[str]:
-    """The axes whose commands are fractions of a limit."""
+    """The axes whose commands are fractions of a limit.
+
+    Raises:
+        ModelError: There is none, or the card does not give the limit.
+    """
     meanings = {axis: meaning_of(model.card, axis) for axis in model.card.command}
     concerned = [axis for axis, meaning in meanings.items() if meaning.limit == limit]
     if not concerned:
@@ -119,12 +125,12 @@ def _fraction(meaning: Meaning) -> str:
 
 
 def scaled(value: Any, factor: float, power: int = 0) -> Any:
-    """A noun, mapping or tuple of numbers with all that is per command multiplied by a factor, by `PER_COMMAND`.
+    """Scales everything per command in a noun, mapping or tuple of numbers, according to `PER_COMMAND`.
 
     Args:
-        value: What it is; texts, None and truth values stay as they are.
-        factor: Of the gains.
-        power: Of the factor, for numbers that no name inside decides.
+        value: The value; texts, None and bools are unchanged.
+        factor: Factor on the gains.
+        power: Power of the factor for numbers without a name of their own.
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
         return value * factor**power if power else value
@@ -134,7 +140,7 @@ def scaled(value: Any, factor: float, power: int = 0) -> Any:
         return {name: scaled(part, factor, PER_COMMAND.get(name, power)) for name, part in value.items()}
     if isinstance(value, Evidence):
         return value
-    if isinstance(value, Spread) and value.logarithmic:  # spreads of logarithms know no unit
+    if isinstance(value, Spread) and value.logarithmic:  # spreads of logarithms have no unit
         return replace(value, next_flight=scaled(value.next_flight, factor, power))
     if is_dataclass(value) and not isinstance(value, type):
         parts = {each.name: getattr(value, each.name) for each in fields(value)}
@@ -149,7 +155,7 @@ def _covariance(model: Model, factors: Mapping[str, float]) -> Array:
 
 
 def _conversion(model: Model, card: Card, factors: Mapping[str, float]) -> Conversion | None:
-    """What was done since the fit; None where the limits of the flights are back."""
+    """Conversion since the fit; None where the limits of the flights are restored."""
     before = model.conversion or Conversion(dict(model.card.raw["limits"]), dict.fromkeys(AXES, 1.0))
     if card.raw["limits"] == before.limits:
         return None
@@ -157,7 +163,7 @@ def _conversion(model: Model, card: Card, factors: Mapping[str, float]) -> Conve
 
 
 def _findings(model: Model) -> list[Finding]:
-    """The findings of the fit, and that their figures are those of the old limits."""
+    """The findings of the fit, with a note that their figures belong to the old limits."""
     kept = [finding for finding in model.findings if finding.code != "converted"]
     if model.conversion is None:
         return kept

@@ -1,6 +1,6 @@
-"""Prediction: the model's own causal filter up to an instant, from there only the commands.
+"""Prediction: the model's own causal filter up to an instant, from then on only the commands.
 
-Two axes go together: x and y through the heading, or z and yaw side by side under a heading of zero.
+Two axes are processed together: x and y through the heading, or z and yaw in parallel under a heading of zero.
 """
 
 from typing import Any
@@ -29,12 +29,12 @@ _WHAT, _WHOSE = np.array([MEAN, TRIM, TRIM, START, START]), np.array([0, 0, 1, 0
 """Columns of the driven response: the motion, two unit trims, two unit start velocities."""
 
 START_VELOCITY_VARIANCE = 10.0
-"""Prior variance of the vehicle's velocity at the first pose, which decays with its own damping [m^2/s^2]."""
+"""Prior variance of the vehicle's velocity at the first pose, which decays with the vehicle's damping [m^2/s^2]."""
 
 
 @inner()
 def _in_force(t: float, law: Array, command_time: Array, command: Array, k: Any, u: Array) -> None:
-    """Fills which command of each axis acts at t and its value, both shape (2,)."""
+    """Fills the index and value of the command acting on each axis at t, both shape (2,)."""
     for j in range(2):
         k[j] = 0
         while k[j] + 1 < command_time.size and command_time[k[j] + 1] + law[j, DELAY] <= t:
@@ -62,7 +62,7 @@ def _run_free(
 ) -> None:
     """Predicts the poses after `before` up to `last` from the driven state and the disturbance, into out[row].
 
-    Its parts (A, 1, 6) fade each in its own way F (A, 2, U, 3, 3), and add up.
+    The parts (A, 1, 6) of the disturbance decay with their own transitions F (A, 2, U, 3, 3), and sum up.
     """
     z, k, u, what, whose, S = free
     t, psi = pose_time[before], yaw
@@ -86,7 +86,7 @@ def _run_free(
 
 @inner()
 def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int, place: int) -> None:
-    """Fills world position and velocity, out[row, place]: of the driven state and of the disturbance together."""
+    """Fills world position and velocity, out[row, place]: the driven state plus the disturbance."""
     for j in range(2):
         forward = left = 0.0
         for g in range(parts.shape[0]):
@@ -98,7 +98,7 @@ def _add(parts: Array, z: Array, c: float, s: float, out: Array, row: int, place
 
 
 class Forecast:
-    """Two axes of one segment, filtered as far as starts were asked for.
+    """Two axes of one segment, filtered up to the latest start.
 
     Args:
         command_time: Shape (M,) [s].
@@ -107,16 +107,16 @@ class Forecast:
         pose: World, shape (N, 2).
         yaw: Measured heading, shape (N,) [rad].
         steps: Distinct steps between the poses, shape (U,) [s].
-        step: Which of them leads to each pose, shape (N,).
-        law: Numbers of the general law of both axes, shape (2, LAW_SIZE).
-        filter_law: The same while the filter tracks: its damping is positive, because a driven response that grows by
-            itself cannot be told from the disturbance after a minute.
-        origin: World velocity at the first pose about which the driven response is taken, shape (2,): what the data
-            add to it and to the trim is estimated linearly.
+        step: Index of the step that leads to each pose, shape (N,).
+        law: Vectors of the general law of both axes, shape (2, LAW_SIZE).
+        filter_law: The same for the filter: its damping is positive, because a driven response that grows by itself
+            cannot be separated from the disturbance after a minute.
+        origin: World velocity at the first pose about which the driven response is linearised, shape (2,); deviations
+            from it and the trim are estimated linearly.
         levels: q, r, alpha, kappa of the members of the bank, class by class, shape (A, G, 2, 4).
         trim_variance: Prior variance of the trim, shape (2,).
-        velocity: World velocities at the stamps, shape (N, 2), looked at where nothing else is measured of an axis.
-        tracked: Whether what tracks each axis was measured at a stamp, shape (N, 2).
+        velocity: World velocities at the stamps, shape (N, 2), used for axes without any other measurement.
+        tracked: Whether the measurement that tracks each axis exists at a stamp, shape (N, 2).
         alone: Whether velocities track the axis, shape (2,); its level r is then that of a velocity.
     """
 
@@ -161,7 +161,7 @@ class Forecast:
         Returns:
             Predicted world position and velocity at the poses, shape (S, E, 4), NaN beyond `last`; the filter's
             position and velocity at the last pose before each start, shape (S, 4); and rows for
-            `start_state_from_rows`.
+            `start_state_from_rows`, shape (S, `row_size(A)`).
         """
         S, E = future_yaw.shape
         out, begin, states = np.full((S, E, 4), np.nan), np.empty((S, 1, 4)), np.zeros((S, row_size(self._classes)))
@@ -170,7 +170,7 @@ class Forecast:
 
 
 def _columns(what: Indices, whose: Indices) -> tuple[Array, Indices, Array, Indices, Indices, Array]:
-    """Driven columns of two axes: their state, the commands in force (which, and their values), what and whose."""
+    """Driven columns of two axes: their state, the commands in force (index and value), what, whose, and work space."""
     return np.zeros(STATE), np.zeros(2, np.int64), np.zeros(2), what.copy(), whose.copy(), np.zeros((2, 3, 12))
 
 
@@ -181,9 +181,9 @@ def _predict(
     alone: Any, first: Any, last: Any, future_yaw: Array, filtered: Any, known_law: Array, F: Array, D: Array,
     bank: Any, both: Any, tracking: Any, free: Any, work: Any, out: Array, begin: Array, states: Array,
 ) -> None:  # fmt: skip
-    """The loop over the starts, and over the poses up to each; `filtered` (1,) counts these, from call to call.
+    """The loop over the starts, and over the poses up to each; `filtered` (1,) counts these across calls.
 
-    What follows `future_yaw` is work space, kept from call to call, or filled.
+    The arguments after `future_yaw` are work space kept across calls, or outputs.
     """
     z, k, u, what, whose, S = tracking
     gain, e, along, measured = work
@@ -253,15 +253,15 @@ def free_run(
     Args:
         command_time: Shape (M,) [s].
         command: Shape (M, 2).
-        law: Numbers of the general law of both axes, shape (2, LAW_SIZE); a lag starts as after long holding the
+        law: Vectors of the general law of both axes, shape (2, LAW_SIZE); a lag starts in its steady state under the
             command in force. The damping may be negative.
         position: World, at the first time, shape (2,).
         velocity: World, at the first time, shape (2,).
         time: Increasing, shape (N,) [s].
         yaw: Heading at those times, shape (N,) [rad].
 
-    Returns:
-        Position and velocity, shape (N, 4).
+        Returns:
+            World position and velocity, shape (N, 4).
     """
     out: Array = np.empty((len(time), 4))
     position, velocity, time, yaw = (np.ascontiguousarray(one) for one in (position, velocity, time, yaw))
@@ -277,7 +277,7 @@ def _free_run(
     command_time: Array, command: Array, law: Array, series: Array, position: Array, velocity: Array, time: Array,
     yaw: Array, free: Any, out: Array,
 ) -> None:  # fmt: skip
-    """The loop; `free` is work space."""
+    """The compiled loop; `free` is work space."""
     z, k, u, what, whose, S = free
     longest = longest_step(law)
     for a in range(2):

@@ -1,7 +1,7 @@
 """The prediction protocol: one implementation for validation, comparison, report, benchmark and the choice of a mode.
 
-Each segment of a flight first gives 2 s to the causal filter; starts follow every 0.5 s. At a start the state comes
-from the filter on data up to that instant; from there only the commands are known.
+The first 2 s of each segment are given to the causal filter; starts follow every 0.5 s. At a start the state comes
+from the filter on data up to that instant; from then on only the commands are known.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from rotorfit.dynamics.kinematics import seen_in
 from rotorfit.dynamics.predictor import Forecast, free_run
 
 SETTLING = 2.0
-"""Time that a segment gives to the filter before the first start [s]."""
+"""Time at the beginning of a segment for the filter to settle before the first start [s]."""
 
 START_EVERY = 0.5
 """Time between starts [s]."""
@@ -28,23 +28,25 @@ FIT_HORIZON = 1.0
 """Horizon of `fit_percent` [s]."""
 
 LEAST_SCORES = 5
-"""Fewer predictions than this give no score."""
+"""Least number of predictions for a score."""
 
 LEAST_FILTER_DAMPING = 1e-3
-"""Damping below which the filter does not go, where a model is unstable [1/s]; the prediction itself does."""
+"""Lower bound of the damping in the filter, for unstable models [1/s]; the prediction itself has none."""
 
 ORIGIN_TIME = 0.2
-"""Over so much of a segment its first velocity is measured [s]; quadratic drag is linear only about some velocity."""
+"""Length of the beginning of a segment over which its first velocity is measured [s]; quadratic drag can only be
+linearised about a velocity."""
 
 EDGE = 1e-9
 
 
 @dataclass(frozen=True)
 class AxisDynamics:
-    """One axis as prediction needs it.
+    """One axis of a model for prediction.
 
     Attributes:
-        input: g; 0 where the axis has no model, then only the disturbance filter tracks it.
+        input: g [m/s^2 or rad/s^2 per command]; 0 for an axis without a model, which only the disturbance filter
+            tracks.
         damping: b [1/s].
         delay: tau [s].
         levels: q, r, alpha, kappa of the disturbance, in the order of `LEVELS`.
@@ -63,32 +65,32 @@ class AxisDynamics:
 
     @property
     def law(self) -> Array:
-        """Numbers of the general law, shape (LAW_SIZE,)."""
+        """Vector of the general law, shape (LAW_SIZE,)."""
         return law_of(self.structure, self.input, self.damping, self.delay, self.extra)
 
 
 UNMODELLED = AxisDynamics(0.0, 1.0, 0.0, (0.1, 1e-7, 2.5, 0.64), 1e-6)
-"""An axis of which nothing is known: its velocity is tracked and fades."""
+"""An axis without a model: its velocity is tracked and decays."""
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions from starts of one segment. N poses, S starts, E predicted poses at the most.
+    """Predictions from the starts of one segment, for N poses, S starts, and at most E predicted poses per start.
 
     Attributes:
         time: Stamps of the poses, shape (N,) [s].
-        pose: Measured x, y, z, yaw, shape (N, 4).
-        reference: Their velocity from a centred local cubic, shape (N, 4); NaN where there is none.
+        pose: Measured x, y, z, yaw, shape (N, 4) [m, rad].
+        reference: Their velocity from a centred local cubic, shape (N, 4) [m/s, rad/s]; NaN without a result.
         start: Shape (S,) [s].
         first: Index of the first predicted pose of each start, shape (S,).
         last: One past the last, shape (S,).
         predicted: World position and velocity, (S, E, 2, 4); NaN beyond `last`.
         begin: The filter's position and velocity at the last pose before the start, shape (S, 2, 4).
-        heading: Heading that the horizontal prediction used, shape (S, E).
+        heading: Heading used by the horizontal prediction, shape (S, E) [rad].
         period: Median step of the poses [s].
-        holes: How many of the holes that nothing is scored across lie before each pose, shape (N,).
-        alone: Axes of which only the velocity is measured: their positions prove nothing.
-        states: At the starts, of x and y, and of z and yaw; None where neither was wanted.
+        holes: Number of gaps across which nothing is scored, up to each pose, shape (N,).
+        alone: Axes with only a measured velocity: their positions prove nothing.
+        states: States at the starts, of x and y, and of z and yaw; None where neither was requested.
     """
 
     time: Array
@@ -113,16 +115,16 @@ def predict_flight(
 
     Args:
         flight: Commands and poses.
-        dynamics: Axis name to its dynamics; a missing axis is `UNMODELLED`, a missing yaw is taken as measured.
-        longest: Horizon up to which to predict [s].
-        axes: Those that are wanted; the others' predictions are left NaN.
-        adapt: Whether the filter learns the levels of this flight from its past; else those of the dynamics stay.
+        dynamics: Axis name to its dynamics; a missing axis is `UNMODELLED`, a missing yaw is taken from measurements.
+        longest: Longest horizon [s].
+        axes: The requested axes; predictions of the others may be NaN.
+        adapt: Whether the filter adapts its levels to the past of this flight; else those of the dynamics are kept.
     """
     return tuple(predictions(flight, dynamics, longest, axes, adapt, most=None))
 
 
 STARTS = 128
-"""Starts of a piece: at 120 Hz and 5 s ahead its predictions take 5 MB; those of half an hour would take 140 MB."""
+"""Starts per piece: at 120 Hz and 5 s ahead its predictions take 5 MB; those of half an hour would take 140 MB."""
 
 
 def predictions(
@@ -133,15 +135,15 @@ def predictions(
     adapt: bool = True,
     most: int | None = STARTS,
 ) -> Iterator[Predictions]:
-    """The same as `predict_flight`, in pieces of at most so many starts: a long flight takes no more memory for them.
+    """As `predict_flight`, in pieces of at most `most` starts, so that memory does not grow with the flight.
 
     Args:
         flight: Commands and poses.
         dynamics: As for `predict_flight`.
-        longest: Horizon up to which to predict [s].
-        axes: Those that are wanted.
+        longest: Longest horizon [s].
+        axes: The requested axes.
         adapt: As for `predict_flight`.
-        most: Starts of a piece; None for all of a segment.
+        most: Starts per piece; None for all of a segment.
     """
     for segment in flight.segments:
         yield from _segment_predictions(flight, segment, dynamics, longest, axes, adapt, most)
@@ -150,8 +152,8 @@ def predictions(
 Pair = Callable[[Indices, Indices, Array], tuple[Array, Array, StartState | None]]
 """Predicts two axes from some starts: index of the first pose and one past the last (S,), heading on the way (S, E).
 
-Returns position and velocity of the two at the poses after each start, shape (S, E, 4), and at the start, (S, 4), and
-the state there; NaN and None where neither is wanted."""
+Returns position and velocity of the two axes at the poses after each start, shape (S, E, 4), and at the start, (S, 4),
+and the state there; NaN and None where neither axis is requested."""
 
 
 def _nothing(_first: Indices, _last: Indices, future: Array) -> tuple[Array, Array, None]:
@@ -167,10 +169,10 @@ def _segment_predictions(
     adapt: bool,
     most: int | None,
 ) -> Iterator[Predictions]:
-    """Predicts from every start of one segment; z and yaw first, since x and y need the heading that yaw predicts.
+    """Predicts from every start of one segment; z and yaw first, since x and y need the predicted heading.
 
-    Nothing where the segment has no start with a pose before and behind it. The poses of the longest delay at its
-    beginning are left out: what was commanded before it still acts there.
+    Yields nothing where no start has a pose before and after it. The poses within the longest delay after its beginning
+    are left out: unknown earlier commands still act there.
     """
     axes = [dynamics.get(axis, UNMODELLED) for axis in AXES]
     begin = segment.start + max(0.0, *(axis.delay for axis in axes))
@@ -187,7 +189,7 @@ def _segment_predictions(
     steps = distinct_steps(t)
 
     def pair_of(pair: Sequence[int], yaw: Array) -> Pair:
-        """Two axes by their places in `AXES`: x and y, which the heading (N,) turns, or z and yaw under one of zero."""
+        """Two axes by their indices in `AXES`: x and y, rotated by the heading (N,), or z and yaw, with zeros."""
         if not any(AXES[i] in wanted for i in pair):
             return _nothing
         chosen = [axes[i] for i in pair]
@@ -254,7 +256,7 @@ def _segment_predictions(
 
 
 def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
-    """The velocity at the start about which the laws of two axes are linear, shape (2,): that of the first poses."""
+    """Velocity about which the laws of two axes are linearised, shape (2,): that of the first poses."""
     if not any(axis.structure.kicks % 2 for axis in axes):
         return np.zeros(2)
     i = min(int(np.searchsorted(t, t[0] + ORIGIN_TIME)), t.size - 1)
@@ -262,7 +264,7 @@ def _origin(axes: Sequence[AxisDynamics], t: Array, pose: Array) -> Array:
 
 
 def hold_velocity(part: Predictions) -> Array:
-    """The naive prediction: the world velocity of the start is kept; shape (S, E, 2, 4)."""
+    """The naive prediction: the world velocity at the start is kept; shape (S, E, 2, 4)."""
     index = np.minimum(part.first[:, None] + np.arange(part.predicted.shape[1]), part.time.size - 1)
     elapsed = part.time[index] - part.time[part.first - 1][:, None]
     velocity = np.broadcast_to(part.begin[:, None, 1], (*index.shape, 4))
@@ -270,11 +272,11 @@ def hold_velocity(part: Predictions) -> Array:
 
 
 def free_run_prediction(flight: Flight, part: Predictions, input_: Array, damping: Array) -> Array:
-    """What coefficients without delay and disturbance predict from the same states; shape (S, E, 2, 4).
+    """Prediction by coefficients without delay and disturbance, from the same states; shape (S, E, 2, 4).
 
     Args:
-        flight: Whose commands are used.
-        part: Predictions whose starts, states and headings are taken.
+        flight: Flight that provides the commands.
+        part: Predictions that provide starts, states and headings.
         input_: g of the four axes, shape (4,).
         damping: b of the four axes, shape (4,) [1/s].
     """
@@ -303,14 +305,14 @@ def free_run_prediction(flight: Flight, part: Predictions, input_: Array, dampin
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of the predictions from some starts, x and y in the measured heading: small beside the predictions.
+    """Errors of the predictions from some starts, x and y in the measured heading; far smaller than the predictions.
 
     Attributes:
         starts: Horizon [s] to the squared errors, start by start.
-        steps: How many velocities of the predictions up to `FIT_HORIZON` are judged, shape (4,); theirs are the rest.
+        steps: Number of predicted velocities up to `FIT_HORIZON`, shape (4,); the other attributes refer to them.
         squares: Sum of their squared errors, shape (4,).
-        mean: Mean of what was measured there, shape (4,).
-        spread: Sum of its squared deviations from that, shape (4,).
+        mean: Mean of the measured velocities there, shape (4,).
+        spread: Sum of the squared deviations from that mean, shape (4,).
     """
 
     starts: Mapping[float, StartErrors]
@@ -324,9 +326,9 @@ def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Er
     """Errors at some horizons.
 
     Args:
-        part: What was measured.
-        predicted: What was predicted there, (S, E, 2, 4).
-        horizons: [s].
+        part: The measurements.
+        predicted: The predictions for them, (S, E, 2, 4).
+        horizons: Horizons [s].
     """
     reach = np.arange(predicted.shape[1])
     at = np.minimum(part.first[:, None] + reach, part.time.size - 1)
@@ -353,7 +355,7 @@ def judged(part: Predictions, predicted: Array, horizons: Sequence[float]) -> Er
 
 
 def _moments(error: Array, measured: Array) -> tuple[float, float, float, float]:
-    """Number of known errors, sum of their squares, mean and squared deviations of what was measured there."""
+    """Number of known errors, sum of their squares, and mean and squared deviations of the measurements there."""
     known = np.isfinite(error)
     error, measured = error[known], measured[known]
     mean = float(measured.mean()) if measured.size else 0.0
@@ -361,11 +363,11 @@ def _moments(error: Array, measured: Array) -> tuple[float, float, float, float]
 
 
 def joined(pieces: Sequence[Errors], horizons: Sequence[float]) -> Errors:
-    """Those of several pieces as one.
+    """Merges the errors of several pieces.
 
     Args:
-        pieces: Of the same horizons.
-        horizons: These [s].
+        pieces: With the same horizons.
+        horizons: Those horizons [s].
 
     Source: T. F. Chan, G. H. Golub, R. J. LeVeque, Am. Stat. 37 (1983), pp. 242-247, for the deviations.
     """
@@ -385,7 +387,7 @@ def joined(pieces: Sequence[Errors], horizons: Sequence[float]) -> Errors:
 
 
 def scores_of(errors: Errors) -> dict[str, AxisScore]:
-    """Axis name to the scores that errors give."""
+    """Axis name to the scores computed from errors."""
     return {
         axis: AxisScore({f"{h:g}": _horizon(starts, k) for h, starts in errors.starts.items()}, _fit_percent(errors, k))
         for k, axis in enumerate(AXES)
@@ -398,9 +400,9 @@ def score_predictions(
     """Errors of predictions over all segments of a flight, x and y resolved in the measured heading.
 
     Args:
-        parts: What was measured, segment by segment.
-        predicted: What was predicted there, each (S, E, 2, 4).
-        horizons: [s].
+        parts: The measurements, segment by segment.
+        predicted: The predictions for them, each (S, E, 2, 4).
+        horizons: Horizons [s].
 
     Returns:
         Axis name to errors.
@@ -409,7 +411,7 @@ def score_predictions(
 
 
 def horizon_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horizon: float) -> dict[str, Horizon]:
-    """The same at one horizon, without the rest; axis name to errors."""
+    """The errors at a single horizon [s], without `fit_percent`; axis name to errors."""
     errors = start_errors(parts, predicted, horizon)
     return {axis: _horizon(errors, k) for k, axis in enumerate(AXES)}
 
@@ -418,9 +420,9 @@ def start_errors(parts: Sequence[Predictions], predicted: Sequence[Array], horiz
     """The squared errors behind the scores at one horizon, x and y resolved in the measured heading.
 
     Args:
-        parts: What was measured, segment by segment.
-        predicted: What was predicted there, each (S, E, 2, 4).
-        horizon: [s].
+        parts: The measurements, segment by segment.
+        predicted: The predictions for them, each (S, E, 2, 4).
+        horizon: Horizon [s].
     """
     pieces = [judged(*pair, (horizon,)) for pair in zip(parts, predicted, strict=True)]
     return joined(pieces, (horizon,)).starts[horizon]
@@ -432,9 +434,9 @@ def end_errors(part: Predictions, predicted: Array, horizon: float) -> Array:
     NaN for starts without poses up to there, or where nothing is measured.
 
     Args:
-        part: What was measured in a segment.
-        predicted: What was predicted there, (S, E, 2, 4).
-        horizon: [s].
+        part: The measurements of a segment.
+        predicted: The predictions for them, (S, E, 2, 4).
+        horizon: Horizon [s].
     """
     good, end = _complete(part, horizon)
     out, at = np.full((part.start.size, 2, 4), np.nan), end[good] - 1
@@ -448,7 +450,7 @@ def end_errors(part: Predictions, predicted: Array, horizon: float) -> Array:
 
 
 def _complete(part: Predictions, horizon: float) -> tuple[Mask, Indices]:
-    """Which starts have poses up to the horizon and no hole before it, and one past the last pose of each, (S,)."""
+    """Which starts have poses up to the horizon without a gap, and one past the last pose of each, shape (S,)."""
     target = part.start + horizon
     end = np.searchsorted(part.time, target + EDGE)  # one past the last pose within the horizon
     good = (

@@ -1,12 +1,12 @@
 """The exact response of eq. (5) to held, delayed commands, with every sensitivity that the likelihood needs.
 
-Between two switching times the input is constant and the motion is known in closed form, so nothing is integrated by
-steps and the response is continuous in the delay. With f, k, h the transition of velocity and position over dt,
+Between two switching times the input is constant and the motion is known in closed form, so there is no numerical
+integration and the response is continuous in the delay. With f, k, h the transition of velocity and position over dt,
 
     v(t + dt) = f v + k a,   p(t + dt) = p + k v + h a,   f = exp(-b dt), k = (1 - f) / b, h = (dt - k) / b,
 
-the sensitivities with respect to the damping b pass through df/db, dk/db, dh/db, and the one with respect to the delay
-is a velocity impulse (u_old - u_new) at every switch. At the start of a segment the velocity is a parameter of its own;
+the sensitivities with respect to the damping b follow from df/db, dk/db, dh/db, and the one with respect to the delay
+is a velocity impulse (u_old - u_new) at every switch. At the start of a segment the velocity is a free parameter;
 the position belongs to the disturbance filter, which leaves it free.
 """
 
@@ -72,15 +72,16 @@ def axis_response(
         command_time: Shape (M,) [s].
         command: Shape (M,).
         weight: One over the number of poses of each block, shape (B,).
-        gain: g.
+        gain: g [unit/s^2 per command].
         trim: Constant acceleration c [unit/s^2].
         damping: b [1/s], positive.
         delay: tau [s].
-        velocity: At the start of each segment, shape (S,) [unit/s].
+        velocity: Velocity at the start of each segment, shape (S,) [unit/s].
 
-    Returns:
-        Shape (B, 5, 1): d/dg (the response to a gain of one), d/dc, d/db, d/dtau and d/dv0 of the position, v0 being
-        the velocity at the start of the block's own segment. The position itself is g, c, v0 times first, second, last.
+        Returns:
+            Shape (B, 5, 1): derivatives of the position by g (the response to a unit gain), c, b, tau and v0, the
+            velocity
+            at the start of the block's own segment. The position itself is g, c, v0 times the first, second and last.
 
     Source: paper, eq. (4), with u(t - tau) and a constant added.
     """
@@ -97,7 +98,7 @@ def _axis_response(
     starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
     command: Array, weight: Array, gain: float, trim: float, damping: float, delay: float, velocity: Array, out: Array,
 ) -> None:  # fmt: skip
-    """The loop; `out` is zeros."""
+    """The compiled loop; `out` is filled with zeros."""
     for s in range(starts.size):
         t = starts[s]
         k, last = command_range[s, 0], command_range[s, 1]
@@ -163,15 +164,16 @@ def plane_response(
         command: Forward and left, shape (M, 2).
         weight: One over the number of poses of each block, shape (B,).
         yaw: Heading at the poses, shape (N,) [rad]; linear in between.
-        gain: g of x and y, shape (2,).
+        gain: g of x and y, shape (2,) [m/s^2 per command].
         trim: Constant acceleration in the heading frame, shape (2,) [m/s^2].
         damping: b of x and y, shape (2,) [1/s], positive.
         delay: tau of x and y, shape (2,) [s].
-        velocity: World, at the start of each segment, shape (S, 2) [m/s].
+        velocity: World velocity at the start of each segment, shape (S, 2) [m/s].
 
-    Returns:
-        Shape (B, 10, 2), world components: d/dg, d/dc, d/db, d/dtau of x and y in turn, and d/dv0, v0 being the world
-        velocity at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
+        Returns:
+            Shape (B, 10, 2), world components: derivatives by g, c, b, tau of x and y in turn, and by v0, the world
+            velocity
+            at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
 
     Source: paper, eq. (5), with u(t - tau) and a constant added; exact for a heading that is constant between events.
     """
@@ -191,7 +193,7 @@ def _plane_response(
     command: Array, weight: Array, yaw: Array, gain: Array, trim: Array, damping: Array, delay: Array, velocity: Array,
     p: Array, v: Array, drive: Array, k: Any, out: Array,
 ) -> None:  # fmt: skip
-    """The loop; what follows `velocity` is work space, zeros."""
+    """The compiled loop; the arguments after `velocity`, except `out`, are work space filled with zeros."""
     for s in range(starts.size):
         t = starts[s]
         for j in range(10):

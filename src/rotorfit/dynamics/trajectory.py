@@ -1,4 +1,4 @@
-"""Model -> Trajectory: the motion that a model gives under commands, and the model as a state space."""
+"""Model -> Trajectory: the motion of a model under commands, and the model as a state space."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,14 @@ from rotorfit.core.model import Model, Predictor, predictor_of
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Linear model of the excited axes in a frame that keeps the heading: x' = A x + B u(t - delay), y = C x.
+    """Linear model of the excited axes in a frame with a constant heading: x' = A x + B u(t - delay), y = C x.
 
     Attributes:
-        axes: The n axes; the states are their positions, then their velocities, then what structures with a lag add:
-            its lagged input, or of a second order the acceleration less what a zero adds to it, axis by axis.
+        axes: The n axes. The states are their positions, their velocities, then the states of structures with a lag:
+            the lagged input, or for a second order the acceleration without the part that a zero adds to it.
         A: Shape (2 n + lags, 2 n + lags).
         B: Shape (2 n + lags, n).
-        C: Positions, shape (n, 2 n + lags).
+        C: Selects the positions, shape (n, 2 n + lags).
         delay: One per input, shape (n,) [s].
     """
 
@@ -35,9 +35,9 @@ def state_space(model: Model) -> StateSpace:
     """Linear state space of the excited axes in the heading frame.
 
     Raises:
-        ModelError: If no axis has a predictor, or the structure of one is not linear.
+        ModelError: No axis has a predictor, or the structure of one is not linear.
 
-    Source: paper, eq. (4), with an input delay; the linear laws of `structure`.
+    Source: paper, eq. (4), with an input delay; the linear laws of `core.laws`.
     """
     axes = tuple(axis for axis in AXES if model.axes[axis].predictor)
     if not axes:
@@ -96,15 +96,15 @@ def simulate(
 
     Args:
         model: The model.
-        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next.
+        command_time: Increasing stamps, shape (M,) [s]. A command is held until the next.
         command: x, y, z, yaw commands in the heading frame, shape (M, 4).
-        time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
-        pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.
-        velocity: Its rate, shape (4,); rest by default.
-        before: Command in force before the first one, and until its delay has passed, shape (4,); none by default.
+        time: Increasing times at which the motion is evaluated, shape (N,) [s]; the motion starts at the first.
+        pose: World x, y, z, yaw at the first time, shape (4,) [m, rad]; the origin by default.
+        velocity: Its rate, shape (4,) [m/s, rad/s]; rest by default.
+        before: Command in force until the first one acts, shape (4,); zero by default.
 
-    Returns:
-        The trajectory, without trim and disturbance.
+        Returns:
+            The trajectory, without trim and disturbance.
 
     Source: paper, eq. (5), with u(t - delay).
     """

@@ -1,11 +1,11 @@
-"""The law of an axis in the frequency domain: velocity per command, and what an axis does to a sine.
+"""The law of an axis in the frequency domain: velocity per command, and the response of an axis to a sine.
 
 With s = i w, gain g, damping b, delay tau, lag T and zero Z,
 
     H(s) = g exp(-s tau) / ((s + b) (1 + s T))                first-order lag of the attitude loop; T = 0 without one
     H(s) = g exp(-s tau) (1 + s Z) / (T s^2 + s + b)          second order; Z = 0 without a zero
 
-Laws that are not linear, or in which the other axis has a say, have no such function.
+Laws that are not linear, or that couple the axes, have no such function.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,17 +23,17 @@ NORMAL = 1.959963984540054
 """97.5 % point of the normal distribution."""
 
 STEP = 1e-5
-"""Relative step of the differences by a parameter."""
+"""Relative step of the finite differences by a parameter."""
 
 
 @dataclass(frozen=True)
 class SineResponse:
-    """How the velocity of an axis answers a sine of its command.
+    """Response of an axis's velocity to a sine of its command.
 
     Attributes:
-        frequency: [rad/s].
+        frequency: Frequency [rad/s].
         gain: Amplitude of the velocity over that of the command.
-        delay: Minus the phase over the frequency [s].
+        delay: Phase delay, minus the phase over the frequency [s].
         gain_ci95: 95 % interval of the gain.
         delay_ci95: 95 % interval of the delay.
     """
@@ -46,12 +46,12 @@ class SineResponse:
 
 
 def has_transfer_function(structure: Structure) -> bool:
-    """Whether the law answers a sine by a sine of its own frequency on its own axis alone."""
+    """Whether the response of the law to a sine is a sine of the same frequency on the same axis only."""
     return structure.linear and not structure.kicks
 
 
 def law_response(structure: Structure, point: Predictor, omega: Array) -> Spectrum:
-    """Velocity per command of a law, shape of omega.
+    """Velocity per command of a law, in the shape of omega.
 
     Args:
         structure: A law with a transfer function.
@@ -71,7 +71,7 @@ def law_response(structure: Structure, point: Predictor, omega: Array) -> Spectr
 
 
 def sine_response(model: Model, axis: str, frequency: float) -> SineResponse:
-    """Gain and delay of an axis at a frequency; where several laws hold, intervals that hold what all of them say.
+    """Gain and delay of an axis at a frequency [rad/s]; where several laws hold, intervals that cover all of them.
 
     Raises:
         ModelError: The axis was not excited, or its law is not linear.
@@ -90,7 +90,7 @@ def _around(intervals: Sequence[Interval]) -> Interval:
 
 
 def _only(model: Model, axis: str) -> Weighed:
-    """The one law of an axis whose law was asked for."""
+    """The law of an axis whose structure was requested, with its covariance."""
     known, point = model.axes[axis], predictor_of(model, axis)
     names = [name for name in (*COEFFICIENTS, *point.extra) if f"{axis}.{name}" in model.covariance_names]
     at = [model.covariance_names.index(f"{axis}.{name}") for name in names]

@@ -1,12 +1,12 @@
-"""The disturbance filter where the vehicle's own velocity is measured, too.
+"""The disturbance filter with an additional measurement of the vehicle's own velocity.
 
 State and noise are those of `disturbance`: n, s, s' on each axis of the heading frame. A block of poses measures n, a
-block of velocities measures s, each with a noise of its own:
+block of velocities measures s, each with its own noise:
 
     y = n + e,  e ~ N(0, r);        w = s + d + e,  e ~ N(0, r_v)
 
-d is the bias of the velocity, constant in the heading frame during a segment. Where nothing but the velocity is
-measured it is one with the trim, and it is left out.
+d is the bias of the velocity, constant in the heading frame during a segment. Where only the velocity is measured, it
+cannot be separated from the trim and is left out.
 """
 
 from typing import Any
@@ -18,14 +18,14 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, stationary, step_tables
 
 BIAS_VARIANCE = 0.1
-"""Variance of the bias of a velocity before anything is known of it [m^2/s^2 or rad^2/s^2]."""
+"""Prior variance of the bias of a velocity [m^2/s^2 or rad^2/s^2]."""
 
 
 @inner()
 def _turn(vector: Array, K: int, c: float, s: float) -> None:
-    """Turns the frame of a state (4 K,) by the angle of cosine c and sine s, in place.
+    """Rotates the frame of a state (4 K,) by the angle of cosine c and sine s, in place.
 
-    The state is n, s, s' of each axis in turn, then the bias of each, which does not turn.
+    The state is n, s, s' of each axis in turn, then the bias of each, which does not rotate.
     """
     if K == 2:
         for i in range(3):
@@ -36,7 +36,7 @@ def _turn(vector: Array, K: int, c: float, s: float) -> None:
 
 @inner()
 def _advance(vector: Array, F: Array) -> None:
-    """Moves a state (4 K,) one step by the transitions F (K, 3, 3), in place."""
+    """Propagates a state (4 K,) one step by the transitions F (K, 3, 3), in place."""
     for a in range(F.shape[0]):
         n, s, w = vector[3 * a], vector[3 * a + 1], vector[3 * a + 2]
         vector[3 * a] = n + F[a, 0, 1] * s + F[a, 0, 2] * w
@@ -46,7 +46,7 @@ def _advance(vector: Array, F: Array) -> None:
 
 @inner()
 def _begin(P: Array, levels: Array, bias: float) -> None:
-    """Fills the covariance P (4 K, 4 K) with what is known before the first block; `bias` is the variance of d."""
+    """Fills the prior covariance P (4 K, 4 K) before the first block; `bias` is the variance of d."""
     K = levels.shape[0]
     P[:] = 0.0
     for a in range(K):
@@ -57,7 +57,7 @@ def _begin(P: Array, levels: Array, bias: float) -> None:
 
 @inner()
 def _spread(P: Array, F: Array, Q: Array, levels: Array, c: float, s: float) -> None:
-    """Moves the covariance P (4 K, 4 K) one step, in place: half the turn, the step with its noise, the other half."""
+    """Propagates the covariance P (4 K, 4 K) one step, in place: half the turn, the step with noise, the other half."""
     K, D = F.shape[0], P.shape[0]
     for i in range(D):
         _turn(P[:, i], K, c, s)
@@ -77,7 +77,7 @@ def _spread(P: Array, F: Array, Q: Array, levels: Array, c: float, s: float) -> 
 
 @inner()
 def _take(P: Array, at: int, beside: int, noise: float, gain: Array) -> float:
-    """Takes a measurement of state `at`, plus state `beside` unless negative, into P; fills the gain, returns S."""
+    """Updates P with a measurement of state `at`, plus state `beside` unless negative; fills the gain, returns S."""
     D = P.shape[0]
     for i in range(D):
         gain[i] = P[i, at]
@@ -99,24 +99,24 @@ def whiten_fused(
     steps: Array, step: Any, count: Array, fresh: Any, rate: Any, yaw: Array, columns: Array, levels: Array,
     noise: Array, bias: float, coloured: bool = False,
 ) -> Any:  # fmt: skip
-    """Passes columns through the filter's gains, or back.
+    """Filters columns to innovations, or innovations back to data.
 
     Args:
         steps: Distinct steps between blocks, shape (U,) [s].
-        step: Which of them leads to each block, shape (B,).
+        step: Index of the step that leads to each block, shape (B,).
         count: Samples in each block, shape (B,).
         fresh: True where a segment starts, shape (B,).
         rate: True for blocks of velocities, shape (B,).
-        yaw: Heading at the blocks, shape (B,) [rad]; one axis does not look at it.
+        yaw: Heading at the blocks, shape (B,) [rad]; ignored for one axis.
         columns: Data and sensitivities, world frame where K is 2, shape (B, C, K).
-        levels: q, r, alpha, kappa of each axis, shape (K, 4); r is not looked at.
+        levels: q, r, alpha, kappa of each axis, shape (K, 4); r is ignored.
         noise: Variance of one pose and of one velocity, shape (K, 2).
-        bias: Variance of the bias of the velocity beforehand; 0 without one.
-        coloured: Whether the columns are innovations, to be turned into data.
+        bias: Prior variance of the bias of the velocity; 0 without one.
+        coloured: Whether the columns are innovations to be converted to data.
 
     Returns:
-        Innovations over their standard deviation, forward then left where K is 2, shape (B, C, K), or the data that
-        would have had these innovations; and the innovation variances, shape (B, K).
+        Innovations over their standard deviation, forward then left where K is 2, shape (B, C, K), or the data with
+        these innovations; and the innovation variances, shape (B, K).
     """
     B, C, K = columns.shape
     D, out, variance = 4 * K, np.empty((B, C, K)), np.empty((B, K))

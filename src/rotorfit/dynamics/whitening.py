@@ -1,9 +1,9 @@
-"""Data and sensitivities through the disturbance filters of several levels at once.
+"""Filters data and sensitivities through the disturbance filters of several levels at once.
 
-The likelihood needs the filter at its levels and at each of them moved a little. These differ in nothing but numbers,
-so four go side by side, in the lanes of one vector register, and one pass over the blocks serves all. What four filters
-need for a block lies in one row of an array, in places of four numbers each: the compiler then sees that nothing
-overlaps, and takes the four at once.
+The likelihood needs the filter at its levels and at small changes of each. These filters differ only in numbers, so
+four run in parallel in the lanes of a vector register, and one pass over the blocks serves all. The variables of four
+filters for a block lie in one row of an array, in slots of four numbers each: this shows the compiler that nothing
+overlaps, so that it vectorises over the four.
 """
 
 from typing import Any
@@ -15,22 +15,22 @@ from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import START_POSITION_VARIANCE, discretize, stationary
 
 WIDTH = 32
-"""Columns that are passed through a filter together."""
+"""Largest number of columns filtered together."""
 
 LANES = 4
-"""Filters that go side by side; the last are copies where there are fewer."""
+"""Number of filters in parallel; the last ones are copies where there are fewer."""
 
 
 @inner()
 def _fill_tables(steps: Array, levels: Array, F: Array, Q: Array, out: Array) -> None:
-    """Of every distinct step: F01, F02, F11, F12, F21, F22 and q Q00, Q01, Q02, Q11, Q12, Q22 of each filter.
+    """Fills F01, F02, F11, F12, F21, F22 and q times Q00, Q01, Q02, Q11, Q12, Q22 for every distinct step and filter.
 
     Args:
         steps: Shape (U,) [s].
         levels: q, r, alpha, kappa of M filters of one axis, shape (M, 4).
         F: Work space, shape (3, 3).
         Q: Work space, shape (3, 3).
-        out: Filled, shape (U, G, 12 LANES), G groups of filters side by side.
+        out: Filled, shape (U, G, 12 LANES), for G groups of parallel filters.
     """
     M, G = levels.shape[0], out.shape[1]
     for u in range(steps.size):
@@ -54,7 +54,7 @@ def _fill_tables(steps: Array, levels: Array, F: Array, Q: Array, out: Array) ->
 
 @inner()
 def _start(row: Array, first: int, levels: Array, g: int) -> None:
-    """Puts what is known of an axis before the first block of a segment into the covariance of one group."""
+    """Fills the prior covariance of an axis before the first block of a segment, for one group."""
     for at in range(LANES):
         variance, rate = stationary(levels[min(g * LANES + at, levels.shape[0] - 1)])
         for i in range(6):
@@ -64,13 +64,13 @@ def _start(row: Array, first: int, levels: Array, g: int) -> None:
         row[LANES * (first + 5) + at] = rate
 
 
-# One axis: places 0 to 5 hold the upper triangle of the covariance, 6 to 17 what `_fill_tables` gives of the step, 18
+# One axis: slots 0 to 5 hold the upper triangle of the covariance, 6 to 17 the step from `_fill_tables`, 18
 # the noise, 19 to 21 the gain, 22 the innovation variance.
 
 
 @inner(fastmath={"contract"})
 def _measure(w: Array, share: float, lanes: int) -> None:
-    """Takes a measured position, with a share of the noise, into the covariance of one group of filters, in place."""
+    """Updates the covariance of one group of filters with a position measurement of noise `share` r, in place."""
     for m in range(lanes):
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
         S = p00 + share * w[72 + m]
@@ -82,7 +82,7 @@ def _measure(w: Array, share: float, lanes: int) -> None:
 
 @inner(fastmath={"contract"})
 def _step_and_measure(w: Array, share: float, lanes: int) -> None:
-    """Moves the covariance of one group of filters by a step, P <- F P F^T + Q, and takes a position likewise."""
+    """Propagates the covariance of one group of filters by a step, P <- F P F^T + Q, and updates it as `_measure`."""
     for m in range(lanes):
         f01, f02, f11, f12, f21, f22 = w[24 + m], w[28 + m], w[32 + m], w[36 + m], w[40 + m], w[44 + m]
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
@@ -107,19 +107,19 @@ def _pass_axis(
     first: int, last: int, step: Any, fresh: Any, table: Array, g: int, at: int, gain: Array, columns: Array, z: Array,
     out: Array,
 ) -> None:  # fmt: skip
-    """Passes columns from `first` up to `last`, no more than `WIDTH`, through the filter of a lane of a group.
+    """Filters the columns from `first` to `last`, at most `WIDTH`, with the filter in one lane of a group.
 
     Args:
-        first: Column.
+        first: First column.
         last: One past the last.
         step: Shape (B,).
         fresh: Shape (B,).
-        table: Of `_fill_tables`.
-        g: Which group.
-        at: Which lane.
-        gain: Of the filter, and one over the standard deviation of the innovation, shape (B, 4).
+        table: From `_fill_tables`.
+        g: Index of the group.
+        at: Index of the lane.
+        gain: Gains of the filter, and one over the standard deviation of the innovation, shape (B, 4).
         columns: Shape (B, C).
-        z: Work space for the states, in 3 places of `WIDTH` columns each.
+        z: Work space for the states, 3 slots of `WIDTH` columns each.
         out: Filled with standardised innovations, shape (B, C).
     """
     for i in range(step.size):
@@ -139,23 +139,23 @@ def _pass_axis(
 
 
 def _groups(levels: Array) -> int:
-    """Groups of filters side by side, of M of them with levels (M, ...)."""
+    """Number of groups of parallel filters for M filters with levels (M, ...)."""
     return -(-len(levels) // LANES)
 
 
 def whiten_axis(
     steps: Array, step: Indices, count: Array, fresh: Mask, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
-    """Passes columns of one axis through the gains of M filters; fastest where C and `few` are multiples of `LANES`.
+    """Filters columns of one axis with M filters; fastest where C and `few` are multiples of `LANES`.
 
     Args:
         steps: Distinct steps between blocks, shape (U,) [s].
-        step: Which of them leads to each block, shape (B,).
+        step: Index of the step that leads to each block, shape (B,).
         count: Poses in each block, shape (B,): the noise of a block is r / count.
-        fresh: True where a segment starts and the filters start anew, shape (B,).
+        fresh: True where a segment starts and the filters restart, shape (B,).
         columns: Data and sensitivities, shape (B, C).
         levels: q, r, alpha, kappa of each filter, shape (M, 4).
-        few: The first filter takes all columns, the others the first so many.
+        few: Number of columns for the filters after the first; the first filters all.
 
     Returns:
         Innovations over their standard deviation of the first filter, (B, C), and of the others, (M - 1, B, few); and
@@ -176,9 +176,10 @@ def _whiten_axis(
     steps: Array, step: Any, count: Array, fresh: Any, columns: Array, levels: Array, lanes: int, F: Array, Q: Array,
     table: Array, w: Array, gains: Array, z: Array, out: Array, others: Array, variances: Array,
 ) -> None:  # fmt: skip
-    """The loop; `lanes` is `LANES`, as a number that the compiler does not know, or it unrolls what is one instruction.
+    """The compiled loop; `lanes` is `LANES`, not as a constant, so that loops are vectorised rather than unrolled.
 
-    Work space is made by Python, here and elsewhere: a kernel that makes arrays takes twice as long to compile.
+    Work space is allocated in Python, here and elsewhere: a kernel that allocates arrays takes twice as long to
+    compile.
     """
     B, C, M, few = columns.shape[0], columns.shape[1], levels.shape[0], others.shape[2]
     _fill_tables(steps, levels, F, Q, table)
@@ -187,7 +188,7 @@ def _whiten_axis(
             w[18 * LANES + m] = levels[min(g * LANES + m, M - 1), 1]
         for i in range(B):
             if fresh[i]:
-                _start(w, g - g, levels, g)  # a zero that is no literal: of a literal it is compiled once more
+                _start(w, g - g, levels, g)  # a zero that is not a literal: a literal would cause another compilation
                 _measure(w, 1.0 / count[i], lanes)
             else:
                 for n in range(12 * LANES):
@@ -206,21 +207,21 @@ def _whiten_axis(
             _pass_axis(first, last, step, fresh, table, m // LANES, m % LANES, gains[m], columns, z, to)
 
 
-# x and y: places 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
-# y, 21 to 32 and 33 to 44 what `_fill_tables` gives of the step, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains
+# x and y: slots 0 to 5 and 6 to 11 hold the upper triangles of the covariances of x and of y, 12 to 20 that of x with
+# y, 21 to 32 and 33 to 44 the step from `_fill_tables`, 45 and 46 the noises, 47 to 52 and 53 to 58 the gains
 # of a position of x and of y, 59 and 60 the innovation variances.
 
 
 @inner(fastmath={"contract"})
 def _turned(a: float, b: float, m: float, n: float, cc: float, ss: float, cs: float) -> Any:
-    """Entries i, j of x, y, of x with y, and entry j, i of x with y, in a frame turned by the angle of c and s."""
+    """Entries i, j of x, of y, of x with y, and entry j, i of x with y, in a frame rotated by the angle of c and s."""
     both, across = cs * (m + n), cs * (b - a)
     return cc * a + ss * b + both, ss * a + cc * b - both, cc * m - ss * n + across, cc * n - ss * m + across
 
 
 @inner(fastmath={"contract"})
 def _turn(w: Array, c: float, s: float, lanes: int) -> None:
-    """Turns the frame of one group of covariances, in place."""
+    """Rotates the frame of one group of covariances, in place."""
     cc, ss, cs = c * c, s * s, c * s
     for m in range(lanes):
         w[m], w[24 + m], w[48 + m], _ = _turned(w[m], w[24 + m], w[48 + m], w[48 + m], cc, ss, cs)
@@ -233,7 +234,7 @@ def _turn(w: Array, c: float, s: float, lanes: int) -> None:
 
 @inner(fastmath={"contract"})
 def _step_plane(w: Array, lanes: int) -> None:
-    """Moves one group of covariances by a step, in place: P <- F P F^T + Q with the transitions of x and of y."""
+    """Propagates one group of covariances by a step, in place: P <- F P F^T + Q with the transitions of x and of y."""
     for m in range(lanes):
         x01, x02, x11, x12, x21, x22 = w[84 + m], w[88 + m], w[92 + m], w[96 + m], w[100 + m], w[104 + m]
         p00, p01, p02, p11, p12, p22 = w[m], w[4 + m], w[8 + m], w[12 + m], w[16 + m], w[20 + m]
@@ -276,7 +277,7 @@ def _step_plane(w: Array, lanes: int) -> None:
 
 @inner(fastmath={"contract"})
 def _measure_plane(w: Array, share: float, lanes: int) -> None:
-    """Takes a measured position of x, then of y, with a share of the noise, into one group of covariances, in place."""
+    """Updates one group of covariances with positions of x, then of y, of noise `share` r, in place."""
     for m in range(lanes):
         S = w[m] + share * w[180 + m]
         x0, x1, x2 = w[m], w[4 + m], w[8 + m]
@@ -339,21 +340,21 @@ def _pass_plane(
     first: int, last: int, step: Any, fresh: Any, turn: Array, tx: Array, ty: Array, g: int, at: int, gain: Array,
     along: Array, z: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Passes columns through the filter of a lane of a group: half the turn, the step, the other half, two positions.
+    """Filters columns with the filter in one lane of a group: half the turn, the step, the other half, two positions.
 
     Args:
-        first: Column.
-        last: One past the last, no more than `WIDTH` after it.
+        first: First column.
+        last: One past the last, at most `WIDTH` after it.
         step: Shape (B,).
         fresh: Shape (B,).
         turn: Cosine and sine of half the turn that leads to each block, shape (B, 2).
-        tx: Of `_fill_tables` for x.
-        ty: For y.
-        g: Which group.
-        at: Which lane.
-        gain: Of a position of x, of one of y, and one over their standard deviations, shape (B, 14).
+        tx: From `_fill_tables` for x.
+        ty: From `_fill_tables` for y.
+        g: Index of the group.
+        at: Index of the lane.
+        gain: Gains of a position of x, of one of y, and one over their standard deviations, shape (B, 14).
         along: Columns in the heading frame, shape (B, 2, C).
-        z: Work space for the states, in 6 places of `WIDTH` columns each.
+        z: Work space for the states, 6 slots of `WIDTH` columns each.
         out: Filled with standardised innovations, shape (B, 2, C).
     """
     for i in range(step.size):
@@ -385,17 +386,17 @@ def _pass_plane(
 def whiten_plane(
     steps: Array, step: Indices, count: Array, fresh: Mask, yaw: Array, columns: Array, levels: Array, few: int
 ) -> tuple[Array, Array, Array]:
-    """Passes horizontal columns through M six-state filters that turn with the heading.
+    """Filters horizontal columns with M six-state filters that rotate with the heading.
 
     Args:
         steps: Distinct steps between blocks, shape (U,) [s].
-        step: Which of them leads to each block, shape (B,).
+        step: Index of the step that leads to each block, shape (B,).
         count: Poses in each block, shape (B,).
         fresh: True where a segment starts, shape (B,).
         yaw: Heading at the blocks, shape (B,) [rad].
         columns: Data and sensitivities in the world frame, shape (B, 2, C).
         levels: q, r, alpha, kappa of x and y of the heading frame, of each filter, shape (M, 2, 4).
-        few: The first filter takes all columns, the others the first so many.
+        few: Number of columns for the filters after the first; the first filters all.
 
     Returns:
         Innovations over their standard deviation, forward then left, of the first filter, (B, 2, C), and of the others,
@@ -418,7 +419,7 @@ def _whiten_plane(
     Q: Array, tables: Array, w: Array, gains: Array, z: Array, along: Array, turn: Array, out: Array, others: Array,
     variances: Array,
 ) -> None:  # fmt: skip
-    """The loop, as `_whiten_axis`; `levels` has shape (2, M, 4)."""
+    """The compiled loop, like `_whiten_axis`; `levels` has shape (2, M, 4)."""
     B, C, M, few = columns.shape[0], columns.shape[2], levels.shape[1], others.shape[3]
     for a in range(2):
         _fill_tables(steps, levels[a], F, Q, tables[a])
