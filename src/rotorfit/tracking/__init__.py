@@ -1,5 +1,5 @@
-"""Tracking: the model while the vehicle flies, and an alarm when it is another vehicle.
+"""Tracking: the model while the vehicle flies, and an alarm when the vehicle has changed.
 
-In go samples as they come, or a recorded Flight as if they did; out come Tracked each second, Alarms, and the Regimes
-of the flight with their Models. Nothing is sent to a vehicle.
+Samples go in as they arrive, or a recorded Flight as if it were live; a Tracked each second, Alarms, and the Regimes of
+the flight with their Models come out. Nothing is sent to a vehicle.
 """

@@ -1,8 +1,8 @@
-"""Where the vehicle is in its motion: velocity, what the air does to it, and where it will be in a second.
+"""The motion at the last pose: velocity, wind, and the velocity predicted a second ahead.
 
-The driven motion of the law from the start of the segment, and beside it a filter of what the commands do not explain:
-position, velocity and acceleration n, s, s' of the disturbance (see `dynamics.disturbance`). What acts on the vehicle
-is then c + b s + s', the trim with it: through a drag b, air that moves at (c + b s + s') / b.
+The law is integrated from the start of the segment, and a filter estimates what the commands do not explain: position,
+velocity and acceleration n, s, s' of the disturbance (see `dynamics.disturbance`). With the trim c, the unexplained
+acceleration is c + b s + s'; where the damping b is the drag of the air, the wind blows at (c + b s + s') / b.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,11 +28,12 @@ class AxisNow:
 
     Attributes:
         velocity: World x, y, z or the rate of yaw [m/s, rad/s].
-        wind: Acceleration that the commands do not explain; x and y in the world [m/s^2, rad/s^2].
-        wind_error: Its standard error.
+        wind: Acceleration that the commands do not explain, including the trim; x and y in the heading frame, if both
+            are known [m/s^2, rad/s^2].
+        wind_error: Its standard error under the coefficients as estimated [m/s^2, rad/s^2].
         gusts: Standard deviation of the disturbance's velocity [m/s, rad/s].
-        ahead: Velocity a second later if the last command holds.
-        ahead_error: Its standard error.
+        ahead: Velocity a second later if the last command holds, in the frame of `velocity` [m/s, rad/s].
+        ahead_error: Its standard error [m/s, rad/s].
     """
 
     velocity: float
@@ -45,20 +46,20 @@ class AxisNow:
 
 Pair = tuple[str, str]
 PAIRS: tuple[Pair, ...] = (("x", "y"), ("z", "yaw"))
-"""Axes that are followed together."""
+"""Axes that share a filter."""
 
 STILL = (0.0, 1.0, 0.0)
-"""Input, damping and delay of an axis that is not told: it only keeps the other company."""
+"""Input, damping and delay that stand in for an axis without an estimate, to complete its pair."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """The filter of two axes at the last pose of a flight, for one who goes on with it.
+    """The filter of two axes at the last pose of a flight, ready to be continued.
 
     Attributes:
-        axes: Of the pair, those that are told.
-        filter: As it stands.
-        in_force: Times of the commands on which it counts [s], shape (2, 2).
+        axes: The axes of the pair that have an estimate.
+        filter: The filter with its state.
+        in_force: Times of the commands that `filter.k` points at [s], shape (2, 2).
     """
 
     axes: tuple[str, ...]
@@ -67,10 +68,10 @@ class Course:
 
 
 def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, AxisNow]:
-    """The motion at the last pose of the axes that are told; none where the last segment is too short.
+    """The motion of each estimated axis at the last pose; an axis is missing if the last segment is too short.
 
     Args:
-        flight: So far.
+        flight: The flight so far.
         estimates: Axis name to its estimate.
     """
     return courses(flight, estimates, {})[0]
@@ -79,12 +80,16 @@ def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, A
 def courses(
     flight: Flight, estimates: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[dict[str, AxisNow], Air | None, tuple[Course, ...]]:
-    """The same, the mean wind, and the filters that told them.
+    """The motion of each estimated axis at the last pose, the mean wind, and the filters behind both.
 
     Args:
-        flight: So far.
+        flight: The flight so far.
         estimates: Axis name to its estimate.
-        damping: Axis name to the interval of its damping; wind is told where both ends of x and y are.
+        damping: Axis name to the 95 % interval of its damping [1/s]; without closed intervals for x and y there is no
+            mean wind.
+
+    Returns:
+        Axis name to its motion, as `motion_now` gives it; the mean wind, or None; a filter for each pair of axes.
     """
     out: dict[str, AxisNow] = {}
     air, found = None, []
@@ -103,7 +108,7 @@ def courses(
 def _followed(
     flight: Flight, pair: Pair, known: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[MotionFilter, Air | None] | None:
-    """The filter of two axes that predict together, at the last pose, and the wind; None of too few poses."""
+    """The filter of a pair of axes at the last pose, and the mean wind; None if there are too few poses."""
     first = next(iter(known.values()))
     begin = float(first.records[-1].starts[-1])
     start = _start(pair, known)
@@ -131,17 +136,17 @@ def _followed(
 
 
 def _factors(damping: float, low: float | None, high: float | None) -> tuple[float, float] | None:
-    """Least and largest factor on the wind that an interval of the damping allows; None where an end is open."""
+    """Smallest and largest factor on the wind that an interval of the damping allows; None if an end is open."""
     if low is None or high is None or low <= 0:
         return None
     return min(damping / high, 1.0), max(damping / low, 1.0)
 
 
 def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Sequence[tuple[float, float]]) -> Air | None:
-    """The mean wind, from the drag that the law's damping is where commands are tilts; None before `AVERAGED` seconds.
+    """The mean wind, for commands that are tilts, so that the damping is the air's drag; None before `AVERAGED` s.
 
-    (c + s') / b + s of each axis of the heading frame, turned into the world. What acts is measured, so that all of
-    this goes by 1 / b: how far b is known tells how far the wind is, and further up than down.
+    It is (c + s') / b + s of each axis of the heading frame, rotated into the world. The acceleration is measured, so
+    the wind scales with 1 / b: the interval of b sets that of the wind, which reaches further up than down.
     """
     settled = time > time[0] + AVERAGED / 2
     if time[-1] - time[0] < AVERAGED or len(factors) < 2:
@@ -156,7 +161,7 @@ def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Seque
     of_axes = [world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0) for k in range(2)]
 
     def reach(along: Array) -> tuple[float, float]:
-        """How far below and above the mean its interval goes along a direction."""
+        """How far the interval reaches below and above the mean along a direction."""
         ends = np.array(
             [[share @ along * (factor - 1.0) for factor in two] for share, two in zip(of_axes, factors, strict=True)]
         )
@@ -172,16 +177,16 @@ def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Seque
 
 
 AVERAGED, ALIKE = 10.0, 3.0
-"""The mean wind is told after so long; over the second, gusts are taken as one [s]."""
+"""Time before a mean wind is given; time within which gusts count as one independent sample [s]."""
 
 
 LOOKS_BACK, SLOPE = 40.0, 0.3
-"""The motion is followed from at most so long ago [s]; the velocity there is measured over `SLOPE` [s], and what is
-wrong with it is the disturbance's."""
+"""How far back the filter starts at most; time over which the velocity there is measured [s]. The disturbance absorbs
+the error of that velocity."""
 
 
 def _measured(flight: Flight, pair: Pair, time: float) -> Array:
-    """World velocity of a pair as the poses show it."""
+    """World velocity of a pair around a time, from the poses, shape (2,) [m/s, rad/s]."""
     pose = np.column_stack([flight.position, flight.yaw])[:, [AXES.index(axis) for axis in pair]]
     low, high = np.searchsorted(flight.pose_time, [time - SLOPE / 2, time + SLOPE / 2])
     low = min(int(low), flight.pose_time.size - 2)
@@ -190,11 +195,11 @@ def _measured(flight: Flight, pair: Pair, time: float) -> Array:
 
 
 LEAST = 10
-"""Poses below which the filter has seen nothing."""
+"""Fewest poses for the filter."""
 
 
 def _law(estimate: Estimate | None) -> Array:
-    """Numbers of the law of an axis, its trim with them; of one that is not told, of an axis that rests."""
+    """Parameters of the law of an axis, including its trim; without an estimate, those of an axis at rest."""
     if estimate is None:
         return law_of(FIRST_ORDER_DELAY, *STILL, {})
     point, k = estimate.optimum.point, estimate.place
@@ -205,12 +210,12 @@ def _law(estimate: Estimate | None) -> Array:
 
 
 def _levels(estimate: Estimate | None) -> Array:
-    """Levels of the disturbance of an axis."""
+    """Levels q, r, alpha, kappa of the disturbance of an axis, shape (4,)."""
     return np.ones(4) if estimate is None else np.exp(estimate.optimum.point.levels[estimate.place, :4])
 
 
 def _start(pair: Pair, known: Mapping[str, Estimate]) -> Array:
-    """World velocity of a pair at the start of the last segment."""
+    """World velocity of a pair at the start of the last segment, shape (2,) [m/s, rad/s]."""
     out = np.zeros(2)
     for k, axis in enumerate(pair):
         if axis in known:

@@ -1,8 +1,8 @@
-"""What a change probably is: the shifts of the coefficients against those that each cause would give.
+"""The probable cause of a change: the estimated shifts of the coefficients, compared with those of each cause.
 
-A cause is a subspace: some coefficients change, alike or each by itself, and the others stay. Each is fitted to the
-shifts with their precision; what it leaves and how many numbers it took decide (Schwarz's criterion), the shares say
-how surely.
+A cause is a subspace of the shifts: some coefficients change, by a common factor or each by itself, and the others do
+not. Each cause is fitted to the shifts, weighted by their precision. Schwarz's criterion selects one by its residual
+and its number of parameters; the share of each cause in the evidence says how certain the choice is.
 
 Source: G. Schwarz, Ann. Statist. 6 (1978), pp. 461-464.
 """
@@ -19,10 +19,10 @@ from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import Scores
 
 PRICE = float(np.log(60.0))
-"""What each number of a cause costs: the logarithm of about as many independent samples as two seconds hold."""
+"""Penalty for each parameter of a cause: the logarithm of the number of independent samples in about two seconds."""
 
 CURVED = 0.1
-"""Error of first order, in the units of `EXPECTED`, over the square of a shift in them."""
+"""Error of the first-order shift over the square of the shift, both in units of `scores.EXPECTED`."""
 
 WORDS: Mapping[Cause, str] = {
     "payload": "weight against thrust changed: a payload taken up or dropped, or thrust lost evenly",
@@ -38,12 +38,13 @@ class Diagnosis:
     """A named change.
 
     Attributes:
-        cause: Which.
+        cause: The most probable cause.
         axes: The axes that it changes.
-        change: `AXIS.QUANTITY` to the 95 % interval: a ratio, or the difference of a delay or trim.
-        confidence: Share among the causes.
-        why: A sentence.
-        plain: Share of this cause with these axes.
+        change: `AXIS.QUANTITY` to the 95 % interval of the change: the ratio of new to old, or the difference of a
+            delay [s] or trim [m/s^2, rad/s^2].
+        confidence: Share of the evidence for this cause, on any axes.
+        why: The reason, in one sentence.
+        plain: Share of the evidence for this cause on exactly these axes.
     """
 
     cause: Cause
@@ -58,7 +59,8 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
     """Names the cause of a change.
 
     Args:
-        parts: Scores and contrast of each likelihood, from one instant. The cause concerns the one that shows it most.
+        parts: Scores and contrast of each likelihood, for a change at one instant. A cause must involve the likelihood
+            with the largest statistic.
     """
     names = [name for scores, _ in parts for name in scores.names]
     shift = np.concatenate([found.shift for _, found in parts])
@@ -71,7 +73,7 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
         at += size
     shown = set(max(parts, key=lambda part: part[1].statistic)[0].names)
     concerned = [name in shown for name in names]
-    seen = precision.diagonal() > 0  # of what shows nothing nothing is said
+    seen = precision.diagonal() > 0  # a coefficient without information takes part in no cause
     causes = [(cause, basis) for cause, basis in _causes(names, seen) if basis[concerned].any()]
     fitted = [(cause, _fitted(basis, shift, precision)) for cause, basis in causes]
     costs = np.array([left + PRICE * np.linalg.matrix_rank(basis) for _, (left, _, _, basis) in fitted])
@@ -88,9 +90,9 @@ def diagnosis(parts: Sequence[tuple[Scores, Contrast]]) -> Diagnosis:
 
 
 def _bent(scores: Scores, found: Contrast) -> Array:
-    """Precision of a shift that was found to first order: of a large one the second order is a part.
+    """Precision of a first-order shift, lowered where the shift is large enough for the second order to matter.
 
-    Trims are additive and have none.
+    Trims enter linearly and have no second order.
     """
     additive = np.array([name.endswith(".trim") for name in scores.names])
     size = float(np.sum(np.where(additive, 0.0, found.shift) ** 2))
@@ -102,7 +104,7 @@ def _bent(scores: Scores, found: Contrast) -> Array:
 
 
 def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
-    """Each cause with a basis of the shifts that it gives, shape (P, k), where they can be seen, shape (P,)."""
+    """Each cause with a basis of its shifts, shape (P, k), restricted to the coefficients that are seen, shape (P,)."""
 
     def alike(*wanted: str) -> Array:
         return (seen & np.isin(names, wanted)).astype(float)[:, None]
@@ -132,7 +134,7 @@ def _causes(names: Sequence[str], seen: Mask) -> list[tuple[Cause, Array]]:
 
 
 def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[float, Array, Array, Array]:
-    """What a cause leaves unexplained, the shifts that it gives and their standard errors, and its basis."""
+    """Residual sum of squares of a cause, its fitted shifts and their standard errors, shape (P,), and its basis."""
     inverse = np.linalg.pinv(basis.T @ precision @ basis, rcond=1e-9, hermitian=True)
     moved = basis @ (inverse @ (basis.T @ precision @ shift))
     off = shift - moved
@@ -141,7 +143,7 @@ def _fitted(basis: Array, shift: Array, precision: Array) -> tuple[float, Array,
 
 
 def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -> dict[str, tuple[float, float]]:
-    """Intervals of what changed, in natural units."""
+    """95 % intervals of what changed, in natural units."""
     out = {}
     for name, value, wide, size in zip(names, moved, error, scale, strict=True):
         if wide == 0.0:
@@ -157,7 +159,7 @@ def _intervals(names: Sequence[str], moved: Array, error: Array, scale: Array) -
 
 
 def _why(cause: Cause, second: tuple[float, Cause] | None) -> str:
-    """One sentence."""
+    """The reason for a cause, and the share of the next likely one."""
     if second is None:
         return WORDS[cause]
     share, other = second

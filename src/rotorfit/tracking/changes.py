@@ -1,21 +1,21 @@
-"""Is it still the same vehicle? The last seconds under the law of the regime against the rest of it.
+"""Has the vehicle changed? The last seconds of a regime, tested against the rest of it under its law.
 
-Under the estimate theta the whitened innovations e and their sensitivities S by the coefficients tell, of any window w,
-how far its own estimate would lie from that of the rest r. With the trim and the start velocities free in both,
+At the estimate theta, the whitened innovations e and their sensitivities S to the coefficients show how far the
+estimate of a window w would lie from that of the rest r. With the trim and the start velocities free in both,
 
     G = S'S and s = S'e of a window, less what its own trim and start explain,
     u = s_w - G_w (G_w + G_r)^-1 (s_w + s_r),    M = G_w - G_w (G_w + G_r)^-1 G_w,    T = u' M^-1 u
 
-is the likelihood ratio for coefficients of their own in the window, to first order; wind that comes or turns is trim
-and level, and in neither. The window is seen by a filter that expects gusts as strong as they are in it (`scores`),
-the rest by that of the regime. T is looked at in the directions of M in which the window knows more than was to be
-expected, each over the variance that the scores of the regime really have, from their sums over `CHUNK`: gusts, colour,
-and whatever in the law is a little wrong make it larger than the likelihood believes, and alarms rarer. What the
-refit's tests of the law found a coefficient to vary by, with the size of commands, the speed or the method, is added.
+is, to first order, the likelihood ratio of the hypothesis that the window has its own coefficients; wind that rises or
+turns enters trim and levels, not T. In the window the filter assumes gusts as strong as those in it (`scores`), in the
+rest those of the regime. T is evaluated in the directions of M in which the window is informative, each divided by the
+empirical variance of the regime's scores, from their sums over `CHUNK`: gusts, coloured noise and small errors of the
+law make that variance larger than the likelihood assumes, and alarms rarer. The variance by which the refit's tests of
+the law found a coefficient to depend on command size, speed or method is added.
 
-The promise: each look has a p-value, and the alarm sounds below (false alarms an hour) / (looks an hour). The expected
-number of false alarms an hour is then at most what was asked for, however the looks depend on each other, because
-expectations add (Boole's inequality); it is as good as the p-values.
+False alarms: each look has a p-value, and an alarm is raised below (false alarms per hour) / (looks per hour). The
+expected number of false alarms per hour is then at most the number asked for, however the looks depend on each other,
+because expectations add (Boole's inequality); the bound is as good as the p-values.
 
 Source: A. S. Willsky, H. L. Jones, IEEE Trans. Autom. Control 21 (1976), pp. 108-112 (window-limited generalised
 likelihood ratio); T. L. Lai, J. R. Statist. Soc. B 57 (1995), pp. 613-658 (its windows); K.-Y. Liang, S. L. Zeger,
@@ -32,42 +32,44 @@ from rotorfit.core.frames import Array, Indices
 from rotorfit.tracking.scores import FADES, LASTS, WINDOWS, Scores
 
 CHUNK = 1.0
-"""Over this time sums of scores are taken as independent of the next [s]."""
+"""Length of the stretches whose sums of scores count as independent [s]."""
 
 UNLIKELY = 1e-3
-"""A contrast whose p-value is larger even under white innovations is not looked at further."""
+"""A contrast is dropped early if its p-value exceeds this even under white innovations."""
 
 TOLD = 2.4
-"""Length of a window that tells by itself how strong gusts are in it [s]: in a shorter one a push may be a gust or the
-vehicle, and only what other seconds and axes show decides; for z and yaw, which are pushed by both, in any."""
+"""Shortest window that determines the strength of its own gusts [s]: in a shorter one a push may come from a gust or
+from the vehicle, and the other seconds and axes decide. For z and yaw, which both can push, they set the least strength
+in longer windows too."""
 
 LEAST_CHUNKS = 12
-"""Chunks of the rest of a regime below which its variance is not known and nothing is asked."""
+"""Fewest chunks in the rest of a regime for its variance to be known; with fewer nothing is tested."""
 
 NEW, EARLIEST, APART = 2.0, 0.15, 0.1
-"""Of the matched filters [s]: how far back a look asks; what a jolt needs to be seen; the grid."""
+"""Times of the matched filters [s]: how far back a look tests; age at which a jolt becomes visible; grid spacing."""
 
 LATEST = 3.84
-"""Fall of T from its largest to the ends of the 95 % interval of the time of a change."""
+"""Drop of T from its maximum that bounds the 95 % interval of the time of a change."""
 
 MARGIN = 2.0
-"""Factor on the variance of jolts: a gust that is four tenths larger than any before is still a gust."""
+"""Factor on the variance of jolts: a gust that is 40 % larger than any before is still a gust."""
 
 RARE, RARE_OF_NORMAL = 0.99, 6.63
-"""Jolts are measured by the largest hundredth of what came before, too: air and poses have more outliers than a normal
-distribution, whose squared 99 % quantile is the second."""
+"""The variance of jolts is also taken from the 99 % quantile of their squares so far, divided by that of a squared
+standard normal variable (the second number): air and poses have more outliers than a normal distribution."""
 
 BEFORE, CALM_BEFORE, CALM_AFTER = 5.0, 1.25, 2.0
-"""Over so long before a change [s], and after it, squared innovations may be so many times those of the regime."""
+"""Time before a change that is checked for calm [s]; largest mean squared innovation before and after the change, over
+that of the regime."""
 
 SURE = 1e-12
-"""p-value below which the calm after a change is not asked for."""
+"""p-value below which no calm is required after a change."""
 
 TOGETHER = 0.5
-"""Changes of several axes so near to each other are one [s]."""
+"""Changes of several axes within this time count as one [s]."""
 
 STEP = 0.2
-"""Grid of the time of a change [s]."""
+"""Grid spacing of the time of a change [s]."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,12 @@ class Contrast:
     """A window against the rest of its regime.
 
     Attributes:
-        since: Where the window begins [s].
-        shift: Coefficients of the window less those of the rest, on the scale of `EXPECTED`, shape (P,).
-        precision: Of the shift, shape (P, P); what the window cannot tell has none.
-        statistic: T over the scores' variance, over its directions.
-        directions: How many.
-        p_value: Of no change.
+        since: Start of the window [s].
+        shift: Coefficients of the window minus those of the rest, in units of `scores.EXPECTED`, shape (P,).
+        precision: Inverse covariance of the shift, shape (P, P); zero along what the window does not determine.
+        statistic: Sum over the directions of T over the variance of the scores.
+        directions: Number of directions.
+        p_value: Probability of so large a statistic without a change.
     """
 
     since: float
@@ -92,15 +94,21 @@ class Contrast:
 
 
 def contrast(scores: Scores, since: float) -> Contrast | None:
-    """The window from an instant to the end against what was before, in all directions; None where either is silent."""
+    """The window from `since` [s] to the end, against the time before it, in all directions; None if undetermined."""
     compared = _compared(scores, since)
     return _along(scores, compared, np.eye(len(scores.names))) if compared else None
 
 
 @dataclass(frozen=True)
 class _Compared:
-    """A window against the rest, under gusts of some strength in the window: u, M, the factor of its noise, where it
-    begins, and the likelihood of that strength without a change.
+    """A window against the rest, under one strength of gusts in the window.
+
+    Attributes:
+        since: Start of the window [s].
+        at: Its first row.
+        u, M: See the module, shapes (P,) and (P, P).
+        noise: Mean squared innovation of the window after the shift, at least 1.
+        heard: Log-likelihood of this strength of gusts without a change.
     """
 
     since: float
@@ -112,7 +120,7 @@ class _Compared:
 
 
 def _compared(scores: Scores, since: float) -> list[_Compared]:
-    """Under each strength of gusts that the window may have; nothing where it cannot be compared."""
+    """The comparison under each strength of gusts that the window may have; empty if either part is too short."""
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or _chunks(scores.time[:at]).size < LEAST_CHUNKS:
         return []
@@ -131,9 +139,9 @@ def _compared(scores: Scores, since: float) -> list[_Compared]:
 
 
 def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contrast | None:
-    """The contrast inside a subspace of the shifts, shape (P, k); None where it shows nothing.
+    """The contrast within a subspace of the shifts, with a basis of shape (P, k); None if nothing is visible there.
 
-    Gusts are as strong as makes the window likeliest, with its shifts.
+    The strength of gusts is the one that maximises the likelihood of the window, shifts included.
     """
     parts = [part for one in compared if (part := _inside(one, basis))]
     if not parts:
@@ -143,7 +151,7 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
     directions = value.size
     chunks = _chunks(scores.time[: one.at]).size
     if _p_value(float((along**2 / value).sum()) / one.noise, directions, chunks) > UNLIKELY:
-        return None  # the variance can only be larger than that of white innovations
+        return None  # the true variance is never below that of white innovations
     excess, freedom = _excess(scores, one.at, scores.tested[: one.at] @ vector)
     variance = one.noise * excess + value * (scores.doubt**2 @ vector**2)
     statistic = float((along**2 / (value * variance)).sum())
@@ -159,7 +167,7 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
 
 
 def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array, Array] | None:
-    """What a window shows along the directions of a subspace in which it knows enough, these, and their information."""
+    """The comparison, its u along the informative directions of a subspace, those directions, and their information."""
     value, vector = np.linalg.eigh(basis.T @ compared.M @ basis)
     keep = value > 1.0
     vector = basis @ vector[:, keep]
@@ -167,8 +175,9 @@ def _inside(compared: _Compared, basis: Array) -> tuple[_Compared, Array, Array,
 
 
 def _excess(scores: Scores, at: int, along: Array) -> tuple[Array, float]:
-    """Variance of the scores of the rest along some directions over what white innovations would give, and values
-    behind it.
+    """Variance of the rest's scores along some directions, over that of white innovations, and its degrees of freedom.
+
+    Sensitivities `along`, shape (at, k), give k variances, each at least 1.
     """
     before = along * scores.innovation[:at, None]
     excess, values = _spread(np.add.reduceat(before, _chunks(scores.time[:at]), axis=0), (before**2).sum(axis=0))
@@ -176,10 +185,10 @@ def _excess(scores: Scores, at: int, along: Array) -> tuple[Array, float]:
 
 
 def _spread(sums: Array, expected: Array) -> tuple[Array, float]:
-    """Mean square of some sums over what was expected of all of them, and how many equal normal ones tell as much.
+    """Sum of squares of the columns over the expected one, and the equivalent number of normal samples behind it.
 
-    Sums of seconds in which hardly anything was commanded, or one second's that outweighs all others, tell a variance
-    badly: their fourth moments say how badly. Shape (C, k) to (k,), and the least of the k.
+    A variance is poorly determined by seconds in which hardly anything was commanded, or if one second outweighs all
+    others: the fourth moments show how poorly. Shape (C, k) gives (k,), and the smallest of k numbers of samples.
     """
     square, fourth = (sums**2).sum(axis=0), (sums**4).sum(axis=0)
     told = 3.0 * square**2 / np.maximum(fourth, 1e-300)
@@ -187,23 +196,23 @@ def _spread(sums: Array, expected: Array) -> tuple[Array, float]:
 
 
 def _p_value(statistic: float, directions: int, chunks: float) -> float:
-    """Of Hotelling's T squared with as many degrees of freedom as there are chunks behind its variance."""
+    """p-value of Hotelling's T squared, with the number of chunks behind its variance as degrees of freedom."""
     from scipy.special import fdtrc
 
     return float(fdtrc(directions, max(chunks - directions, 1), statistic / directions))
 
 
 def _chunks(time: Array) -> Indices:
-    """Where each chunk of time begins."""
+    """First row of each chunk of time."""
     return np.flatnonzero(np.diff(np.floor(time / CHUNK), prepend=-1.0)) if time.size else np.empty(0, int)
 
 
 def _projected(products: Array, P: int) -> tuple[Array, Array, float]:
-    """Information and score of a window less what its own trims and starts explain, and the sum of squares left.
+    """Information and score of a window after projecting out its trims and starts, and the residual sum of squares.
 
     Args:
-        products: Of its rows, see `Scores.rows`.
-        P: Number of parameters that are tested.
+        products: Products of its rows, see `Scores.rows`, shape (1 + P + Q, 1 + P + Q).
+        P: Number of tested parameters.
     """
     free, tested = slice(1 + P, None), slice(1, 1 + P)
     inverse = _inverse(products[free, free], 1e-10)
@@ -213,16 +222,14 @@ def _projected(products: Array, P: int) -> tuple[Array, Array, float]:
 
 
 def _inverse(products: Array, least: float) -> Array:
-    """Of a symmetric matrix, zero along what is below a share of its largest eigenvalue: ten times as fast as pinv."""
+    """Pseudo-inverse of a symmetric matrix, cut off at a share of its largest eigenvalue; ten times as fast as pinv."""
     value, vector = np.linalg.eigh(products)
     keep = value > least * max(value[-1], 0.0) if value.size else np.zeros(0, bool)
     return np.asarray((vector[:, keep] / value[keep]) @ vector[:, keep].T)
 
 
 def looked_for(scores: Scores) -> list[Contrast]:
-    """The contrasts of all windows that are not longer than what was before them, in all directions and in each alone
-    that changes have, and the likeliest jolt.
-    """
+    """The contrasts of all windows of at most half the regime, in all of `_bases`, and the likeliest jolt."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
     windows = (now - w for w in WINDOWS if w < 0.5 * (now - begin))
     compared = [one for since in windows if (one := _compared(scores, since))]
@@ -231,12 +238,12 @@ def looked_for(scores: Scores) -> list[Contrast]:
 
 
 def looks(scores: Scores) -> int:
-    """How many contrasts a look at these scores is, a second after the last."""
+    """Number of contrasts that a look at these scores tests, a second after the last."""
     return len(WINDOWS) * len(_bases(scores)) + _instants(scores)
 
 
 def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], list[Contrast]], int]:
-    """The contrasts of all likelihoods, each alone and jolts of two axes at one instant, and how many a look is."""
+    """The contrasts of all likelihoods, simultaneous jolts of two axes included, and the number of tests of a look."""
     looked = {scores.names: looked_for(scores) for scores in scored}
     pairs = list(itertools.combinations([scores for scores in scored if scores.jolts.size], 2))
     for pair in pairs:
@@ -246,20 +253,20 @@ def looked_together(scored: Sequence[Scores]) -> tuple[dict[tuple[str, ...], lis
 
 
 def _instants(scores: Scores) -> int:
-    """How many jolts a look at these scores asks for."""
+    """Number of jolts that a look at these scores tests."""
     return round(NEW / APART) if scores.jolts.size else 0
 
 
 @dataclass(frozen=True)
 class _Jolts:
-    """Accelerations of one axis that come at once and fade, at n instants.
+    """Tests for a sudden acceleration of one axis that fades, at n instants.
 
     Attributes:
-        time: Of each, shape (n,) [s].
-        product, power: Of their shape with the innovations, and with itself, shape (n,).
-        wrong: What poses that are wrong would explain there, as squares of normal variables, shape (n,).
-        variance: That the explained squares have.
-        freedom: So many values tell it.
+        time: Instants, shape (n,) [s].
+        product, power: Inner product of the jolt's shape with the innovations, and with itself, shape (n,).
+        wrong: Largest square that wrong poses would explain there instead, shape (n,).
+        variance: Variance of the filter's normalised output, from its past.
+        freedom: Degrees of freedom of that variance.
     """
 
     time: Array
@@ -271,7 +278,7 @@ class _Jolts:
 
 
 def _jolts_of(scores: Scores) -> _Jolts | None:
-    """A matched filter at every instant that is new; its variance is what it has given before."""
+    """A matched filter at every new instant; its variance comes from its output before."""
     begin, now = float(scores.time[0]), float(scores.time[-1])
     chunks = int((now - NEW - LASTS - begin) / CHUNK)
     if not scores.jolts.size or chunks < LEAST_CHUNKS:
@@ -292,10 +299,10 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
 
 
 def _jolted(scored: Sequence[Scores]) -> dict[tuple[str, ...], Contrast]:
-    """The likeliest acceleration that came at once and fades, as of a payload that the autopilot then carries.
+    """The likeliest jolt: a sudden acceleration that fades, as when the autopilot learns to carry a payload.
 
-    On some axes together: a weak rotor sinks and turns the vehicle at the same instant. Where poses that are wrong
-    explain more, nothing is said.
+    It may hit several axes at one instant: a weak rotor makes the vehicle sink and turn. Empty if wrong poses explain
+    more.
     """
     found = [one for scores in scored if (one := _jolts_of(scores))]
     if len(found) < len(scored) or any(not np.array_equal(one.time, found[0].time) for one in found):
@@ -318,7 +325,7 @@ def _jolted(scored: Sequence[Scores]) -> dict[tuple[str, ...], Contrast]:
 
 
 def _matched(innovation: Array, h: Array, at: Indices) -> Array:
-    """Products of a shape with the innovations from some places on, and its own power as far as they go, (2, n)."""
+    """Inner products of a shape with the innovations from each row on, and with itself over the rows there, (2, n)."""
     out = np.empty((2, at.size))
     for n, i in enumerate(at):
         part = innovation[i : i + h.size]
@@ -327,7 +334,7 @@ def _matched(innovation: Array, h: Array, at: Indices) -> Array:
 
 
 def _bases(scores: Scores) -> list[Array]:
-    """All directions; the trims that are the vehicle's; one factor of all gains; one step of all delays."""
+    """Bases of the shifts: all directions; each trim that belongs to the vehicle; a common factor; a common delay."""
     kind = np.array([name.split(".")[1] for name in scores.names])
     alone = [np.eye(kind.size)[:, [i]] for i in np.flatnonzero(kind == "trim")]
     alike = [(kind == name)[:, None].astype(float) for name in ("input", "delay")]
@@ -335,11 +342,11 @@ def _bases(scores: Scores) -> list[Array]:
 
 
 def calm(scores: Scores, since: float, p_value: float) -> bool:
-    """Whether the air around a change is that of the regime: before it, and after it but for the change itself.
+    """Whether the air around a change is as calm as in the rest of the regime, apart from the change itself.
 
-    Gusts that rise fill seconds with innovations that are too large. A vehicle that changes leaves those before it as
-    they were; those after it are again as they were once the shifts of its coefficients, or its jolt, are taken off.
-    What is beyond all doubt need not leave such calm behind it.
+    Rising gusts make the innovations too large for seconds. A change of the vehicle leaves the innovations before it
+    as they were, and those after it too once its shifts, or its jolt, are subtracted. With a p-value below `SURE` the
+    calm after the change is not required.
     """
     time, e = scores.time, scores.innovation
     usual = max(float(np.mean(e[time < since - BEFORE] ** 2)) if time[0] < since - BEFORE else 1.0, 1.0)
@@ -357,14 +364,14 @@ def calm(scores: Scores, since: float, p_value: float) -> bool:
 
 
 def at_once(scores: Scores, looked: Sequence[Contrast], since: float) -> Contrast | None:
-    """What other axes show of a change at an instant: the window from there, or a jolt at that time."""
+    """The most significant contrast of other axes at the time of a change: the window from then on, or one near it."""
     near = [one for one in looked if abs(one.since - since) < TOGETHER]
     window = contrast(scores, since)
     return min((*near, *([window] if window else ())), key=lambda one: one.p_value, default=None)
 
 
 def since_when(scores: Scores, found: Contrast) -> tuple[Contrast, tuple[float, float]]:
-    """The likeliest time of a change that was found, and its 95 % interval."""
+    """The contrast at the likeliest time of a change, and the 95 % interval of that time [s]."""
     now, begin = float(scores.time[-1]), float(scores.time[0])
     low = max(found.since - WINDOWS[-1] / 4, begin)
     tried = [one for t in np.arange(low, now - STEP, STEP) if (one := contrast(scores, float(t)))]

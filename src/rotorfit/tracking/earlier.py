@@ -1,14 +1,14 @@
-"""The model of an earlier flight: what the vehicle was, said as such until this flight tells it, and compared with it.
+"""The model of an earlier flight: reported under its name until this flight tells as much, and compared with it.
 
-Nothing is combined: a vehicle that was changed on the ground would be pulled towards what it was. Until the flight
-tells more of input, damping and delay than the earlier model did, that one's numbers stand, under its name. From then
-on the flight's own stand, and beside them how they differ from the earlier ones,
+The two are not combined: that would pull a vehicle that was changed on the ground towards what it was. As long as this
+flight tells fewer of input, damping and delay than the earlier model, the numbers are those of the earlier model, under
+its name. After that they are those of this flight, together with their difference from the earlier ones,
 
     z = 1.96 (a - b) / sqrt(h_a^2 + h_b^2)
 
-with a and b the two values (logarithms but of times), h_a and h_b the half widths that face each other of their
-intervals of the vehicle, which hold what flights of one vehicle differ by. `bench/bench_real_coverage.py` counts this
-statistic on pairs of recorded flights.
+where a and b are the two values (logarithms, except for times), and h_a and h_b the half widths, on the facing sides,
+of their intervals of the vehicle, which include the spread between flights of one vehicle.
+`bench/bench_real_coverage.py` counts this statistic on pairs of recorded flights.
 """
 
 import math
@@ -30,14 +30,15 @@ from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.files.models import load
 
 SHARE = 0.25
-"""Of the false alarms that are promised, those that comparisons with the earlier model may raise."""
+"""Share of the promised false alarms that comparisons with the earlier model may raise."""
 
 DEGREES = 5.0
-"""Of freedom of Student's distribution that p-values of a comparison are taken from. Of 769 pairs of recorded flights
-of one vehicle 6 lie beyond 4, 2 beyond 5 and 1 beyond 6 of their standard errors; it expects 8, 3 and 1.4."""
+"""Degrees of freedom of the Student distribution behind the p-values of a comparison. Of 769 pairs of recorded flights
+of one vehicle, 6 differ by more than 4, 2 by more than 5 and 1 by more than 6 standard errors; it predicts 8, 3 and
+1.4."""
 
 TIMES = ("delay", "lag", "total_lag")
-"""Quantities that are compared by their difference [s]; the others by their ratio."""
+"""Quantities compared by their difference [s]; the others are compared by their ratio."""
 
 ALIKE = ("steady_gain", "total_lag")
 """Quantities that mean the same under every law."""
@@ -48,11 +49,11 @@ Known = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Earlier:
-    """A model, and what it is called.
+    """The model of an earlier flight.
 
     Attributes:
-        model: Of an earlier flight.
-        name: Such as that of its file.
+        model: The model.
+        name: What it is called, such as the name of its file.
     """
 
     model: Model
@@ -61,12 +62,12 @@ class Earlier:
 
 @dataclass(frozen=True)
 class Unlike:
-    """A quantity that differs from what it was.
+    """A quantity compared with its earlier value.
 
     Attributes:
         name: `AXIS.QUANTITY`.
-        p_value: Of the same vehicle differing as much.
-        change: Ratio of new to old, or their difference [s], with its 95 % interval.
+        p_value: Probability that two flights of one vehicle differ as much.
+        change: Ratio of new to old, or their difference [s], with the ends of its 95 % interval.
     """
 
     name: str
@@ -75,10 +76,10 @@ class Unlike:
 
 
 def earlier_of(after: Model | Fit | str | PathLike[str]) -> Earlier:
-    """An earlier model, of a fit, or loaded; a file gives it its name.
+    """The earlier model given as a model, a fit or a model file; a file also gives it its name.
 
     Raises:
-        TypeError: Anything else.
+        TypeError: `after` is something else.
         ModelError: The file cannot be used.
     """
     if isinstance(after, Fit):
@@ -91,17 +92,17 @@ def earlier_of(after: Model | Fit | str | PathLike[str]) -> Earlier:
 
 
 def check_earlier(earlier: Earlier, card: Card) -> None:
-    """Refuses a model whose commands mean something else.
+    """Refuses an earlier model whose commands have another meaning than those of the flight's card.
 
     Raises:
-        CardError: They do.
+        CardError: The meanings differ.
     """
     if trouble := disagreement(card, earlier.model.card, ("the flight's card", f"that of {earlier.name}")):
         raise CardError(f"{earlier.name}: {trouble}; convert it (rotorfit convert), or leave --after out")
 
 
 def told_before(earlier: Earlier, axis: str) -> dict[str, Known]:
-    """What the earlier model tells of an axis, with its intervals of the vehicle."""
+    """The quantities of an axis that the earlier model tells, each with its interval of the vehicle."""
     known = earlier.model.axes[axis]
     values = {**{name: getattr(known, name) for name in COEFFICIENTS}, **known.extra}
     values |= {name: part.value for name, part in known.combinations.items()}
@@ -109,7 +110,7 @@ def told_before(earlier: Earlier, axis: str) -> dict[str, Known]:
 
 
 def _closed(values: Mapping[str, float | None], ends: Mapping[str, Interval]) -> dict[str, Known]:
-    """Quantities with a value and an interval that has both ends."""
+    """The quantities that have a value and a closed interval."""
     out = {}
     for name in QUANTITIES:
         value, (low, high) = values.get(name), ends.get(name, (None, None))
@@ -119,7 +120,7 @@ def _closed(values: Mapping[str, float | None], ends: Mapping[str, Interval]) ->
 
 
 def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
-    """An axis with the earlier model's numbers, where they tell more of it than this flight so far."""
+    """The axis with the numbers of the earlier model, if that tells more coefficients than this flight so far."""
     before = told_before(earlier, axis)
     own = sum(out.values.get(name) is not None for name in COEFFICIENTS)
     if sum(name in before for name in COEFFICIENTS) <= own:
@@ -136,7 +137,7 @@ def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
 
 
 def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
-    """Each quantity that both tell, against what it was; input, damping, delay and lag only under the same law."""
+    """Each quantity that both models tell, compared; only those of `ALIKE` if their laws differ."""
     before, now = told_before(earlier, axis), _closed(out.values, out.ci95)
     same_law = out.structure == earlier.model.axes[axis].structure
     return tuple(
@@ -147,7 +148,7 @@ def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...
 
 
 def _unlike(name: str, before: Known, now: Known) -> Unlike:
-    """A quantity against what it was."""
+    """Compares a quantity with its earlier value."""
     apart = name.partition(".")[2] in TIMES
     (b, b_low, b_high), (a, a_low, a_high) = (each if apart else map(math.log, each) for each in (before, now))
     below, above = math.hypot(a - a_low, b_high - b), math.hypot(a_high - a, b - b_low)
@@ -158,12 +159,12 @@ def _unlike(name: str, before: Known, now: Known) -> Unlike:
 
 
 def another_vehicle(found: list[Unlike], earlier: Earlier, now: float) -> Alarm:
-    """That the vehicle is not the one of the earlier model.
+    """The alarm that the vehicle is not that of the earlier model.
 
     Args:
-        found: What differs, at least one.
-        earlier: From what.
-        now: [s].
+        found: The quantities that differ, at least one.
+        earlier: The earlier model.
+        now: Time of the alarm [s].
     """
     worst = sorted(found, key=lambda one: one.p_value)
     named = {one.name.partition(".")[0] for one in found}

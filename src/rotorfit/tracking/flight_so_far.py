@@ -1,4 +1,4 @@
-"""The flight so far, as rows that only grow: what a look sees, here or in another process that is told the news."""
+"""The flight so far, as rows that only grow: the input of a look, in this process or in another that takes the news."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -11,14 +11,14 @@ from rotorfit.core.flight_data import Flight, Note, Segment
 from rotorfit.core.frames import AXES, Array
 
 HOLD = 1.0
-"""Time that a command acts if no other follows, where the card does not say [s]."""
+"""How long a command acts if no other follows and the card does not say [s]."""
 
 MISSED, REGULAR, NEWEST = 5.0, 2.5, 500
-"""A sender nine tenths of whose newest commands come within so many usual periods is regular; where so many periods go
-without one, others were sent that nobody heard, and what the vehicle was told is not known."""
+"""A sender is regular if nine tenths of its last `NEWEST` intervals are at most `REGULAR` medians long. If a regular
+sender is silent for `MISSED` medians, commands were lost, and the command in force is unknown."""
 
 SHORTEST = 0.05
-"""Segments below this are none [s]."""
+"""Segments that are not longer are dropped [s]."""
 
 LEFT_OUT = {
     "late_commands": "commands were no newer than the last: left out",
@@ -28,19 +28,20 @@ LEFT_OUT = {
     "strange_stamps": "stamps cannot be true beside the arrival of the sample: left out",
     "not_numbers": "samples are no numbers: left out",
 }
-"""What is said of samples that do not count."""
+"""Code of a note on samples that were left out, and its text."""
 
 
 class Rows:
     """Stamped rows in arrays that grow at the end and are cut at the beginning.
 
-    What has been handed out is never written to again: rows are added behind it, and larger arrays are new ones.
+    Rows that were handed out are not written to again, except `last` of the newest: new rows are added behind them, and
+    larger arrays are copies.
 
     Args:
-        width: Numbers of a row besides its last, which has an array of its own.
+        width: Number of values of a row, without its time and its last number, which has an array of its own.
 
     Attributes:
-        first: Number of the oldest row, counted from the first that ever came.
+        first: Index of the oldest row kept, counted over all rows ever added.
     """
 
     def __init__(self, width: int) -> None:
@@ -49,7 +50,7 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """Rows that ever came."""
+        """Number of rows ever added."""
         return self.first + self._high - self._low
 
     def append(self, time: float, values: Sequence[float] | Array, last: float) -> None:
@@ -66,44 +67,45 @@ class Rows:
         self._high += 1
 
     def forget(self, before: float) -> None:
-        """Drops what is older, but for the last of it: a command that still acts."""
+        """Drops the rows before a time [s], except the last of them: a command that may still act."""
         while self._low + 1 < self._high and self._time[self._low + 1] < before:
             self._low += 1
             self.first += 1
 
     def since(self, time: float) -> Array:
-        """Rows from a time on, shape (N, 2 + width)."""
+        """Rows from a time [s] on, as time, values and last number, shape (N, 2 + width)."""
         new = slice(self._low + int(np.searchsorted(self.time, time)), self._high)
         return np.column_stack([self._time[new], self._values[new], self._last[new]])
 
     @property
     def time(self) -> Array:
-        """Shape (N,)."""
+        """Times, shape (N,) [s]."""
         return self._time[self._low : self._high]
 
     @property
     def values(self) -> Array:
-        """Shape (N, width)."""
+        """Values, shape (N, width)."""
         return self._values[self._low : self._high]
 
     @property
     def last(self) -> Array:
-        """The last number of each row, shape (N,); of the newest row it may be written."""
+        """The last number of each row, shape (N,); that of the newest row may be overwritten."""
         return self._last[self._low : self._high]
 
 
 @dataclass(frozen=True)
 class News:
-    """By what a flight has grown since the news before.
+    """What was added to a flight since the previous news.
 
     Attributes:
-        commands: Time, values and end of each, shape (N, 6); the first is the last of before: it may have ended.
+        commands: Time, values and end of each command, shape (N, 6); the first repeats the last of the previous news,
+            which may have ended.
         poses: Time, position and yaw, shape (M, 5).
-        oldest: Times of the oldest command and pose that are remembered [s].
-        now: [s].
-        standing: When nothing is to be learnt, all of it [s].
-        jumps: When the pose jumped, all of it [s].
-        counts: Of what was left out.
+        oldest: Times of the oldest command and pose that are kept [s].
+        now: Time of the newest sample [s].
+        standing: All intervals in which nothing is learnt [s].
+        jumps: All times at which the pose jumped [s].
+        counts: Code of `LEFT_OUT` to the number of samples.
     """
 
     commands: Array
@@ -116,18 +118,18 @@ class News:
 
 
 class FlightSoFar:
-    """Commands, poses, and in which times something can be learnt from them.
+    """Commands, poses, and the intervals in which nothing can be learnt from them.
 
     Args:
-        card: Hold and axes of the commands.
+        card: The vehicle's card: hold and axes of the commands.
 
     Attributes:
-        commands: Forward, left, up, counter-clockwise; and when each ended at the latest.
-        poses: Position, and unwrapped yaw.
-        now: [s].
-        standing: When nothing is to be learnt [s].
-        jumps: When the pose jumped as no vehicle can [s].
-        counts: Code of `LEFT_OUT` to how many samples.
+        commands: Rows of forward, left, up, counter-clockwise [unit of the card's command], and the latest end [s].
+        poses: Rows of world position [m], and unwrapped yaw [rad].
+        now: Time of the newest sample [s].
+        standing: Intervals in which nothing is learnt [s].
+        jumps: Times at which the pose jumped as no vehicle can [s].
+        counts: Code of `LEFT_OUT` to the number of samples.
     """
 
     def __init__(self, card: Card) -> None:
@@ -140,7 +142,7 @@ class FlightSoFar:
         self._told = [-np.inf, -np.inf]
 
     def flight(self) -> Flight | None:
-        """The flight; None before the first command that is obeyed, or the second pose."""
+        """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""
         time, poses = self.commands.time, self.poses.time
         if not time.size or poses.size < 2:
             return None
@@ -178,7 +180,7 @@ class FlightSoFar:
         return News(*new, oldest, self.now, self.standing, self.jumps, dict(self.counts))
 
     def take(self, news: News) -> None:
-        """Grows as another one has grown."""
+        """Adds the news of another `FlightSoFar`, to become equal to it."""
         rows = news.commands
         if rows.size and self.commands.time.size and rows[0, 0] == self.commands.time[-1]:
             self.commands.last[-1], rows = rows[0, 5], rows[1:]
@@ -192,7 +194,7 @@ class FlightSoFar:
 
 
 def _believed(time: Array, hold: float) -> float:
-    """How long a command acts if no other is heard [s]: of a sender that is regular, `MISSED` of its periods."""
+    """How long a command acts if no other is received [s]: at most `MISSED` periods if the sender is regular."""
     steps = np.diff(time[-NEWEST:])
     if steps.size < NEWEST // 10:
         return hold
@@ -201,7 +203,7 @@ def _believed(time: Array, hold: float) -> float:
 
 
 def _runs(time: Array, until: Array) -> Iterator[tuple[float, float]]:
-    """Runs of commands in which each acts until the next comes."""
+    """Start and end of each run of commands in which every command acts until the next [s]."""
     fresh = np.append(True, time[1:] > until[:-1] + 1e-6)
     last = np.append(fresh[1:], True)
     yield from zip(time[fresh].tolist(), until[last].tolist(), strict=True)
@@ -210,7 +212,7 @@ def _runs(time: Array, until: Array) -> Iterator[tuple[float, float]]:
 def _without(
     runs: Iterator[tuple[float, float]], closed: Sequence[tuple[float, float]], jumps: Sequence[float]
 ) -> Iterator[Segment]:
-    """The runs less what is closed, and cut where the pose jumped."""
+    """The runs without the closed intervals, split where the pose jumped."""
     holes = sorted((*closed, *((float(np.nextafter(jump, -np.inf)), jump) for jump in jumps)))
     for start, end in runs:
         for low, high in (*holes, (end, end)):

@@ -1,7 +1,7 @@
-"""The estimates and the regimes of a flight that grows: what a look, once a second, makes of it.
+"""The estimates and the regimes of a growing flight, updated by a look once a second.
 
-Each group of axes takes a step or is fitted again (`refits`), the last seconds are compared with the rest (`changes`),
-and the state is put together in words and numbers.
+A look takes an estimation step or a refit for each group of axes (`refits`), tests the last seconds against the rest of
+the regime (`changes`), and assembles the state in words and numbers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,16 +48,16 @@ EVERY = 1.0
 """Time between looks [s]."""
 
 FALSE_ALARMS_PER_HOUR = 0.1
-"""Promised by default."""
+"""Promised rate of false alarms by default [1/h]."""
 
 PLAIN = 0.99
-"""Share in the evidence of a cause, with the axes it changes, that needs no second look."""
+"""Share of the evidence for a cause and its axes from which the alarm does not wait for a second look."""
 
 RESTLESS = 0.97
-"""Share of the time under commands from which on rest explains nothing."""
+"""Commanded share of a regime above which the vehicle's behaviour at rest cannot explain a change."""
 
 QUIET = 5.0
-"""Time without a new command after which an axis holds [s]: by then it has answered the last."""
+"""Time without a new command after which an axis is `holding` [s]: by then it has answered the last one."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class Group:
 
     Attributes:
         axes: Names.
-        since: When their regime began [s].
-        followed: What is known of them; None before the first fit.
-        excited: Excited time since then [s].
-        looked: Up to when it was counted [s].
-        answers: Where only their answers to commands count, because at rest they obey another law: how late they come
-            [s]; None where all of the flight does.
+        since: Start of their regime [s].
+        followed: Their estimate; None before the first fit.
+        excited: Excited time since the start of the regime [s].
+        looked: Time up to which `excited` was counted [s].
+        answers: Delay of the answers to commands [s], if only those are fitted because the axes obey another law at
+            rest; None if all of the flight is.
     """
 
     axes: tuple[str, ...]
@@ -82,7 +82,7 @@ class Group:
     answers: float | None = None
 
     def part(self, flight: Flight, since: float, now: float) -> Flight | None:
-        """What counts of a flight between two times; None where nothing does."""
+        """The part of a flight between two times [s] that is fitted; None if it is empty."""
         part = _part(flight, since, now)
         if part is None or self.answers is None:
             return part
@@ -92,7 +92,13 @@ class Group:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A change that was seen at the last look and is named at this one: which likelihood, as what, what else."""
+    """A change that was found at the last look and will be named at this one.
+
+    Attributes:
+        names: Names of the scores of the likelihood that shows it.
+        contrast: Its contrast.
+        looked: All contrasts of that look, by the names of their scores.
+    """
 
     names: tuple[str, ...]
     contrast: Contrast
@@ -103,14 +109,14 @@ class Following:
     """The estimates and regimes of a growing flight.
 
     Args:
-        structure: As `fit` takes it.
-        false_alarms_per_hour: Promised.
-        earlier: What the vehicle was; None where nothing is known.
+        structure: Model structure, as `fit` takes it.
+        false_alarms_per_hour: Promised bound on their expected number [1/h].
+        earlier: The model of an earlier flight; None if there is none.
 
     Attributes:
-        next_look: When one is due [s].
-        courses: Filters of the motion at the last look, to go on with.
-        doubt: Axis name to the standard error of the wind that coefficients leave.
+        next_look: Time of the next look [s].
+        courses: Motion filters of the last look, ready to be continued.
+        doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2].
     """
 
     def __init__(
@@ -138,8 +144,11 @@ class Following:
 
         Args:
             flight: Its samples up to now.
-            now: [s].
-            standing: Whether the vehicle stands, or takes off or lands by itself: no change of it is told then.
+            now: Time of the look [s].
+            standing: Whether the vehicle stands, or takes off or lands by itself: then no change is tested for.
+
+        Returns:
+            The state, with the alarms of this look.
         """
         self.next_look = next_look(self.next_look, now)
         before = self._as_refitted()
@@ -153,23 +162,23 @@ class Following:
         return state
 
     def memory(self) -> dict[str, Any]:
-        """Regimes and the next look, as plain types; estimates are found anew."""
+        """Regimes and the time of the next look, as plain types; `recall` leaves the estimates to new fits."""
         bounds = [(since, asdict(alarm) if alarm else None) for since, alarm in self._bounds]
         told = {"compared": self._compared, "unlike": sorted(self._unlike)}
         since = {"since": dict(self._since), "changed": dict(self._changed)}
         return {**since, "bounds": bounds, "next_look": float(self.next_look), **told}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from what `memory` gave."""
+        """Continues from what `memory` returned."""
         self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
 
     def finish(self, flight: Flight, now: float) -> tuple[Tracked, tuple[Regime, ...]]:
-        """The last look, each group fitted once more, and the regimes with their models.
+        """The final state, after a last fit of each group, and the regimes with their models.
 
         Args:
-            flight: All of it.
+            flight: The whole flight.
             now: Its end [s].
         """
         ends = [*(since for since, _ in self._bounds[1:]), now]
@@ -182,12 +191,12 @@ class Following:
             part = _part(flight, group.since, now) if group.followed else None
             if fits[-1] and group.since == self._bounds[-1][0]:
                 self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
-            elif part:  # what did not change was not begun anew, and is told by more than the last regime
+            elif part:  # axes that did not change are still fitted to more than the last regime
                 self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
         return replace(self._tracked(flight, now, ()), landed=True), regimes
 
     def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
-        """The fit of a regime; None where it is too short."""
+        """The fit of a regime; None if it is too short."""
         part = _part(flight, since, end)
         return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
 
@@ -203,14 +212,14 @@ class Following:
         excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
         group, before = replace(group, excited=excited, looked=now), group.followed
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
-            return replace(group, followed=renewed(before, part))  # nothing new is told: the last values hold
+            return replace(group, followed=renewed(before, part))  # no excitation: the last values hold
         growth = REFIT if before and before.estimates else SILENT
         if before is None or grown(before.seen, excited, growth):
             return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part, excited))
 
     def _change(self, flight: Flight, now: float) -> Alarm | None:
-        """The alarm of this look, and the regime that begins with it."""
+        """The alarm of this look, if there is one; it begins a new regime."""
         followed = [group.followed for group in self._groups.values() if group.followed]
         scored = {scores.names: scores for scores in scores_of_groups(followed, flight)}
         looked, count = looked_together(list(scored.values()))
@@ -219,7 +228,7 @@ class Following:
         if seen is None:
             found = [(names, one) for names, each in looked.items() for one in each if one.p_value < threshold]
             seen = _Seen(*min(found, key=lambda each: each[1].p_value), looked) if found else None
-            self._seen, early = seen, True  # a second more tells what it is, where that is not plain
+            self._seen, early = seen, True  # unless the cause is plain, another second of data decides it
             if seen is None or seen.contrast.p_value > SURE:
                 return None
         if seen.names not in scored:
@@ -229,7 +238,7 @@ class Following:
             return None  # the air, not the vehicle
         if self._at_rest(flight, now, seen.names, threshold):
             self._seen = None
-            return None  # another law at rest, which is the vehicle's own
+            return None  # the vehicle has not changed: it obeys another law at rest
         others = [
             (scores, there)
             for names, scores in scored.items()
@@ -253,9 +262,9 @@ class Following:
         return alarm
 
     def _another_vehicle(self, state: Tracked, earlier: Earlier) -> Alarm | None:
-        """The alarm that the vehicle is not that of the earlier model, from a look that has fitted again.
+        """The alarm that the vehicle is not that of the earlier model, if a refit shows it.
 
-        What is promised is spent with time: a comparison may raise as many as its share of the time since the last.
+        The promised false alarms accrue with time: a comparison may spend those of the time since the last one.
         """
         axes = {
             axis: one
@@ -272,9 +281,9 @@ class Following:
         return another_vehicle(found, earlier, state.time) if found else None
 
     def _at_rest(self, flight: Flight, now: float, names: Sequence[str], threshold: float) -> bool:
-        """Whether what was seen comes of x and y at rest, where many vehicles brake or hold their place.
+        """Whether a change was only found because x and y obey another law at rest: many vehicles brake or hold there.
 
-        Fitted to their answers to commands, they show no change; from then on only these count.
+        That is so if they show no change when fitted to their answers to commands alone; from then on they are.
         """
         for axes, group in self._groups.items():
             if group.followed is None or group.answers is not None or set(axes) & {"z", "yaw"}:
@@ -311,14 +320,14 @@ class Following:
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
 
     def _after(self, earlier: Earlier, axis: str, out: TrackedAxis) -> TrackedAxis:
-        """An axis beside what the earlier model says of it; of one that has changed that says nothing."""
+        """An axis compared with the earlier model, or given its numbers; unchanged if the vehicle has changed there."""
         if axis in self._changed:
             return out
         out = replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
         return out if axis in self._unlike else until_known(out, earlier, axis)
 
     def _as_refitted(self) -> Model | None:
-        """The model of the last refits; the same one until there is another."""
+        """The model of the last refits: the same object until the next refit."""
         parts = [group.followed for group in self._groups.values() if group.followed]
         fits = tuple(part.fit for part in parts)
         if [id(one) for one in fits] != [id(one) for one in self._model[0]]:
@@ -359,14 +368,14 @@ class Following:
 
 
 def next_look(due: float, now: float) -> float:
-    """When the look after one that was due is due [s]."""
+    """Time of the next look, a whole number of periods after one that was due at `due` [s]."""
     return due + EVERY * max(float(np.ceil((now - due) / EVERY + 1e-9)), 1.0)
 
 
 def _knowledge(
     flight: Flight, axis: str, now: float, followed: Followed | None, words: Said | None
 ) -> tuple[Knowledge, str]:
-    """What an axis is, in one word and in words."""
+    """The state of knowledge of an axis, in one word and as a phrase."""
     if not commands_axis(flight, axis):
         return "not_excited", "not excited: no command moves it"
     if followed is None or words is None:
@@ -387,14 +396,14 @@ def _around(value: float, error: float) -> Interval:
 
 
 def _quiet(flight: Flight, axis: str, now: float) -> float:
-    """How long an axis has had the same command [s]."""
+    """How long the command of an axis has not changed [s]."""
     u = flight.command[:, AXES.index(axis)]
     new = np.flatnonzero(np.diff(u))
     return now - float(flight.command_time[new[-1] + 1 if new.size else 0])
 
 
 def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> float:
-    """Time between two instants in which commands of some axes were new, or had not yet had their answer [s]."""
+    """Excited time between two instants [s]: at most `QUIET` after each new command of some axes."""
     u = flight.command[:, [AXES.index(axis) for axis in axes]]
     new = flight.command_time[1:][np.any(np.diff(u, axis=0) != 0, axis=1)]
     answered = np.minimum(np.append(new[1:], now), new + QUIET)
@@ -402,7 +411,7 @@ def _excited(flight: Flight, axes: Sequence[str], since: float, now: float) -> f
 
 
 def _part(flight: Flight, since: float, now: float) -> Flight | None:
-    """The flight between two times; None where no segment lies there."""
+    """The flight between two times [s]; None if no segment lies there."""
     if since <= flight.segments[0].start and now >= flight.segments[-1].end:
         return flight
     part = between(flight, since, now)
@@ -410,12 +419,17 @@ def _part(flight: Flight, since: float, now: float) -> Flight | None:
 
 
 def scores_of_groups(followed: Sequence[Followed], flight: Flight) -> list[Scores]:
-    """The scores of each likelihood of some groups."""
+    """The scores of each likelihood of the given groups.
+
+    Args:
+        followed: Their estimates.
+        flight: The flight so far.
+    """
     return scores_of([part for one in followed for part in _likelihoods(one)], let_go(flight))
 
 
 def _likelihoods(followed: Followed) -> list[tuple[Estimates, Doubts]]:
-    """Those of a group, and what their laws were found wrong by."""
+    """The likelihoods of a group, each with the doubts about its laws."""
     by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
     for axis, estimate in followed.estimates.items():
         by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))

@@ -1,8 +1,8 @@
-"""When nothing is to be learnt from the motion: on the ground, and while the autopilot moves the vehicle by itself.
+"""When the motion teaches nothing: on the ground, and while the autopilot moves the vehicle by itself.
 
-The vehicle stands where it rests at the lowest height that was seen. It moves by itself where it climbs or sinks while
-all commands have been zero for a while, as in a take-off or a landing. Where a link says itself whether the commands
-are obeyed, that counts too. A vehicle that hovers there without a stir is taken to stand; it tells nothing either.
+A vehicle stands if it rests at the lowest height seen so far. It moves by itself if it climbs or sinks although all
+commands have been zero for a while, as in a take-off or a landing. If the link reports whether commands are obeyed,
+that counts too. A vehicle that hovers motionless at that height is taken to stand; it teaches nothing either.
 """
 
 from collections import deque
@@ -13,68 +13,68 @@ import numpy as np
 from rotorfit.core.frames import Array
 
 WINDOW, EVERY = 1.0, 0.1
-"""Rest is looked for over so long, so often [s]."""
+"""Length of the window that is checked for rest, and interval between checks [s]."""
 
 RESTS = np.array([0.02, 0.02, 0.02, 0.04])
-"""A vehicle whose pose stays within this over the window rests [m, rad]."""
+"""Largest range of x, y, z [m] and yaw [rad] over the window of a vehicle at rest."""
 
 LOW = 0.05
-"""Height above the lowest that was seen, below which it can be the ground [m]."""
+"""Height above the lowest seen so far up to which the vehicle may be on the ground [m]."""
 
 BEGUN = 0.7
-"""Before it is seen that a vehicle moves sideways, so long it may have begun to obey [s]."""
+"""How long a vehicle may have obeyed before its sideways motion is detected [s]."""
 
 SILENT = 1.0
-"""All commands have been zero for so long before what moves the vehicle is not the commands [s]."""
+"""Time without a non-zero command after which motion is not due to the commands [s]."""
 
 BY_ITSELF, CALM = 0.25, 0.1
-"""Vertical speed of a vehicle that takes off or lands by itself, and of one that no longer does [m/s]."""
+"""Vertical speed from which a vehicle takes off or lands by itself, and up to which it no longer does [m/s]."""
 
 ASKED = 1e-3
-"""Commands below this ask for nothing [unit of the command]."""
+"""Largest command that counts as zero [unit of the command]."""
 
 
 class Ground:
-    """Looks at commands and poses in the order of their times."""
+    """Watches commands and poses, in the order of their times."""
 
     def __init__(self) -> None:
         self.level = np.inf
         self._closed: list[tuple[float, float]] = []
         self._since: float | None = None
-        self._obeys, self._allowed = True, -np.inf  # since when what is heard counts again
+        self._obeys, self._allowed = True, -np.inf  # when the commands were last obeyed again
         self._recent: deque[tuple[float, Array]] = deque()
         self._looked = -np.inf
         self._asked = -np.inf  # when a command last asked for anything
 
     @property
     def stands(self) -> bool:
-        """Whether nothing is to be learnt now."""
+        """Whether nothing can be learnt now."""
         return self._since is not None
 
     def low(self, height: float) -> bool:
-        """Whether a height can be that of the ground [m]."""
+        """Whether a height [m] may be that of the ground."""
         return height <= self.level + LOW
 
     def asked_within(self, now: float, time: float) -> bool:
-        """Whether a command has asked for anything in the last `time` seconds."""
+        """Whether a non-zero command came in the last `time` seconds before `now` [s]."""
         return now - self._asked <= time
 
     def command(self, time: float, values: Sequence[float]) -> None:
         """Takes a command.
 
         Args:
-            time: [s].
-            values: Forward, left, up, counter-clockwise.
+            time: Its stamp [s].
+            values: Forward, left, up, counter-clockwise [unit of the card's command].
         """
         if max(map(abs, values)) > ASKED:
             self._asked = time
 
     def told(self, time: float, obeys: bool) -> None:
-        """What the vehicle says itself.
+        """Takes the vehicle's own report.
 
         Args:
-            time: [s].
-            obeys: Whether it obeys the commands that are heard.
+            time: When it came [s].
+            obeys: Whether it obeys the commands that are recorded.
         """
         if obeys and not self._obeys:
             self._allowed = time
@@ -86,14 +86,14 @@ class Ground:
         """Takes a pose.
 
         Args:
-            time: [s].
-            pose: x, y, z and unwrapped yaw, shape (4,).
+            time: Its stamp [s].
+            pose: World x, y, z [m] and unwrapped yaw [rad], shape (4,).
         """
         if time - self._looked < EVERY:
             return
         self._looked = time
         self._recent.append((time, pose))
-        if len(self._recent) > 1 and time - self._recent[-2][0] > WINDOW:  # a pause: what was before tells nothing
+        if len(self._recent) > 1 and time - self._recent[-2][0] > WINDOW:  # a gap: the poses before it are of no use
             self._recent.clear()
             self._recent.append((time, pose))
         while len(self._recent) > 2 and self._recent[1][0] <= time - WINDOW:
@@ -121,20 +121,26 @@ class Ground:
             self._since = None
 
     def forget(self, before: float) -> None:
-        """Drops what ended earlier."""
+        """Drops the intervals that ended before a time [s]."""
         while self._closed and self._closed[0][1] < before:
             self._closed.pop(0)
 
     def standing(self, now: float) -> list[tuple[float, float]]:
-        """Times in which nothing is to be learnt, in order, up to now [s]."""
+        """Intervals in which nothing can be learnt, in order, up to now [s]."""
         return [*self._closed, *([(self._since, now)] if self._since is not None else [])]
 
     def intervals(self) -> list[tuple[float, float]]:
-        """The same for a file: one that lasts ends never."""
+        """The same intervals for a file; one that is not over ends at infinity [s]."""
         return self.standing(np.inf)
 
     def recall(self, intervals: Sequence[Sequence[float]], level: float, obeys: bool) -> None:
-        """Goes on from what a file holds."""
+        """Continues from a file.
+
+        Args:
+            intervals: As `intervals` gave them [s].
+            level: Lowest height seen [m].
+            obeys: Whether the vehicle obeyed.
+        """
         self._closed = [(low, high) for low, high in intervals if np.isfinite(high)]
         self._since = next((low for low, high in intervals if not np.isfinite(high)), None)
         self.level, self._obeys = level, obeys

@@ -1,11 +1,11 @@
-"""Samples -> the flight so far: the causal repairs of a stream, one sample at a time.
+"""Samples to the flight so far: the causal repairs of a stream, one sample at a time.
 
-A command holds until the next, but no longer than the card's hold; a pose counts that is newer than the last and
-another one. What does not count is left out and counted. Where commands and poses are known, and the vehicle obeys
-them, are the segments; memory is that of `KEPT` seconds.
+A command acts until the next one, but no longer than the card's hold; a pose counts if it is newer than the last and
+differs from it. Other samples are left out and counted. Segments are the times in which commands and poses are known
+and the vehicle obeys. The last `KEPT` seconds are remembered.
 
-Stamps are the senders'. Where a stamp cannot be true beside its arrival, the sample is left out, and where that goes
-on, the sender has another clock: from then on its samples are timed by their arrival.
+Samples are timed by the sender's stamps. A sample whose stamp is implausible given its arrival is left out; after
+`STRANGE` of them in a row the sender's clock is another one, and from then on its samples are timed by their arrival.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,29 +26,29 @@ KEPT = 900.0
 """Time that is remembered [s]."""
 
 REMEMBERED = 300.0
-"""Time of it that `memory` gives [s]: what an estimate looks back over."""
+"""How much of that `memory` returns [s]: as much as an estimate looks back over."""
 
 ONE_CLOCK = (-0.05, 2.0)
-"""From stamp to arrival [s]: outside, sender and receiver do not share a clock. A radio may hold a sample back."""
+"""Plausible times from stamp to arrival if sender and receiver share a clock [s]. A radio may hold a sample back."""
 
 STRANGE = 10
-"""So many samples in a row outside, and the sender's clock is another one: arrivals count."""
+"""Number of implausible stamps in a row after which the arrivals count."""
 
 LARGEST = 1e9
-"""Metres or commands beyond which a number is none."""
+"""Bound on the values of a sound sample [m or unit of the command]."""
 
 _LENGTH = {"pose": 7, "command": 4}
 
 
 class _Clock:
-    """Times the samples of one sender [ns]."""
+    """Assigns times to the samples of one sender."""
 
     def __init__(self) -> None:
         self.by_arrival, self.strange = False, 0
 
     def stamp(self, sample: Sample) -> int | None:
-        """When a sample was measured or sent; None where its stamp cannot be true."""
-        if sample.received <= 0:  # nobody has said when it arrived
+        """When a sample was measured or sent [ns]; None if its stamp is implausible."""
+        if sample.received <= 0:  # the time of arrival is unknown
             return sample.stamp
         if self.by_arrival:
             return sample.received
@@ -61,10 +61,10 @@ class _Clock:
 
 
 class GrowingFlight:
-    """The flight so far.
+    """The flight so far, fed sample by sample.
 
     Args:
-        card: Hold and axes of the commands.
+        card: The vehicle's card: hold and axes of the commands.
         origin: Stamp of second 0 [ns]; None for that of the first sample.
     """
 
@@ -78,16 +78,23 @@ class GrowingFlight:
 
     @property
     def rows(self) -> tuple[Rows, Rows]:
-        """Commands and poses, which grow."""
+        """The growing rows of commands and poses."""
         return self._commands, self._poses
 
     @property
     def now(self) -> float:
-        """Time of the newest sample that is sound [s]."""
+        """Time of the newest sound sample [s]."""
         return self._so_far.now
 
     def add(self, sample: Sample) -> bool:
-        """Takes a sample; whether it counts."""
+        """Takes a sample.
+
+        Args:
+            sample: Of the stream `pose`, `command` or `obeys`; others are ignored.
+
+        Returns:
+            Whether it was added to the flight.
+        """
         if sample.stream == "obeys":
             return self._obeyed(sample)
         if sample.stream not in ("pose", "command"):
@@ -97,7 +104,7 @@ class GrowingFlight:
             return self._left_out("strange_stamps")
         if self._resumed and self._origin is not None:
             self._resumed = False
-            if (stamp - self._origin) / 1e9 < self.now - HOLD:  # the clock is another one than before the restart
+            if (stamp - self._origin) / 1e9 < self.now - HOLD:  # the clock has changed with the restart
                 self._origin = stamp - round((self.now + HOLD) * 1e9)
         time = 0.0 if self._origin is None else (stamp - self._origin) / 1e9
         if sample.stream == "command" and not _is_sound(sample):
@@ -111,12 +118,12 @@ class GrowingFlight:
         return took
 
     def alarms(self) -> tuple[Alarm, ...]:
-        """Those of the pose since the last call: a pose that is frozen, or that jumped."""
+        """The alarms of the pose since the last call: that it froze, or jumped."""
         found, self._alarms = tuple(self._alarms), []
         return found
 
     def _obeyed(self, sample: Sample) -> bool:
-        """Whether the vehicle obeys the commands that are heard, as its autopilot says."""
+        """Takes the autopilot's report whether the vehicle obeys the recorded commands; False, as it is no row."""
         if self._obeys != bool(sample.values[0]):
             self._obeys = not self._obeys
             self._ground.told(self.now, self._obeys)
@@ -131,7 +138,7 @@ class GrowingFlight:
         return True
 
     def _without_command(self, time: float) -> bool:
-        """A command that is no number ends the one before."""
+        """A command that is not a number ends the one before it."""
         ends = self._commands.last
         if ends.size and time > self._commands.time[-1]:
             ends[-1] = min(ends[-1], time)
@@ -160,7 +167,7 @@ class GrowingFlight:
         return True
 
     def _rests(self, time: float, pose: Array) -> bool:
-        """Whether the vehicle may stand so still that its pose repeats itself: asked for nothing, or on the ground."""
+        """Whether the vehicle may be so still that its pose repeats: without commands, or on the ground."""
         ground = self._ground
         return not ground.asked_within(time, FROZEN) or (ground.low(float(pose[2])) and self._watch.slow)
 
@@ -170,34 +177,34 @@ class GrowingFlight:
 
     @property
     def standing(self) -> bool:
-        """Whether the vehicle stands, or takes off or lands by itself."""
+        """Whether nothing can be learnt now: the vehicle stands, takes off or lands by itself, or does not obey."""
         return self._ground.stands
 
     @property
     def frozen(self) -> bool:
-        """Whether the pose repeats itself while commands go on."""
+        """Whether the pose repeats itself although the vehicle is commanded."""
         return self._watch.frozen
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """When the pose jumped as no vehicle can [s]."""
+        """Times at which the pose jumped as no vehicle can [s]."""
         return tuple(self._watch.jumps)
 
     def flight(self) -> Flight | None:
-        """The flight so far; None before the first command that is obeyed, or the second pose."""
+        """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""
         return self._up_to_date().flight()
 
     def news(self) -> News:
-        """What is new since the last call, for another one to take."""
+        """What is new since the last call, for `FlightSoFar.take` of another process."""
         return self._up_to_date().news()
 
     def _up_to_date(self) -> FlightSoFar:
-        """The rows, with when nothing is to be learnt by now."""
+        """The rows, with the intervals in which nothing is learnt updated to now."""
         self._so_far.standing, self._so_far.jumps = self._ground.standing(self.now), tuple(self._watch.jumps)
         return self._so_far
 
     def memory(self) -> Mapping[str, Any]:
-        """All that is remembered, as arrays: for a file from which `recall` goes on."""
+        """The last `REMEMBERED` seconds and all that `recall` needs, as arrays for a file; empty at first."""
         if self._origin is None:
             return {}
         clocks = [self._clocks[name].by_arrival for name in _LENGTH]
@@ -216,7 +223,7 @@ class GrowingFlight:
         }
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from what `memory` gave, before the first sample."""
+        """Continues from what `memory` returned; call it before the first sample."""
         if not memory:
             return
         self._origin, self._so_far.now = int(memory["origin"]), float(memory["now"])
@@ -234,13 +241,13 @@ class GrowingFlight:
 
 
 def _packed(name: str, rows: Rows, begin: float) -> dict[str, Array]:
-    """The newest rows, values in single precision: a micrometre at ten metres."""
+    """The rows from `begin` [s] on, values in single precision: a micrometre at ten metres."""
     new = rows.since(begin)
     return {f"{name}_time": new[:, 0].copy(), name: new[:, 1:].astype(np.float32)}
 
 
 def _is_sound(sample: Sample) -> bool:
-    """Whether a sample is of finite numbers, and its attitude one."""
+    """Whether a sample has the right length and plausible numbers, and a quaternion that is not zero."""
     values = sample.values
     if len(values) != _LENGTH[sample.stream] or not all(abs(value) < LARGEST for value in values):
         return False

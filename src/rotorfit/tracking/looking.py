@@ -1,8 +1,8 @@
-"""The process that `LooksBeside` starts: makes looks at a flight that grows elsewhere.
+"""The process that `LooksBeside` starts: it makes looks at a flight that grows in another process.
 
     python -m rotorfit.tracking.looking
 
-Questions come by the standard input and answers go by the standard output, pickled. It ends when its input does.
+It reads pickled questions from standard input, writes pickled answers to standard output, and ends with its input.
 """
 
 import os
@@ -17,13 +17,13 @@ from rotorfit.tracking.looks import looked_at
 from rotorfit.tracking.looks_beside import Failed, packed, received, send
 
 NICE = 10
-"""It stands back by so much."""
+"""Niceness of the process."""
 
 
 def main() -> None:
-    """Answers until nobody asks any more; a bug answers with its trace."""
+    """Answers questions until standard input closes; an uncaught error answers with its traceback."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # what a library prints must not mix with the answers
 
     def failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         send(answers, Failed("".join(traceback.format_exception(kind, error, trace))))
@@ -32,7 +32,7 @@ def main() -> None:
     os.nice(NICE)
     card, *promised = received(sys.stdin.buffer)
     following, so_far, model = Following(*promised), FlightSoFar(card), None
-    with suppress(BrokenPipeError):  # whoever asked is gone
+    with suppress(BrokenPipeError):  # the other process is gone
         while not isinstance(question := received(sys.stdin.buffer), Failed):
             what, news, standing = question
             if what == "recall":

@@ -1,4 +1,4 @@
-"""Looks at a flight that grows: who makes them, and one who makes them at once."""
+"""Looks at a growing flight: the interface of those that make them, and one that makes them at once."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,13 +13,13 @@ from rotorfit.tracking.growing_flight import GrowingFlight
 
 @dataclass(frozen=True)
 class Looked:
-    """What came of a look.
+    """The result of a look.
 
     Attributes:
         state: What is known.
-        memory: What `Following.recall` goes on from.
-        courses: Filters of the motion, to go on with.
-        doubt: Axis name to the standard error of the wind that coefficients leave.
+        memory: What `Following.recall` continues from.
+        courses: Motion filters, ready to be continued.
+        doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2].
     """
 
     state: Tracked
@@ -29,7 +29,7 @@ class Looked:
 
 
 def looked_at(following: Following, flight: Flight, now: float, standing: bool) -> Looked:
-    """A look with all that goes on from it; see `Following.look`."""
+    """A look, with everything that continues from it; see `Following.look`."""
     state = following.look(flight, now, standing)
     return Looked(state, following.memory(), following.courses, following.doubt)
 
@@ -39,26 +39,26 @@ End = tuple[Tracked, tuple[Regime, ...]]
 
 
 class Looks(Protocol):
-    """Makes looks at a flight that grows."""
+    """Makes looks at a growing flight."""
 
     def ask(self, growing: GrowingFlight) -> None:
-        """Wants a look at the flight as it is now."""
+        """Requests a look at the flight as it is now."""
 
     def answers(self) -> Iterator[Looked]:
-        """Looks that have been made since the last call, in order."""
+        """The looks that were completed since the last call, in order."""
 
     def finish(self, growing: GrowingFlight) -> End | None:
-        """The end; None of a flight that never began. Looks that were asked for come first, by `answers`."""
+        """The last state and the regimes; None for a flight that never began. Pending looks then come by `answers`."""
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from the memory of a look; before the first."""
+        """Continues from the memory of a look; call it before the first look."""
 
     def close(self) -> None:
-        """Leaves nothing behind."""
+        """Frees all resources."""
 
 
 class LooksHere:
-    """Looks at once, in the calling thread; see `Looks`.
+    """Makes each look at once, in the calling thread; see `Looks`.
 
     Args:
         following: The estimates.

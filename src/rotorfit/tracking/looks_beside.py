@@ -1,8 +1,8 @@
 """Looks in a process of their own, beside the one that feeds samples; `looking` is that process.
 
 A look takes tens of milliseconds and a refit seconds. Python lets one thread compute at a time, and most of a refit is
-no compiled loop: in a thread it makes the feeding one wait for 60 ms, in a process for none. The process is told what
-is new of the flight, makes the same looks in the same order, and answers when it has; so the states are the same.
+not compiled: in a thread it would stall the feeding one for 60 ms, in a process it does not. The process receives what
+is new of the flight and makes the same looks in the same order, so the states are the same.
 """
 
 import os
@@ -23,20 +23,20 @@ from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import End, Looked
 
 BEHIND, PACED = 10, 3
-"""So many looks may wait to be made: of a vehicle, beyond them looks are left out until the machine has caught up; of
-what is simulated or played back, it waits."""
+"""Largest number of pending looks. Further looks at a vehicle are skipped until the machine has caught up; what is
+simulated or played back (paced) waits instead."""
 
 PATIENCE = 5.0
-"""How long it may take to end [s]."""
+"""How long the process may take to end before it is killed [s]."""
 
 
 class LooksBeside:
-    """In a process of its own, which ends with this one.
+    """Makes looks in a process of its own, which ends with this one; see `Looks`.
 
     Args:
         card: Meaning of commands and poses.
-        promised: What `Following` takes.
-        paced: Wait where looks would be left out.
+        promised: The arguments of `Following`.
+        paced: Whether `ask` waits rather than skip looks.
     """
 
     def __init__(self, card: Card, promised: Sequence[Any], paced: bool = False) -> None:
@@ -55,7 +55,12 @@ class LooksBeside:
         self._asked.put((card, *promised))
 
     def ask(self, growing: GrowingFlight) -> None:
-        """Tells the process what is new, so that it looks; of a look that is left out, the next one tells."""
+        """Sends what is new and requests a look, unless too many are pending; then the next one sends it.
+
+        Raises:
+            RuntimeError: Paced, the process has failed; the message has its traceback.
+            LinkError: Paced, the process was killed.
+        """
         while self._paced and self._waiting >= PACED:
             self._take(self._answered.get())
         if self._waiting < BEHIND:
@@ -66,8 +71,8 @@ class LooksBeside:
         """See `Looks`.
 
         Raises:
-            RuntimeError: The process has failed, with its trace.
-            LinkError: It was killed.
+            RuntimeError: The process has failed; the message has its traceback.
+            LinkError: The process was killed.
         """
         while self._looked or not (self._over or self._answered.empty()):
             if not self._looked:
@@ -76,7 +81,12 @@ class LooksBeside:
                 yield self._looked.pop(0)
 
     def finish(self, growing: GrowingFlight) -> End | None:
-        """See `Looks`; waits for the looks that were asked for."""
+        """See `Looks`; waits for the pending looks.
+
+        Raises:
+            RuntimeError: The process has failed; the message has its traceback.
+            LinkError: The process was killed.
+        """
         self._asked.put(("finish", growing.news(), growing.standing))
         while self._waiting:
             self._take(self._answered.get())
@@ -88,7 +98,7 @@ class LooksBeside:
         self._asked.put(("recall", memory, False))
 
     def close(self) -> None:
-        """Ends the process: at once where it is not done."""
+        """Ends the process; kills it if looks are pending."""
         self._over = True
         self._asked.put(None)
         if self._waiting:
@@ -108,9 +118,9 @@ class LooksBeside:
             self._looked.append(looked)
 
     def _checked(self, answer: Any) -> Any:
-        """An answer that is none is the end of the process."""
+        """The answer, or an error if the process has ended."""
         if isinstance(answer, Failed):
-            self._answered.put(answer)  # whoever asks again hears the same
+            self._answered.put(answer)  # the next call fails alike
             if answer.trace:
                 raise RuntimeError(f"the process that looks at the flight has failed:\n{answer.trace}")
             code = self._process.wait()
@@ -121,17 +131,17 @@ class LooksBeside:
         return answer
 
     def _write(self) -> None:
-        """The thread that asks: a pipe that is full makes only it wait."""
+        """Body of the thread that sends questions: only it waits while the pipe is full."""
         pipe = self._process.stdin
         assert pipe is not None
-        with suppress(OSError):  # the process is gone, which the other thread sees
+        with suppress(OSError):  # the process is gone, which the reading thread reports
             while (question := self._asked.get()) is not None:
                 send(pipe, question)
         with suppress(OSError):
             pipe.close()
 
     def _read(self) -> None:
-        """The thread that hears answers, until the process ends."""
+        """Body of the thread that receives answers, until the process ends."""
         pipe = self._process.stdout
         assert pipe is not None
         with pipe:
@@ -142,7 +152,7 @@ class LooksBeside:
 
 
 def packed(looked: Looked, before: Model | None) -> tuple[Looked, frozenset[str] | None]:
-    """A look to be sent: without the model where that is the one of before, and which axes of it are new."""
+    """A look to be sent, without its model if that is unchanged, and the axes that are new (None: no new model)."""
     model = looked.state.model
     if model is before:
         return replace(looked, state=replace(looked.state, model=None)), None
@@ -151,7 +161,7 @@ def packed(looked: Looked, before: Model | None) -> tuple[Looked, frozenset[str]
 
 
 def unpacked(looked: Looked, new: frozenset[str] | None, before: Model | None) -> Looked:
-    """The look that was sent: what has not been fitted again since the one before is the same object."""
+    """The look as it was before `packed`; an axis that was not fitted again is the same object as in `before`."""
     model = looked.state.model
     if new is None:
         model = before
@@ -162,7 +172,11 @@ def unpacked(looked: Looked, new: frozenset[str] | None, before: Model | None) -
 
 @dataclass(frozen=True)
 class Failed:
-    """The process has ended: its trace, empty where it left none."""
+    """The process has ended.
+
+    Attributes:
+        trace: Its traceback; empty if it sent none.
+    """
 
     trace: str = ""
 
@@ -174,8 +188,8 @@ def send(pipe: IO[bytes], what: Any) -> None:
 
 
 def received(pipe: IO[bytes]) -> Any:
-    """The next question or answer; `Failed` where the other end is gone."""
+    """Receives a question or an answer; `Failed` if the other end is gone."""
     try:
-        return pickle.load(pipe)  # of a process of our own
+        return pickle.load(pipe)  # from a process of our own
     except (EOFError, pickle.UnpicklingError):
         return Failed()

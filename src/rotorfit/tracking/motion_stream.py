@@ -1,7 +1,7 @@
-"""The motion after each sample: the filters of the last look go on from where it left them.
+"""The motion after each sample: the filters of the last look, continued pose by pose.
 
-What a look does over the flight so far is done here pose by pose, by the same filter, with the coefficients that the
-look found. Until there is a newer look a command that comes late acts late, and a pose that jumps ends the filter.
+The filter is the one that a look runs over the flight so far, with the coefficients that the look found. Until the next
+look, a command that arrives late acts late, and a jump of the pose ends the filter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,18 +18,18 @@ from rotorfit.tracking.flight_so_far import Rows
 
 @dataclass
 class _Running:
-    """A filter that goes on, from where in the commands it counts, and its axes."""
+    """A filter that is continued, and the index of the command from which it counts."""
 
     course: Course
     first: int
 
 
 class MotionStream:
-    """Goes on with the filters of looks.
+    """Continues the motion filters of looks.
 
     Args:
-        commands: Of the flight so far.
-        poses: Of the flight so far.
+        commands: Commands of the flight so far.
+        poses: Poses of the flight so far.
     """
 
     def __init__(self, commands: Rows, poses: Rows) -> None:
@@ -39,12 +39,12 @@ class MotionStream:
         self._seen = 0
 
     def begin(self, courses: Sequence[Course], doubt: Mapping[str, float]) -> None:
-        """Goes on from a look.
+        """Continues from a look.
 
         Args:
             courses: Its filters.
-            doubt: Axis name to the standard error of the wind that coefficients leave [m/s^2, rad/s^2]; none of axes of
-                which no wind is told.
+            doubt: Axis name to the standard error of the wind due to the coefficients [m/s^2, rad/s^2]; an axis
+                without a known wind is missing.
         """
         self._running, self._doubt = [], doubt
         for course in courses:
@@ -55,7 +55,7 @@ class MotionStream:
             self._follow(one, int(np.searchsorted(self._poses.time, one.course.filter.time, side="right")))
 
     def follow(self) -> None:
-        """Takes the poses that are new."""
+        """Takes the new poses."""
         new = self._poses.count - self._seen
         if new:
             self._seen = self._poses.count
@@ -63,11 +63,11 @@ class MotionStream:
                 self._follow(one, len(self._poses.time) - new)
 
     def end(self) -> None:
-        """Nothing is told until the next look."""
+        """Ends the filters: there is no motion until the next look."""
         self._running = []
 
     def motion(self) -> Motion | None:
-        """At the last pose; None where nothing is told."""
+        """The motion at the last pose; None if no axis has one."""
         axes: dict[str, AxisMotion] = {}
         time = -np.inf
         commands = self._commands.time, self._commands.values

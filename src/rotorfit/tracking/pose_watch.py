@@ -1,8 +1,8 @@
-"""A pose that cannot be the vehicle's: one that jumps as no vehicle can, or repeats itself to the last digit.
+"""Poses that cannot be the vehicle's: those that jump as no vehicle can, or repeat themselves to the last digit.
 
-A pose is expected on from the last few at their velocity, within what the noise and the fastest vehicle explain. One
-outside waits for the next: if that goes on from there, the pose has jumped (a reset, another origin); if it goes on
-from before, it was wild and is left out.
+A pose is predicted from the last few at their velocity; the deviation must be within noise and the fastest motion of a
+vehicle. A pose outside waits for the next ones: if they continue from it, the pose has jumped (a reset, another
+origin); if they continue from before it, it was wild and is left out.
 """
 
 from dataclasses import dataclass, replace
@@ -13,47 +13,47 @@ from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm
 
 FASTEST = np.array([40.0, 40.0, 40.0, 20.0])
-"""Speed between two poses beyond which the pose jumped, and the vehicle did not [m/s, rad/s]."""
+"""Largest speed of a vehicle between two poses, x, y, z and yaw [m/s, rad/s]."""
 
 REACH = np.array([0.3, 0.3, 0.3, 0.1])
-"""And so much beyond that, at the least [m, rad]: no sensor is that noisy."""
+"""Tolerance of every prediction [m, rad]: no sensor is that noisy."""
 
 SUDDEN = np.array([60.0, 60.0, 60.0, 60.0])
-"""Acceleration beyond which a vehicle does not leave its velocity [m/s^2, rad/s^2]: about the vertical it has only the
-drag of its rotors to turn by."""
+"""Largest acceleration of a vehicle [m/s^2, rad/s^2]: about the vertical only the drag of its rotors turns it."""
 
 NOISY = 12.0
-"""So many times the usual step between what was expected and seen is no noise."""
+"""Largest deviation that counts as noise, over the usual one."""
 
 PAST, LEAST = 0.1, 0.03
-"""The velocity is that over so much time, or not known over less [s]."""
+"""Time over which the velocity is measured, and below which it is unknown [s]."""
 
 SHARE = 0.05
-"""Of the newest in what is usual."""
+"""Weight of the newest pose in the running averages."""
 
 FROZEN = 0.5
-"""Time of poses that repeat each other after which the pose is frozen [s]."""
+"""Least time of repeated poses after which the pose is frozen [s]."""
 
 REPEATS, USUAL = 8, 3.0
-"""And so many periods of the poses, and so many times the longest such time before: a coarse sensor repeats itself."""
+"""The pose is frozen only after as many periods of the poses, and as many times the longest repetition so far: a coarse
+sensor repeats itself."""
 
 SLOW = 0.05
-"""Speed of a vehicle that may stand the next moment [m/s]."""
+"""Speed up to which a vehicle may stand still the next moment [m/s]."""
 
 ENOUGH, REPEATED = 2.0, 0.25
-"""So many poses that go on from one that is off prove that the pose jumped, and so much counts one that repeats it."""
+"""Number of poses that continue from a deviating one and so prove a jump; weight of one that only repeats it."""
 
 ALL = ("x", "y", "z", "yaw")
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What is made of a pose.
+    """The verdict on a pose.
 
     Attributes:
-        believed: Poses that count, with their times: none, this one, or the one that waited with it.
-        left_out: Why it does not count; empty where it does.
-        alarm: That it raises.
+        believed: Poses that now count, with their times [s]: none, this one, or this one and those that waited.
+        left_out: Code of `LEFT_OUT` if the pose does not count; else empty.
+        alarm: The alarm that it raises, if any.
     """
 
     believed: tuple[tuple[float, Array], ...] = ()
@@ -62,10 +62,10 @@ class Seen:
 
 
 class PoseWatch:
-    """Looks at poses in the order of their times.
+    """Watches poses, in the order of their times.
 
     Args:
-        jumps: When the pose jumped before [s].
+        jumps: Times of earlier jumps of the pose [s].
     """
 
     def __init__(self, jumps: list[float] | None = None) -> None:
@@ -78,16 +78,16 @@ class PoseWatch:
         self._repeats, self._longest = 0, 0.0
 
     def take(self, time: float, pose: Array, stands: bool) -> Seen:
-        """Looks at a pose.
+        """Judges a pose.
 
         Args:
-            time: Later than the last [s].
-            pose: x, y, z and unwrapped yaw, shape (4,).
-            stands: Whether the vehicle may stand so still that its pose repeats itself.
+            time: Its stamp, later than the last [s].
+            pose: World x, y, z [m] and unwrapped yaw [rad], shape (4,).
+            stands: Whether the vehicle may be so still that its pose repeats itself.
         """
         if self._waiting and np.array_equal(pose, self._waiting[-1][1]):
             return self._judged_again(time, pose)
-        if not self._past:  # of the first nobody knows whether it is wild
+        if not self._past:  # the first pose may itself be wild
             return replace(self._judged_again(time, pose), left_out="")
         if np.array_equal(pose, self._past[-1][1]):
             self._waiting = []
@@ -101,19 +101,19 @@ class PoseWatch:
 
     @property
     def slow(self) -> bool:
-        """Whether the pose hardly moved before what repeats itself."""
+        """Whether the vehicle hardly moved over the last poses that counted."""
         if not self._past:
             return True
         (first, before), (last, here) = self._past[0], self._past[-1]
         return bool(np.linalg.norm(here[:3] - before[:3]) <= SLOW * max(last - first, 1e-3))
 
     def forget(self, before: float) -> None:
-        """Drops jumps that are older."""
+        """Drops the jumps before a time [s]."""
         while self.jumps and self.jumps[0] < before:
             self.jumps.pop(0)
 
     def _judged_again(self, time: float, pose: Array) -> Seen:
-        """A pose beside those that wait, all off what was expected."""
+        """Judges a deviating pose together with those that wait."""
         if not self._waiting or not self._explained(time, pose, self._waiting[:1]):
             self._waiting, self._evidence = [(time, pose)], 0.0
             return Seen(left_out="wild_poses")
@@ -138,7 +138,7 @@ class PoseWatch:
         return Seen(tuple(self._past), alarm=alarm)
 
     def _repeated(self, time: float, stands: bool) -> Seen:
-        """A pose that is that before, with a fresh stamp."""
+        """Judges a pose that repeats the last one with a fresh stamp."""
         self._since = self._past[-1][0] if self._since is None else self._since
         self._repeats += 1
         lasted, least = time - self._since, max(FROZEN, REPEATS * self._period, USUAL * self._longest)
@@ -152,22 +152,22 @@ class PoseWatch:
         return Seen(left_out="stale_poses", alarm=alarm)
 
     def _moved(self, time: float) -> None:
-        """The pose is another one than before."""
+        """Notes that the pose has changed."""
         if self._since is not None and not self.frozen:
             self._longest = max(self._longest, time - self._since)
         self._since, self._repeats, self.frozen = None, 0, False
 
     def _explained(self, time: float, pose: Array, past: list[tuple[float, Array]]) -> bool:
-        """Whether a vehicle can be there, going on from the past."""
+        """Whether a vehicle can have reached a pose from the past ones."""
         (first, before), (last, here) = past[0], past[-1]
         since, known = time - last, last - first
-        if known < LEAST or since > PAST:  # no velocity that still holds
+        if known < LEAST or since > PAST:  # there is no valid velocity
             return bool(np.all(np.abs(pose - here) <= FASTEST * since + REACH))
         off = np.abs(pose - here - (here - before) / known * since)
         return bool(np.all(off <= REACH + SUDDEN * since * (since + known) + NOISY * self._usual))
 
     def _learn(self, time: float, pose: Array) -> None:
-        """The usual step off what was expected, the usual period, and the past."""
+        """Updates the usual deviation, the usual period, and the past poses."""
         (first, before), (last, here) = self._past[0], self._past[-1]
         since, known = time - last, last - first
         if known >= LEAST and since <= PAST:

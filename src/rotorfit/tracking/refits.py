@@ -1,9 +1,9 @@
-"""The estimate of one group of axes while the flight grows: the batch estimator, followed from second to second.
+"""The estimate of one group of axes while the flight grows: batch refits, with single steps in between.
 
 A refit is `estimation.fitting.fit` on the flight so far: search, laws, profiles, judgement. It is made each time the
-excited time has grown by `REFIT`, so that all refits together cost a few times the last one. In between the estimate
-takes a step or two of the same climb on the data that have come, from where it stands; intervals keep the shape that
-the refit gave them and shrink with the information. So the last estimate of a flight is that of the batch.
+excited time has grown by `REFIT`, so all refits together cost a few times the last one. Between refits the estimate
+takes a step or two of Fisher scoring on the data so far; its intervals keep the shape that the refit gave them and
+shrink with the information. The last estimate of a flight is that of the batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,39 +27,40 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.zero_command import commanded_parts
 
 REFIT = 1.5
-"""Growth of the time that a fit saw after which the batch estimator looks again."""
+"""Growth of the excited time that calls for a refit."""
 
 LONGEST = 300.0
-"""Time that an estimate looks back over [s]: of a longer regime the oldest part is left to itself."""
+"""How far an estimate looks back [s]; older parts of a regime are not used."""
 
 SILENT = 1.2
-"""The same as long as it has found nothing."""
+"""As `REFIT`, as long as the last refit gave no numbers."""
 
 PASSES = 3
-"""Passes over the data that a step may take: one to see, two to move."""
+"""Passes over the data that a step may take: one to evaluate, two to move."""
 
 EARLY, GROWN = 30.0, 1.03
-"""A step is taken each second for so long [s], then whenever the excited time has grown by this."""
+"""Excited time during which a step is taken every second [s]; growth of it that calls for a step later."""
 
 LEVELS_EVERY = 5
-"""Every so many steps the levels of the disturbance move, too: they change slowly, and cost as much as the rest."""
+"""Every how many steps the levels of the disturbance move too: they change slowly, and cost as much as the rest."""
 
 Half = tuple[float | None, float | None]
+"""Half widths of an interval, below and above; None where it is open."""
 
 
 @dataclass(frozen=True)
 class Followed:
-    """The estimate of a group of axes that are fitted together, or of axes that are not told.
+    """The estimate of a group of axes that are fitted together.
 
     Attributes:
-        group: Names.
+        group: Names of the axes.
         fit: The last refit.
-        seen: Excited time that it saw [s].
-        estimates: Axis name to the estimate now; none of axes without numbers.
-        half: Axis and quantity to the half widths of the intervals at the refit, of these flights and of the vehicle,
-            and the standard error then, all on the scale of the quantity.
-        steps: Since the refit.
-        stepped: Excited time at the last of them [s].
+        seen: Excited time at the refit [s].
+        estimates: Axis name to the current estimate; an axis without numbers is missing.
+        half: Axis and quantity to the half widths at the refit of the intervals of this flight and of the vehicle, and
+            the standard error then, all on the scale of the quantity.
+        steps: Number of steps since the refit.
+        stepped: Excited time at the last step, or at the refit [s].
     """
 
     group: tuple[str, ...]
@@ -73,7 +74,13 @@ class Followed:
 
 @dataclass(frozen=True)
 class Said:
-    """What is said of one axis: values and intervals by name, of the vehicle and of this flight."""
+    """What is reported of one axis.
+
+    Attributes:
+        values: Name of `QUANTITIES` to its estimate; None if it is not told.
+        ci95: Name to the 95 % interval of the vehicle.
+        ci95_flight: Name to the 95 % interval of this flight.
+    """
 
     values: Mapping[str, float | None]
     ci95: Mapping[str, Interval]
@@ -84,21 +91,21 @@ def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) 
     """The batch estimator on the flight so far.
 
     Args:
-        flight: So far.
+        flight: The flight so far.
         group: Axes that are fitted together.
-        structure: As `fit` takes it.
-        seen: Excited time of the flight so far [s].
+        structure: Model structure, as `fit` takes it.
+        seen: Excited time so far [s].
     """
     return followed_of(fit([flight], axes=group, structure=structure), group, seen)
 
 
 def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
-    """A fit of one flight, as it is followed.
+    """The estimate that starts from a fit of one flight.
 
     Args:
-        found: Of these axes, and perhaps others.
+        found: The fit of these axes, and perhaps others.
         group: Axes that are fitted together.
-        seen: Excited time that it saw [s].
+        seen: Excited time of the flight [s].
     """
     estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
     half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
@@ -106,7 +113,7 @@ def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
 
 
 def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
-    """Half widths of both intervals of everything of an axis, and its standard error, on its scale."""
+    """Quantity to the half widths of its intervals, of the flight and of the vehicle, and its standard error."""
     out = {}
     for name, one in estimands(estimate.optimum, estimate.place).items():
         vehicle, flight = _ends(axis, name)
@@ -115,7 +122,7 @@ def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, 
 
 
 def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
-    """The two intervals of a coefficient or combination: the vehicle's, and that of these flights."""
+    """The two intervals of a coefficient or combination: of the vehicle, and of this flight."""
     if name in axis.combinations:
         part = axis.combinations[name]
         return part.ci95, part.ci95_flight or part.ci95
@@ -124,10 +131,10 @@ def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
 
 
 def together(parts: Sequence[Followed]) -> Model | None:
-    """The last refits as one model; None before the first.
+    """The last refits, combined into one model; None before the first.
 
     Args:
-        parts: Of each group of axes that has been fitted.
+        parts: The estimate of each group of axes that has been fitted.
     """
     if not parts:
         return None
@@ -155,35 +162,35 @@ def together(parts: Sequence[Followed]) -> Model | None:
 
 
 def doubt_of(axis: Axis) -> dict[str, float]:
-    """By how much tests found each coefficient of an axis to vary under its law, as a standard deviation."""
+    """Coefficient to the standard deviation by which tests of the law found it to vary; the variances of tests add."""
     names = {name for test in axis.evidence for name in test.sd}
     return {name: float(np.sqrt(sum(test.sd.get(name, 0.0) ** 2 for test in axis.evidence))) for name in names}
 
 
 def grown(seen: float, excited: float, growth: float) -> bool:
-    """Whether so much excited time is new that the estimate would move: a share of what it looks back over.
+    """Whether enough excited time is new for the estimate to move: a share of the time that it looks back over.
 
     Args:
-        seen: Excited time when it last moved [s].
+        seen: Excited time when the estimate last moved [s].
         excited: Excited time now [s].
-        growth: Ratio of the two from which it would.
+        growth: Required ratio of the two; for times beyond `LONGEST`, the increase is that of `LONGEST`.
     """
     return excited - seen >= (growth - 1) * min(seen, LONGEST)
 
 
 def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
-    """The estimate on the flight so far: a step or two of the climb, from where it stands, once that tells something.
+    """The estimate after a step of Fisher scoring on the flight so far, if enough data are new; else as `renewed`.
 
     Args:
-        followed: Before.
-        flight: So far; its first segments are those that the estimate saw.
+        followed: The estimate before.
+        flight: The flight so far; segments that the estimate has seen keep their starts.
         excited: Excited time since the regime began [s].
     """
     new = renewed(followed, flight)
     if not new.estimates or (excited > EARLY and not grown(followed.stepped, excited, GROWN)):
         return new
     levels = (followed.steps + 1) % LEVELS_EVERY == 0
-    if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y by one likelihood
+    if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y share a likelihood
         one = _moved(next(iter(new.estimates.values())), levels)
         moved = {axis: replace(each, optimum=one.optimum) for axis, each in new.estimates.items()}
     else:
@@ -192,16 +199,16 @@ def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
 
 
 def renewed(followed: Followed, flight: Flight) -> Followed:
-    """The estimate where it stands, on the flight so far: each axis on what its fit was made of.
+    """The unmoved estimate, applied to the flight so far: each axis to the same kind of parts as its fit.
 
     Args:
-        followed: Before.
-        flight: So far.
+        followed: The estimate before.
+        flight: The flight so far.
     """
     known = _renewed_on(followed, flight)
     whole = sum(part.duration for part in followed.fit.flights)
     for axis, (test, time) in followed.fit.braking.items():
-        if axis in known and time < whole:  # at rest it brakes, and the law is of its answers to commands only
+        if axis in known and time < whole:  # it brakes at rest: its law was fitted to answers to commands only
             known[axis] = _renewed_on(followed, commanded_parts(flight, (axis,), test.delay))[axis]
     return replace(followed, estimates=known)
 
@@ -228,7 +235,7 @@ def _records(flight: Flight, axes: Sequence[str]) -> list[Record]:
 
 
 def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
-    """An estimate on newer records, where it stands; as it was where there are none."""
+    """An estimate applied to newer records, its coefficients unmoved; unchanged if there are no records."""
     if not records:
         return estimate
     optimum = estimate.optimum
@@ -237,7 +244,7 @@ def _renewed(estimate: Estimate, records: list[Record]) -> Estimate:
     starts = np.ones(point.start.size, bool)
     free = np.concatenate([optimum.free[:known], starts, optimum.free[optimum.point.n :]])
     new = replace(estimate, records=records, optimum=replace(optimum, point=point, free=free))
-    return new if point.start.size == optimum.point.start.size else _moved(new, False)  # scored with the new start
+    return new if point.start.size == optimum.point.start.size else _moved(new, False)  # scores the new starts
 
 
 def _moved(estimate: Estimate, levels: bool) -> Estimate:
@@ -250,7 +257,7 @@ def _moved(estimate: Estimate, levels: bool) -> Estimate:
 
 
 def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) -> Point:
-    """A point with the start velocities of the segments that newer records have."""
+    """A point with a start velocity for each segment of newer records: the old one where there is one."""
     fresh = start_point(records, 0.0, 1.0, point.levels).start
     known = {float(t): v for t, v in zip(np.concatenate([rec.starts for rec in before]), point.start, strict=True)}
     starts = np.concatenate([rec.starts for rec in records])
@@ -259,7 +266,7 @@ def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) ->
 
 
 def said(followed: Followed, axis: str) -> Said:
-    """What is said of an axis now.
+    """What is reported of an axis now.
 
     Args:
         followed: The estimate of its group.
@@ -290,10 +297,10 @@ def said(followed: Followed, axis: str) -> Said:
 
 
 def read_backwards(ends: Mapping[str, Interval], told: Mapping[str, str]) -> bool:
-    """Whether what was found is the feedback that gives the commands, not the vehicle.
+    """Whether the fit found the feedback that makes the commands, not the vehicle.
 
-    Where nobody moves an axis but its own feedback, the commands follow the motion: an answer that comes before its
-    command, of a size that cannot be told. Clocks that disagree move a delay as far, but leave the input as it is.
+    If only its own feedback moves an axis, the commands follow the motion: the delay is negative and the input is not
+    identifiable. Clocks that disagree can shift the delay as far, but leave the input identifiable.
 
     Args:
         ends: Quantity to its interval.
@@ -314,7 +321,7 @@ def _times(half: Half, share: float) -> Half:
 
 
 def _between(now: Half, own: Half, vehicle: Half) -> Half:
-    """Half widths of the vehicle's interval: what other flights add to that of this flight does not shrink with it."""
+    """Half widths of the vehicle's interval now: only this flight's part shrinks, not the spread between flights."""
     ends: list[float | None] = []
     for here, then, wide in zip(now, own, vehicle, strict=True):
         if here is None or then is None or wide is None:

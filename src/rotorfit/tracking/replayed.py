@@ -1,4 +1,4 @@
-"""A recorded flight as if it were live: what was known of it at each second."""
+"""A recorded flight, tracked as if it were live: what was known at each second."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -28,15 +28,18 @@ def tracked(
     """Tracks a recorded flight.
 
     Args:
-        flight: The whole of it; at each second only what had come by then is looked at.
-        structure: As `fit` takes it.
-        false_alarms_per_hour: The expected number that is promised not to be passed.
-        on_state: Called with each state as it comes.
-        earlier: What the vehicle was; None where nothing is known.
-        stopped: Asked after each of them: whether it is enough. What was seen by then is the flight.
+        flight: The whole flight; each look sees only what had arrived by then.
+        structure: Model structure, as `fit` takes it.
+        false_alarms_per_hour: Promised bound on their expected number [1/h].
+        on_state: Called with each state as it is made.
+        earlier: The model of an earlier flight; None if there is none.
+        stopped: Called after each state; if it returns true, the flight ends there.
+
+    Returns:
+        All states, the last one after a final fit, and the regimes.
 
     Raises:
-        CardError: Commands mean something else to the earlier model.
+        CardError: The commands of the earlier model have another meaning.
     """
     if earlier:
         check_earlier(earlier, flight.card)
@@ -56,7 +59,7 @@ def tracked(
 
 
 def _stand_on(ground: Ground, part: Flight, since: float) -> None:
-    """Shows commands and poses that have come since an instant [s], in the order of their times."""
+    """Feeds `ground` the commands and poses after an instant [s], in the order of their times."""
     commands, poses = (int(np.searchsorted(t, since, side="right")) for t in (part.command_time, part.pose_time))
     sent = list(zip(part.command_time[commands:], part.command[commands:].tolist(), strict=True))
     pose = np.column_stack([part.position, part.yaw])
@@ -69,7 +72,7 @@ def _stand_on(ground: Ground, part: Flight, since: float) -> None:
 
 
 def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:
-    """A flight up to each second from `begin` [s], and that second."""
+    """The flight up to each second from `begin` [s] on, with that second [s]."""
     end = flight.segments[-1].end
     for now in np.arange(begin, end, EVERY):
         if any(part.start < now for part in flight.segments):
@@ -77,7 +80,7 @@ def growing(flight: Flight, begin: float) -> Iterator[tuple[Flight, float]]:
 
 
 def until(flight: Flight, now: float) -> Flight:
-    """What of a flight had come at an instant [s]."""
+    """The part of a flight that had arrived by an instant [s]."""
     commands, poses = (int(np.searchsorted(t, now, side="right")) for t in (flight.command_time, flight.pose_time))
     return replace(
         flight,

@@ -1,8 +1,8 @@
-"""Tracker: samples in, and at any moment what is known of the vehicle; the flight so far is all that it remembers.
+"""Tracker: takes samples, and reports at any moment what is known of the vehicle.
 
-Every sample goes into the growing flight and costs no more than that. Once a second (`look`) the estimates of all axes
-take a step, the last seconds are compared with the rest, and the state is put together: at once, or live in a process
-beside. It never commands a vehicle.
+Each sample is appended to the growing flight, which costs little. Once a second a look updates the estimates of all
+axes, tests the last seconds against the rest, and assembles the state: at once, or live in a process beside. The
+tracker never commands a vehicle.
 """
 
 import json
@@ -34,31 +34,31 @@ from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
 
 UNTOLD = 1000
-"""States that wait for `Tracker.news` at the most."""
+"""Largest number of states that wait for `Tracker.news`; the oldest is dropped."""
 
 MOST_FALSE_ALARMS = 60.0
-"""The most an hour that can be asked for: one a minute."""
+"""Largest rate of false alarms that may be asked for [1/h]: one a minute."""
 
 
 class Tracker:
     """Follows one vehicle.
 
     Args:
-        card: Meaning of commands and poses; the name of a built-in card, or a file.
-        structure: As `fit` takes it.
-        false_alarms_per_hour: The expected number that is promised not to be passed.
+        card: Meaning of commands and poses: a card, the name of a built-in one, or a file.
+        structure: Model structure, as `fit` takes it.
+        false_alarms_per_hour: Promised bound on their expected number [1/h], above 0 and at most `MOST_FALSE_ALARMS`.
         origin: Stamp of second 0 of the flight [ns]; by default that of the first sample.
-        after: The model of an earlier flight of the vehicle, the fit that holds it, or a model file: what it was, until
-            this flight tells.
-        live: Look in a process beside, so that `update` never waits: states come when they are ready, with the time
-            that they speak of. They are those of a tracker that looks at once, on a machine that keeps up. End it by
-            `finish`, by `close`, or as a context manager.
-        paced: Live, let `update` wait where the machine does not keep up, rather than leave looks out.
+        after: The model of an earlier flight of the vehicle, a fit, or a model file; it is reported until this flight
+            tells as much, and compared with it.
+        live: Make the looks in a process beside, so that `update` never waits; states come when they are ready, each
+            with its time. On a machine that keeps up they are those of a tracker that looks at once. End such a
+            tracker by `finish`, by `close`, or as a context manager.
+        paced: With `live`, let `update` wait for a machine that does not keep up, rather than skip looks.
 
     Raises:
-        TypeError: The card is none, or the earlier model.
-        ValueError: A number of false alarms that cannot be promised.
-        CardError: No such card, or commands mean something else to the earlier model.
+        TypeError: `card` is not a card, or `after` not a model.
+        ValueError: `false_alarms_per_hour` is out of range.
+        CardError: There is no such card, or the commands of the earlier model have another meaning.
         ModelError: The model file cannot be used.
     """
 
@@ -93,7 +93,16 @@ class Tracker:
         self._stream = MotionStream(*self._growing.rows)
 
     def update(self, sample: Sample) -> None:
-        """Takes a sample: a pose, or a command as it was sent."""
+        """Takes a sample.
+
+        Args:
+            sample: A pose: x, y, z [m] in the world, then the quaternion w, x, y, z; a command: x, y, z, yaw as sent
+                [unit of the card's command]; or whether the vehicle obeys. In the order of arrival.
+
+        Raises:
+            RuntimeError: Live, the process beside has failed; the message has its traceback.
+            LinkError: Live, the process beside was killed.
+        """
         took, now = self._growing.add(sample), self._growing.now
         if took and sample.stream == "pose":
             self._stream.follow()
@@ -103,7 +112,7 @@ class Tracker:
         self._take_in()
 
     def _take_in(self) -> None:
-        """Looks that are ready; what the pose raised by itself in the same instant stands before their alarms."""
+        """Takes the looks that are ready; alarms of the pose itself come before theirs."""
         alarms = self._growing.alarms()
         if any(alarm.cause == "pose_jumped" for alarm in alarms):
             self._stream.end()
@@ -120,35 +129,40 @@ class Tracker:
         self._untold.append(state)
 
     def state(self) -> Tracked:
-        """What was known at the last look that is ready: at most a second of flight ago, and what a look takes."""
+        """The state at the last completed look: at most a second of flight ago, plus the time that a look takes."""
         return self._state
 
     def motion(self) -> Motion | None:
-        """Velocity, wind, gusts and the second ahead at the last pose, by what the last look that is ready knew.
+        """Velocity, wind, gusts and the prediction for a second ahead at the last pose, by the last completed look.
 
-        None before an axis is told, and from a jump of the pose until the next look.
+        None until the damping of an axis is told, and from a jump of the pose until the next look.
         """
         return self._stream.motion()
 
     def news(self) -> list[Tracked]:
-        """All states since the last call, in order: none is missed, and no alarm."""
+        """All states since the last call, in order, with all alarms; at most the newest `UNTOLD`.
+
+        Raises:
+            RuntimeError: Live, the process beside has failed; the message has its traceback.
+            LinkError: Live, the process beside was killed.
+        """
         self._take_in()
         return [self._untold.popleft() for _ in range(len(self._untold))]
 
     def flight(self) -> Flight | None:
-        """The flight so far, as far as it is remembered; None before the first command and pose."""
+        """The flight so far, as far as it is remembered; None before it has a segment with commands and poses."""
         return self._growing.flight()
 
     def memory(self) -> dict[str, Any]:
-        """What `recall` of another tracker goes on from, as arrays: the flight so far, its regimes, and the card."""
+        """What `recall` of another tracker continues from, as arrays: the flight so far, its regimes, and the card."""
         following = {**self._memory, "next_look": float(self._due), "card": [self._card.name, self._card.raw]}
         return {**self._growing.memory(), "following": np.array(json.dumps(following))}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Goes on from what `memory` gave; before the first sample.
+        """Continues from what `memory` returned; call it before the first sample.
 
         Raises:
-            CardError: It was learnt with another card.
+            CardError: The memory was made with another card.
         """
         told = json.loads(str(memory["following"]))
         name, raw = told.pop("card")
@@ -160,14 +174,19 @@ class Tracker:
         self._looks.recall(self._memory)
 
     def finish(self) -> tuple[Tracked, tuple[Regime, ...]]:
-        """What is known at the end, by a last fit, and every regime with its model."""
+        """The final state, after a last fit, and every regime with its model; closes the tracker.
+
+        Raises:
+            RuntimeError: Live, the process beside has failed; the message has its traceback.
+            LinkError: Live, the process beside was killed.
+        """
         end = self._looks.finish(self._growing)
         self._take_in()
         self.close()
         return end or (replace(self._state, alarms=()), ())
 
     def close(self) -> None:
-        """Leaves nothing behind, whether or not it was finished."""
+        """Ends the process beside, if there is one, whether or not the tracker was finished."""
         self._looks.close()
 
     def __enter__(self) -> "Tracker":

@@ -1,11 +1,11 @@
-"""What errors of the coefficients add to the error of the wind.
+"""The error of the wind that is due to the coefficients.
 
-What pushes the vehicle is what its motion shows and the commands do not explain:
+The wind is the part of the acceleration that the commands do not explain:
 
     w = a + b v - g u(t - tau)
 
-so an error of the input g, the damping b or the delay tau is an error of w by what u and v have been, as the filter
-averages them; and one of the trim c by the share of a constant push that the filter does not see.
+An error of the input g, the damping b or the delay tau therefore propagates to w in proportion to u and v, averaged as
+the filter averages them; an error of the trim c in proportion to the share of a constant push that the filter misses.
 """
 
 from collections.abc import Mapping
@@ -23,20 +23,20 @@ from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.likelihood import inverted
 
 RATE, BACK = 30.0, 10.0
-"""Points a second [1/s] of so long ago [s] that an average is made of."""
+"""Sampling rate [1/s] and length [s] of the averages over the past."""
 
 
 def coefficient_error(
     flight: Flight, axis: str, estimate: Estimate, ci95: Mapping[str, Interval], own: Mapping[str, Interval]
 ) -> float:
-    """Standard error of the wind of an axis at the last pose, by those of the coefficients [m/s^2, rad/s^2].
+    """Standard error of the wind of an axis at the last pose, due to those of the coefficients [m/s^2, rad/s^2].
 
     Args:
-        flight: So far.
-        axis: Its name.
-        estimate: Of the axis.
-        ci95: Intervals of the vehicle by name.
-        own: The same of this flight, which are as wide as the information says.
+        flight: The flight so far.
+        axis: Name of the axis.
+        estimate: Its estimate.
+        ci95: Coefficient to the 95 % interval of the vehicle.
+        own: Coefficient to the 95 % interval of this flight, which is as wide as the information implies.
     """
     optimum, k = estimate.optimum, estimate.place
     told = estimands(optimum, k)
@@ -60,19 +60,19 @@ def coefficient_error(
 
 
 def tells_wind(own: Mapping[str, Interval]) -> bool:
-    """Whether this flight knows the damping, through which the wind is told.
+    """Whether this flight tells the damping, without which the wind is unknown.
 
     Args:
-        own: Intervals of this flight by name.
+        own: Coefficient to the 95 % interval of this flight.
     """
     whole = {name: own.get(name, (None, None)) for name in COEFFICIENTS}
     return statuses(whole)["damping"] == "ok"
 
 
 def _response(levels: Array, damping: float) -> Array:
-    """By how much the filter's wind of now is of the push at each point of the last `BACK` seconds, the oldest first.
+    """Weight of the push at each point of the last `BACK` seconds in the filter's wind now, the oldest first.
 
-    From its answer to a push that begins once it has settled and then stays.
+    They come from the filter's response to a constant push that begins after it has settled.
     """
     time = np.arange(round(2 * BACK * RATE)) / RATE
     pushed = np.maximum(time - BACK, 0.0)
@@ -83,13 +83,13 @@ def _response(levels: Array, damping: float) -> Array:
 
 
 def _command(flight: Flight, axis: str, time: Array) -> Array:
-    """The command in force at each time."""
+    """The command that was in force at each time, shape of `time` [unit of the card's command]."""
     at = np.searchsorted(flight.command_time, time, side="right") - 1
     return np.asarray(flight.command[np.maximum(at, 0), AXES.index(axis)])
 
 
 def _velocity(flight: Flight, axis: str, time: Array) -> Array:
-    """The velocity along an axis at each time, as poses show it."""
+    """The velocity along an axis of the heading frame at each time, from the poses, shape of `time` [m/s, rad/s]."""
     pose = np.column_stack([flight.position, flight.yaw])
     there = np.column_stack([np.interp(time, flight.pose_time, values) for values in pose.T])
     v = np.gradient(there, time, axis=0)
@@ -98,7 +98,7 @@ def _velocity(flight: Flight, axis: str, time: Array) -> Array:
 
 
 def _wider(name: str, ci95: Mapping[str, Interval], own: Mapping[str, Interval]) -> float:
-    """How much wider the vehicle's interval of a coefficient is than this flight's; 1 where either is open."""
+    """Width of the vehicle's interval of a coefficient over this flight's, at least 1; 1 if either is open."""
     low, high = ci95.get(name, (None, None))
     least, most = own.get(name, (None, None))
     if low is None or high is None or least is None or most is None or least == most:
