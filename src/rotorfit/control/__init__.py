@@ -1,4 +1,4 @@
-"""Model to controller: gains, margins under the model's uncertainty, and a trial flight.
+"""Control: from a model to a controller, with its margins under the model's uncertainty and a trial flight.
 
-In goes a Model; out come a Tuning and the errors of its trial.
+A Model goes in; a Tuning and the tracking errors of its trial come out.
 """

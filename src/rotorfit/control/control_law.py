@@ -1,24 +1,23 @@
-"""One number, the bandwidth w, to the law of an axis: every gain of a kind follows from it and from the model.
-
-Where feedback decides, both poles of the tracking error stand at -w: K = w^2, D = 2 w - b. A vehicle that damps itself
-faster than that keeps its own pole: D = 0, K = w (b - w). The slow disturbance is taken out at SLOW w: by the third
-pole of an observer, or by an integral whose pole that is. Of LQR, w^4 is the price of the error's square over that of
-the square of the acceleration asked for: without damping its poles are those of a Butterworth filter of that frequency.
-
-Source: third-order pole placement; for observers by one bandwidth Z. Gao, Scaling and bandwidth-parameterization based
-controller tuning, American Control Conference 2003. The optimal law of a vehicle with a delay is the optimal law
-without it, at the predicted state, because nothing that is decided now can change what comes before: K. J. Åström,
-B. Wittenmark, Computer-Controlled Systems (optimal control with delays). A test solves the
-system that holds the commands under way.
-
-The law of one axis between a measured pose and a command, for a vehicle that answers late; as a linear system.
+"""The control law of one axis, from a measured pose to a command, for a vehicle with a delay; as a linear system.
 
     v' = g u(t - delay) - b v + d                                  the vehicle, d slow: wind, trim
     u = (r'' + b r' + K (r - p) + D (r' - v) - d) / g              all at the instant at which u will act
 
-The vehicle of that instant is not measured yet. A `predictor` (and `lqr`, whose K and D are optimal) knows p, v and d
-at the last pose from an observer, and moves them over the delay by the commands that are under way, exactly. The
-`linearising` law and the `pid` take the error of the last pose instead, and an integral of it for d.
+The state at that instant is not measured yet. A `predictor` (and `lqr`, whose K and D are optimal) estimates p, v and d
+at the last pose with an observer, and propagates them over the delay with the commands under way, exactly. The
+`linearising` law and the `pid` use the error of the last pose instead, and its integral for d.
+
+All gains follow from the model and one number, the bandwidth w. Both poles of the tracking error are at -w: K = w^2,
+D = 2 w - b. A vehicle whose own damping is faster than that keeps its pole: D = 0, K = w (b - w). The slow disturbance
+is rejected at SLOW w, by the third pole of an observer or the pole of an integral. For LQR, w^4 is the weight of the
+squared error relative to that of the squared acceleration: without damping its poles are those of a Butterworth filter
+of that frequency.
+
+Source: third-order pole placement; for observers by one bandwidth Z. Gao, Scaling and bandwidth-parameterization based
+controller tuning, American Control Conference 2003. The optimal law of a vehicle with a delay is the optimal law
+without it, applied to the predicted state, because no decision taken now can change what happens before it acts: K. J.
+Åström, B. Wittenmark, Computer-Controlled Systems (optimal control with delays). A test solves the augmented system
+that holds the commands under way.
 """
 
 from dataclasses import dataclass
@@ -34,10 +33,10 @@ from rotorfit.planning.axis_information import AxisBelief
 Kind = Literal["predictor", "lqr", "linearising", "pid"]
 
 KINDS: tuple[Kind, ...] = ("predictor", "lqr", "linearising")
-"""Designs that follow from a model; `pid` is the form that gains from elsewhere are flown in."""
+"""Designs that follow from a model; `pid` is the form for gains from elsewhere."""
 
 ROUNDING = 1e-9
-"""A delay so close to a whole number of periods is that number [periods]."""
+"""Tolerance within which a delay is a whole number of periods [periods]."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +45,18 @@ class AxisLaw:
 
     Attributes:
         kind: Which law.
-        period: Between commands, each held until the next [s].
-        input: g, acceleration per command [m/s^2 or rad/s^2]; 1 for gains that are commands per error.
-        damping: b of the vehicle: of its motion in the observer, and of r' in the feed-forward [1/s].
-        delay: From a command until it acts, as far as the law knows of it [s].
-        latency: From the exposure of a pose to the command that uses it [s].
-        stiffness: K [1/s^2]; of a `pid`, command per error.
-        rate: D [1/s].
-        integral: Of the error [1/s^3]; 0 with an observer, whose d does the same.
-        filter_time: Of the filtered difference that gives the rate of the error [s]; 0 with an observer.
-        observer: Corrections of p, v and d per error of the predicted pose, shape (3,) [1, 1/s, 1/s^2]; None without.
-        forward: Weight of r'' in the feed-forward: 1, or 0 where there is none.
+        period: Time between commands, each held until the next [s].
+        input: g, acceleration per command [m/s^2 or rad/s^2]; 1 for gains in command per error.
+        damping: b of the vehicle, in the observer and in the feed-forward [1/s].
+        delay: Time from a command until it acts, as the law assumes it [s].
+        latency: Time from the exposure of a pose to the command that uses it [s].
+        stiffness: K [1/s^2]; for a `pid`, command per error.
+        rate: D [1/s]; for a `pid`, command per rate of the error.
+        integral: Gain of the integrated error [1/s^3]; 0 with an observer, whose d does the same.
+        filter_time: Time constant of the filtered difference that gives the rate of the error [s]; 0 with an observer.
+        observer: Corrections of p, v and d per error of the predicted pose, shape (3,) [1, 1/s, 1/s^2]; None without
+            an observer.
+        forward: Weight of r'' in the feed-forward: 1, or 0 for none.
     """
 
     kind: Kind
@@ -74,18 +74,18 @@ class AxisLaw:
 
     @property
     def reach(self) -> float:
-        """How far ahead of the pose the law must look: latency and delay together [s]."""
+        """How far ahead of the pose the law must predict: latency plus delay [s]."""
         return self.latency + self.delay
 
 
 def whole_periods(reach: float, period: float) -> tuple[int, float]:
-    """Whole periods in a time, and the rest [s]."""
+    """The number of whole periods in a time [s], and the rest [s]."""
     whole = int(np.floor(reach / period + ROUNDING))
     return whole, max(reach - whole * period, 0.0)
 
 
 def motion_matrices(damping: float, time: float) -> tuple[Array, Array]:
-    """p, v, d after a time from p, v, d, shape (3, 3), and from an acceleration that is held over it, shape (3,).
+    """Transition of p, v, d over a time [s], shape (3, 3), and the effect of an acceleration held over it, shape (3,).
 
     Source: paper, eq. (4), with a constant disturbance; its closed form as in `response`.
     """
@@ -94,11 +94,11 @@ def motion_matrices(damping: float, time: float) -> tuple[Array, Array]:
 
 
 def linear_system(law: AxisLaw, commands: int = 0) -> tuple[Array, Array, Array]:
-    """The law at rest of its reference, s_k = A s_(k-1) + B y_k, u_k = C s_k, where y_k is the k-th measured pose.
+    """The law for a reference of zero, s_k = A s_(k-1) + B y_k, u_k = C s_k, where y_k is the k-th measured pose.
 
     Args:
         law: The law.
-        commands: How many commands the state must at least hold, the latest first, behind its first three entries.
+        commands: Least number of commands in the state, the latest first, after its first three entries.
 
     Returns:
         A of shape (n, n), B and C of shape (n,). Entry 3 of the state is u_k, entry 3 + j is u_(k-j).
@@ -142,8 +142,10 @@ def _with_observer(law: AxisLaw, commands: int) -> tuple[Array, Array, Array]:
 
 
 def held_step(damping: float, reach: float, period: float) -> tuple[Array, Array, Array]:
-    """p, v, d one period later: from themselves, shape (3, 3), and from the accelerations that are asked for by the
-    command that acts until the rest of `reach` has passed and by the next one, shape (3,) each."""
+    """p, v, d one period later: their transition, shape (3, 3), and the effects of two accelerations, shape (3,) each.
+
+    The first is that of the command that still acts for the rest of `reach`, the second that of the next command.
+    """
     _, rest = whole_periods(reach, period)
     after, new = motion_matrices(damping, period - rest)
     before, held = motion_matrices(damping, rest)
@@ -151,28 +153,28 @@ def held_step(damping: float, reach: float, period: float) -> tuple[Array, Array
 
 
 def _shifted(n: int) -> tuple[Array, Array]:
-    """The part that moves every command one place on."""
+    """A and B with only the part that shifts the stored commands by one place, shapes (n, n) and (n,)."""
     A = np.zeros((n, n))
     A[4:, 3:-1] = np.eye(n - 4)
     return A, np.zeros(n)
 
 
 SLOW = 0.2
-"""Pole of the disturbance over the bandwidth; chosen: at the same peak of the sensitivity gusts hardly feel it."""
+"""Pole of the disturbance over the bandwidth, chosen: at the same peak sensitivity it hardly matters against gusts."""
 
 
 def law_of_bandwidth(
     kind: Kind, vehicle: AxisBelief, bandwidth: float, period: float, latency: float, filter_time: float
 ) -> AxisLaw:
-    """The law of an axis.
+    """The law of an axis for one bandwidth.
 
     Args:
-        kind: One of `control_law.KINDS`.
-        vehicle: What the law believes.
+        kind: One of `KINDS`.
+        vehicle: The vehicle that the law assumes.
         bandwidth: w [rad/s].
-        period: Between commands [s].
-        latency: From the exposure of a pose to the command that uses it [s].
-        filter_time: Of the velocity that comes from poses: of the observer's fast poles, or of the difference [s].
+        period: Time between commands [s].
+        latency: Time from the exposure of a pose to the command that uses it [s].
+        filter_time: Time constant of the velocity from poses: of the observer's fast poles, or of the difference [s].
     """
     g, b, delay = vehicle
     slow = SLOW * bandwidth
@@ -190,7 +192,7 @@ def law_of_bandwidth(
 
 
 def observer_of_poles(damping: float, period: float, poles: np.ndarray) -> tuple[float, float, float]:
-    """Corrections that give the error of p, v, d these poles from one corrected estimate to the next, shape (3,).
+    """Observer gains that place the poles of the error of p, v, d between corrected estimates, shape (3,).
 
     Source: Ackermann's formula for (F, C F), F being the motion over a period and C the pose.
     """
@@ -202,7 +204,7 @@ def observer_of_poles(damping: float, period: float, poles: np.ndarray) -> tuple
 
 
 def optimal_gains(vehicle: AxisBelief, bandwidth: float, period: float) -> tuple[float, float]:
-    """K and D that minimise the sum of w^4 p^2 + (g u)^2, sampled, without the delay."""
+    """K [1/s^2] and D [1/s] that minimise the sum of w^4 p^2 + (g u)^2, sampled, without the delay."""
     step, _, new = held_step(vehicle.damping, 0.0, period)
     A, B = step[:2, :2], new[:2, None]
     P = solve_discrete_are(A, B, np.diag([bandwidth**4, 0.0]), np.eye(1))

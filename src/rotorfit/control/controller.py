@@ -1,14 +1,12 @@
-"""Reference paths for controllers: circle, lemniscate and steps, as functions of time with their derivatives.
-
-A path is in the world frame, its positions around a centre. Circle and lemniscate wait, and then gather speed by a
-phase whose rate grows as 10 s^3 - 15 s^4 + 6 s^5 of the share s of a ramp: velocity and acceleration have no jumps.
-Steps are not announced: before a step nobody knows of it.
-
-A controller at work: measured poses and a reference path in, commands out; every vehicle state by its stamp.
+"""A controller in flight: measured poses and a reference path in, commands out.
 
 Position, velocity and disturbance are kept in the world frame at the stamp of the last pose. Between stamps, and from
-the last one to the instant at which the command that is now due will act, they move by the commands that were sent, as
-the model has it in the heading frame: exactly for a heading that is kept, else by that in the middle of every step.
+the last stamp to the instant at which the command now due will act, they are propagated with the commands sent, by the
+model in the heading frame: exactly for a constant heading, otherwise with the heading at the middle of each step.
+
+Reference paths (circle, lemniscate and steps) are functions of time with their derivatives, in the world frame, around
+a centre. Circle and lemniscate wait and then accelerate along a phase whose rate grows as 10 s^3 - 15 s^4 + 6 s^5 of
+the share s of a ramp, so velocity and acceleration have no jumps. The controller does not know a step in advance.
 """
 
 from collections.abc import Mapping
@@ -30,32 +28,32 @@ Shape = Literal["circle", "lemniscate", "steps"]
 SHAPES: tuple[Shape, ...] = ("circle", "lemniscate", "steps")
 
 WAIT, RAMP = 5.0, 3.0
-"""Hover before a path; how long it gathers speed [s]."""
+"""Time of hover before a path, and of its acceleration [s]."""
 
 TURN, HEAVE = 0.8, 0.25
-"""Of a lemniscate: how far the heading swings [rad]; how far the height, as a share of the size."""
+"""Amplitudes of a lemniscate's heading [rad], and of its height as a share of the size."""
 
 HOLD = 6.0
-"""Between two steps [s]."""
+"""Time between two steps [s]."""
 
 STEPS: tuple[Four, ...] = (
     (1.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (1.0, 1.0, 0.5, 0.0), (1.0, 1.0, 0.5, 1.5), (0.0, 0.0, 0.0, 0.0)
 )  # fmt: skip
-"""Where steps lead one after the other: x, y, z as shares of the size, yaw [rad]."""
+"""Targets of the steps in turn: x, y, z as shares of the size, yaw [rad]."""
 
 _LEVELS = np.array(STEPS)
 
 
 @dataclass(frozen=True)
 class ReferencePath:
-    """A path.
+    """A reference path.
 
     Attributes:
         shape: Which one.
         size: Radius of the circle, half the length of the lemniscate, length of the steps [m].
         speed: Largest speed of circle and lemniscate [m/s].
-        duration: Of the whole [s].
-        centre: x, y, z [m] and yaw [rad] around which it lies.
+        duration: Duration, including the hover before it [s].
+        centre: World x, y, z [m] and yaw [rad] of its centre; for steps, of their origin.
     """
 
     shape: Shape
@@ -65,26 +63,35 @@ class ReferencePath:
     centre: Four = (0.0, 0.0, 1.5, 0.0)
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration of x, y, z, yaw at times from the start, each shape (N, 4)."""
+        """Position, velocity and acceleration of x, y, z, yaw at times from the start, world, each shape (N, 4).
+
+        Args:
+            t: Times, shape (N,) [s].
+        """
         out = np.empty((3, t.size, 4))
         full = self.speed / (self.size * (1.0 if self.shape == "circle" else np.sqrt(2.0 + HEAVE**2)))
         _fill(SHAPES.index(self.shape), self.size, full, np.array(self.centre), t, out)
         return out[0], out[1], out[2]
 
     def known(self, t: Array, now: Array) -> tuple[Array, Array, Array]:
-        """As `at`, as far as it is known at an earlier time: a step that is still to come is not."""
+        """As `at`, but as known at the time `now`: future steps are not.
+
+        Args:
+            t: Times, shape (N,) [s].
+            now: When each is asked for, shape (N,) [s].
+        """
         return self.at(np.minimum(t, now) if self.shape == "steps" else t)
 
     @property
     def start(self) -> Four:
-        """Where it begins."""
+        """Pose at the start: world x, y, z [m] and yaw [rad]."""
         x, y, z, yaw = self.at(np.zeros(1))[0][0].tolist()
         return x, y, z, yaw
 
 
 @numba.njit(cache=True)
 def _fill(shape, size, full, centre, t, out):  # type: ignore[no-untyped-def]
-    """Position, velocity and acceleration, shape (3, N, 4), of a shape at times (N,); full: final rate of the phase."""
+    """Fills position, velocity and acceleration, shape (3, N, 4), at times (N,); `full`: final rate of the phase."""
     out[:] = 0.0
     for n in range(t.size):
         since = max(t[n] - WAIT, 0.0)
@@ -113,10 +120,10 @@ def _fill(shape, size, full, centre, t, out):  # type: ignore[no-untyped-def]
 
 
 def within(path: ReferencePath, space: Space) -> None:
-    """Refuses a path that leaves a space or its speed limits.
+    """Refuses a path that leaves a space or exceeds its speed limits.
 
     Raises:
-        PlanError: It does, and by how much.
+        PlanError: The path does; the message says by how much.
     """
     position, velocity, _ = path.at(np.arange(0.0, path.duration, 0.02))
     out = np.maximum(np.array(space.lower) - position[:, :3], position[:, :3] - np.array(space.upper)).max()
@@ -131,18 +138,18 @@ def within(path: ReferencePath, space: Space) -> None:
 
 
 MEMORY = 64
-"""Commands that are remembered."""
+"""Number of commands that are remembered."""
 
 (INPUT, DAMPING, DELAY, STIFFNESS, RATE, INTEGRAL, FORWARD, FILTER_TIME, OBSERVED, OBSERVER) = range(10)
-"""Places of a law's numbers; those of the observer are the last three."""
+"""Columns of `AxisControllers.numbers`; the observer has the last three."""
 
 
 @dataclass(frozen=True)
 class AxisControllers:
-    """Laws of the axes that are controlled, ready to be flown.
+    """The laws of the controlled axes, ready to fly.
 
     Attributes:
-        laws: Axis name to its law, all of one period; an axis without one is commanded zero.
+        laws: Axis name to its law, all with the same period; an axis without one is commanded zero.
         full_scale: Largest command of each axis, shape (4,) [unit of the card's command].
     """
 
@@ -151,12 +158,12 @@ class AxisControllers:
 
     @property
     def period(self) -> float:
-        """Between commands [s]."""
+        """Time between commands [s]."""
         return next(iter(self.laws.values())).period
 
     @cached_property
     def numbers(self) -> Array:
-        """What each axis' law says, in the order of the places above, 0 where there is none, shape (4, 12)."""
+        """Numbers of each axis' law, in the columns named above, 0 without a law, shape (4, 12)."""
         out = np.zeros((4, 12))
         for a, axis in enumerate(AXES):
             if law := self.laws.get(axis):
@@ -168,17 +175,17 @@ class AxisControllers:
 
 @dataclass(frozen=True)
 class Steering:
-    """What a controller knows.
+    """The state of a controller.
 
     Attributes:
         time: Stamp of the last pose [s].
-        pose: Measured then: world x, y, z, yaw, unwrapped, shape (4,).
-        state: Position, velocity and disturbance then, world, by the observers, shape (3, 4).
-        error: Reference less pose then, its filtered rate and its integral, world, shape (3, 4).
-        sent: When the last `MEMORY` commands were sent, the latest last, shape (MEMORY,) [s].
+        pose: That pose as measured: world x, y, z [m] and unwrapped yaw [rad], shape (4,).
+        state: Estimated position, velocity and disturbance at that stamp, world, shape (3, 4).
+        error: Reference minus pose at that stamp, its filtered rate and its integral, world, shape (3, 4).
+        sent: Times at which the last `MEMORY` commands were sent, the latest last, shape (MEMORY,) [s].
         command: Those commands, heading frame, shape (MEMORY, 4).
-        bounded: Axes whose last command full scale has bounded, shape (4,).
-        saturated: Commands so far that full scale has bounded on some axis.
+        bounded: Whether full scale bounded the last command of each axis, shape (4,).
+        saturated: Number of commands so far that full scale bounded on some axis.
     """
 
     time: float
@@ -192,7 +199,12 @@ class Steering:
 
 
 def at_rest(pose: Array, time: float = 0.0) -> Steering:
-    """The start, hovering at a pose, shape (4,)."""
+    """The state of a controller at the start, hovering.
+
+    Args:
+        pose: World x, y, z [m] and yaw [rad], shape (4,).
+        time: Its stamp [s].
+    """
     state = np.zeros((3, 4))
     state[0] = pose
     nothing = np.zeros(4, np.bool_)
@@ -200,14 +212,14 @@ def at_rest(pose: Array, time: float = 0.0) -> Steering:
 
 
 def observe(controller: AxisControllers, steering: Steering, t: float, pose: Array, path: ReferencePath) -> Steering:
-    """Takes in a pose.
+    """The state of a controller after a pose.
 
     Args:
         controller: Its laws.
-        steering: Before it.
-        t: Stamp of the pose [s]; one that is not later than the last is left out.
-        pose: World x, y, z, yaw, shape (4,); yaw may be wrapped.
-        path: What is to be followed.
+        steering: Its state before the pose.
+        t: Stamp of the pose [s]; a pose that is not newer than the last is ignored.
+        pose: World x, y, z [m] and yaw [rad], shape (4,); yaw may be wrapped.
+        path: The reference path.
     """
     since = t - steering.time
     if since <= 0:
@@ -222,7 +234,7 @@ def observe(controller: AxisControllers, steering: Steering, t: float, pose: Arr
 
 
 def commanded(controller: AxisControllers, steering: Steering, t: float, path: ReferencePath) -> tuple[Steering, Array]:
-    """The command that is due at a time, shape (4,), heading frame, within full scale."""
+    """The command that is due at a time [s], shape (4,), heading frame, within full scale; and the state after it."""
     place, rate, growth = path.known(t + controller.numbers[:, DELAY], np.full(4, t))
     wanted = np.zeros(4)
     _ask(
@@ -241,7 +253,14 @@ def commanded(controller: AxisControllers, steering: Steering, t: float, path: R
 
 
 def predict_motion(controller: AxisControllers, steering: Steering, until: float, heading: float) -> Array:
-    """Position, velocity and disturbance at a later time, world, shape (3, 4), the heading turning to that one."""
+    """Position, velocity and disturbance predicted for a later time [s], world, shape (3, 4).
+
+    Args:
+        controller: Its laws.
+        steering: Its state.
+        until: The later time [s].
+        heading: Heading at that time [rad]; it changes linearly until then.
+    """
     state = steering.state.copy()
     _move(state, steering.time, until, steering.pose[3], heading, steering.sent, steering.command, controller.numbers)
     return state
@@ -249,7 +268,7 @@ def predict_motion(controller: AxisControllers, steering: Steering, until: float
 
 @numba.njit(cache=True)
 def _move(state, t, end, yaw, yaw_end, sent, command, numbers):  # type: ignore[no-untyped-def]
-    """Moves world p, v, d (3, 4) from t to an end under the commands in force; numbers as of a controller."""
+    """Propagates world p, v, d, shape (3, 4), in place from t to `end`; `numbers` are `AxisControllers.numbers`."""
     start, span = t, max(end - t, 1e-12)
     force = np.empty(4)
     while t < end:
@@ -281,7 +300,7 @@ def _move(state, t, end, yaw, yaw_end, sent, command, numbers):  # type: ignore[
 
 @numba.njit(cache=True)
 def _along(world, heading, a):  # type: ignore[no-untyped-def]
-    """Component of a world vector x, y, z, yaw along an axis of the heading frame."""
+    """Component of a world vector x, y, z, yaw along axis `a` of the heading frame."""
     if a == 0:
         return np.cos(heading) * world[0] + np.sin(heading) * world[1]
     if a == 1:
@@ -291,7 +310,7 @@ def _along(world, heading, a):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignore[no-untyped-def]
-    """Corrects the state by a pose, axis by axis of the heading frame, and takes in the error."""
+    """Corrects the state with a pose, axis by axis in the heading frame, and updates the error; both in place."""
     off, c, s = pose - state[0], np.cos(pose[3]), np.sin(pose[3])
     ahead, aside = c * off[0] + s * off[1], c * off[1] - s * off[0]
     for i in range(3):
@@ -308,7 +327,7 @@ def _learn(state, error, pose, missing, since, bounded, numbers):  # type: ignor
 
 @numba.njit(cache=True)
 def _ask(wanted, t, seen_at, yaw, state, error, place, rate, growth, sent, command, numbers):  # type: ignore[no-untyped-def]
-    """Fills the commands that the laws ask for, shape (4,); place, rate, growth: a row for each axis, (4, 4)."""
+    """Fills the commands of the laws, shape (4,); place, rate, growth: the reference for each axis in a row, (4, 4)."""
     heading = yaw
     if numbers[3, OBSERVED]:
         future = state.copy()

@@ -1,15 +1,15 @@
-"""How far a vehicle may differ from what its control law believes: the sampled loop, its margins, exactly.
+"""Stability margins of the sampled loop, exactly: how far a vehicle may differ from what its control law assumes.
 
-A pose is measured every period h, the command that follows from it is held for h and acts after the delay. Over a
-period the vehicle is moved by the command that is about to end, for the rest of the delay, and by the next one: from
-pose to pose the loop is a linear system of finite order, whatever the delay. With P(z) from the command to the pose
-that is measured, C(z) the law, and L = -C P,
+A pose is measured every period h; the command computed from it is held for h and acts after the delay. During a period
+two commands move the vehicle: the old one for the rest of the delay, then the next. From pose to pose the loop is
+therefore a linear system of finite order, whatever the delay. With P(z) from the command to the measured pose, C(z) the
+law, and L = -C P,
 
-    stable       every eigenvalue of the closed loop inside the unit circle
-    gain margin  the factors on the vehicle's gain between which it stays so, from the crossings of the negative axis
+    stable       every eigenvalue of the closed loop is inside the unit circle
+    gain margin  the factors on the vehicle's gain between which it is stable, from the crossings of the negative axis
     phase margin the least distance of L from -1 in angle where |L| = 1
     peak         of the sensitivity 1 / |1 + L|: 1 over the least distance of L from -1
-    delay margin the further delay at which it is no longer stable
+    delay margin the additional delay at which it becomes unstable
 
 Source: K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997): sampling with a delay;
 K. J. Åström, R. M. Murray, Feedback Systems: stability margins.
@@ -27,10 +27,11 @@ from rotorfit.core.frames import Array
 from rotorfit.planning.axis_information import AxisBelief
 
 SLOWEST, POINTS = 1e-3, 600
-"""Lowest frequency of the grid, as a share of the Nyquist frequency, and its size; crossings are refined by roots."""
+"""Lowest frequency of the grid, as a share of the Nyquist frequency, and its size; crossings are refined by root
+finding."""
 
 LONGEST = 2.0
-"""Delay beyond which no margin is looked for [s]."""
+"""Largest delay margin that is searched for [s]."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,13 @@ class Margins:
     """Margins of one axis.
 
     Attributes:
-        stable: Whether the closed loop is.
-        gain: Factors on the vehicle's gain, the largest below and the least above 1, at which it becomes unstable; 0
-            or infinite where there is none.
+        stable: Whether the closed loop is stable.
+        gain: Factors on the vehicle's gain, the largest below and the smallest above 1, at which the loop becomes
+            unstable; 0 or infinite if there is none.
         phase: Phase margin [rad].
         delay: Delay margin [s].
-        peak: Of the sensitivity.
-        crossover: Highest frequency at which |L| = 1 [rad/s].
+        peak: Peak of the sensitivity.
+        crossover: Highest frequency at which |L| = 1 [rad/s]; 0 if there is none.
     """
 
     stable: bool
@@ -56,7 +57,7 @@ class Margins:
 
 
 def closed_loop(law: AxisLaw, vehicle: AxisBelief) -> Array:
-    """The loop from pose to pose, for a vehicle that may not be the one that the law believes, shape (n, n).
+    """Transition matrix of the loop from pose to pose, for a vehicle other than the law may assume, shape (n, n).
 
     States: the vehicle's position and velocity, then those of the law.
     """
@@ -80,14 +81,14 @@ def spectral_radius(law: AxisLaw, vehicle: AxisBelief) -> float:
 
 
 def law_response(law: AxisLaw, w: Array) -> Array:
-    """C(e^(i w h)), from the measured pose to the command, shape of w [rad/s]."""
+    """C(e^(i w h)), from the measured pose to the command, complex, shape of w [rad/s]."""
     A, B, C = linear_system(law)
     z = np.exp(1j * w * law.period)[..., None, None]
     return np.asarray(z[..., 0, 0] * (np.linalg.solve(z * np.eye(len(A)) - A, B[:, None])[..., 0] @ C))
 
 
 def vehicle_response(vehicle: AxisBelief, period: float, latency: float, w: Array) -> Array:
-    """P(e^(i w h)), from the command to the pose that is measured, shape of w [rad/s]."""
+    """P(e^(i w h)), from the command to the measured pose, complex, shape of w [rad/s]."""
     reach = vehicle.delay + latency
     whole, _ = whole_periods(reach, period)
     step, late, new = held_step(vehicle.damping, reach, period)
@@ -108,7 +109,7 @@ def frequencies(period: float, points: int = POINTS) -> Array:
 
 
 def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
-    """Margins of a law around a vehicle; without margin where the loop is not stable."""
+    """Margins of a law around a vehicle; none of them is left if the loop is unstable."""
     L = open_loop(law, vehicle)
     w = frequencies(law.period)
     values = L(w)
@@ -131,9 +132,9 @@ def margins(law: AxisLaw, vehicle: AxisBelief) -> Margins:
 
 
 def delay_margin(law: AxisLaw, vehicle: AxisBelief) -> float:
-    """The least further delay that makes a stable loop unstable [s]; infinite where none up to `LONGEST` does.
+    """The least additional delay that makes a stable loop unstable [s]; infinite if none up to `LONGEST` does.
 
-    By the eigenvalues themselves: looked at every quarter of a period, then by bisection.
+    The eigenvalues are evaluated every quarter of a period, and the crossing is refined by root finding.
     """
 
     def excess(more: float) -> float:
@@ -147,13 +148,13 @@ def delay_margin(law: AxisLaw, vehicle: AxisBelief) -> float:
 
 
 def _roots(f: Callable[[float], float], w: Array, values: Array) -> list[float]:
-    """Where a function changes its sign between neighbours of the grid."""
+    """Roots of a function between neighbours of the grid at which its sign changes."""
     places = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [float(brentq(f, w[i], w[i + 1], xtol=1e-9)) for i in places]
 
 
 def _peak(L: Callable[[Array], Array], w: Array, values: Array) -> float:
-    """Peak of the sensitivity, refined between the neighbours of the highest value of the grid."""
+    """Peak of the sensitivity, refined between the neighbours of its highest value on the grid."""
     top = int(np.argmin(np.abs(1 + values)))
     ends = (w[max(top - 1, 0)], w[min(top + 1, w.size - 1)])
     found = minimize_scalar(lambda x: float(np.abs(1 + L(np.array(x)))), bounds=ends, method="bounded")

@@ -1,28 +1,28 @@
-"""Retuning: when the gains that are flown are to be others, from one model after the other of a vehicle in flight.
+"""Retuning: decides, from the successive models of a vehicle in flight, when its gains should be replaced.
 
-An axis is looked at where a fit says something new of it and it has settled: two fits in a row, the second of half as
-much data again, or what is believed after them, agree within the interval of the first, and that does not shrink
-faster than noise lets it. New gains are published
+An axis is judged after a new fit that has settled: two fits in a row, the second from half as much data again, or the
+beliefs after them, agree within the interval of the first, and the interval does not shrink faster than noise lets it.
+New gains are published
 
-- where none are flown;
-- where the vehicle has changed, its new self has settled, and those that are flown do not hold for all of it: for more
-  than 5 % of what its interval allows they leave less than `LOST` and `LOST_DELAY`;
-- where it has not changed, but they probably do not hold: the same for more than half of it;
-- where they are for another vehicle: its coefficients lie outside of what both intervals explain, and new ones would
-  be as fast: slower ones only because they must;
-- where the vehicle is known so much better that they would be `FASTER` times as fast.
+- if none are in use;
+- if the vehicle has changed, its new estimate has settled, and the gains in use are not safe: for more than 5 % of the
+  vehicles that the interval allows they miss the margins `LOST` and `LOST_DELAY`;
+- if it has not changed, but they miss these margins for more than half of those vehicles;
+- if they were made for another vehicle, whose coefficients differ by more than both intervals explain, and the new
+  ones are nearly as fast: slower gains are published only for the sake of margins;
+- if the vehicle is known so much better that the new ones are `FASTER` times as fast.
 
-Otherwise they stay. What lies between `PEAK` and `LOST`, and between 1 and `FASTER`, is the hysteresis. Without
-excitation there is no new fit, and nothing is published.
+Otherwise they stay. The ranges from `PEAK` to `LOST` and from 1 to `FASTER` are the hysteresis. Without excitation
+there is no new fit, and nothing is published.
 
-What is known from before is carried over: of an earlier model, as long as this flight tells less and does not
-contradict it, and over an alarm those coefficients k that its cause leaves as they were. With what was known before,
-N(m, C)_k, and the new fit N(m', C'), the others f follow the new fit where the carried ones are what they were:
+Earlier knowledge is carried over: all of an earlier model, as long as this flight tells less and does not contradict
+it, and after an alarm those coefficients k that its cause leaves unchanged. Given the earlier N(m, C)_k and the new fit
+N(m', C'), the other coefficients f follow the new fit, conditioned on the carried ones:
 
     m_f = m'_f + K (m_k - m'_k),    C_ff = C'_ff - K C'_kf + K C_kk K',    C_fk = K C_kk,    K = C'_fk (C'_kk)^-1
 
-What the new fit says of k is left unused, because both hold the same flight-to-flight spread; where it tells more, or
-lies outside of 99 % of what both allow, it stands alone.
+What the new fit says of k is not used, because both include the same flight-to-flight spread. If the new fit tells more
+of k, or lies outside 99 % of what both allow, it is used alone.
 """
 
 from collections.abc import Collection, Mapping
@@ -39,8 +39,7 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
 
 LOST = 2.0
-"""Peak of the sensitivity from which a margin is lost. Source: as of `tuning.PEAK`: the upper end of what loops are
-tuned to."""
+"""Peak of the sensitivity above which the margins are lost. Source: as of `tuning.PEAK`, the upper end of its range."""
 
 CARRIED: Mapping[str, tuple[str, ...]] = {
     "limits": ("damping", "delay"),
@@ -48,35 +47,37 @@ CARRIED: Mapping[str, tuple[str, ...]] = {
     "payload": COEFFICIENTS,
     "thrust": COEFFICIENTS,
 }
-"""Cause of an alarm to what it leaves as it was; of one that is not named nothing. A payload and lost thrust change the
-trim, which no gains hold; the damping of x and y falls with the mass, by less than a flight in wind tells."""
+"""Cause of an alarm to the coefficients that it leaves unchanged; other causes leave none. A payload and lost thrust
+change the trim, on which no gain depends; the damping of x and y falls with the mass, by less than a flight in wind
+reveals."""
 
 CONTRADICTED = 0.99
-"""Probability that what is carried over and the new fit lie as far apart as here, from which the fit stands alone."""
+"""Quantile of the distance between carried knowledge and the new fit beyond which the fit is used alone."""
 
 LOST_DELAY = 0.6 * DELAY_SHARE
-"""The same of the delay margin, as a share of the reach of the loop."""
+"""Delay margin below which the margins are lost, as a share of the reach of the loop."""
 
 ANEW, PROBABLY = 0.05, 0.5
-"""Share of what the vehicle may be without margins at which gains are given up: after a change, and without one."""
+"""Share of the possible vehicles without margins above which gains are replaced: after a change, and without one."""
 
 FASTER = 1.15
-"""Ratio of bandwidths from which it is worth while to change gains that hold."""
+"""Ratio of bandwidths from which it is worth replacing gains that keep their margins."""
 
 SETTLED = 0.7
-"""Ratio of standard errors of one fit to those of the fit before, from which they have settled: with half as much data
-again noise alone leaves 0.82."""
+"""Least ratio of the standard errors of a fit to those of the fit before if it has settled: with half as much data
+again, noise alone gives 0.82."""
 
 EXPLAINED = 16.27
-"""99.9 % of the squared distance of three coefficients, chi-squared, that lie as far apart as both intervals say."""
+"""99.9 % quantile of chi-squared with 3 degrees of freedom: largest squared distance of three coefficients that both
+intervals explain."""
 
 AGREES = 1.96
-"""Standard errors of the fit before within which the next agrees with it."""
+"""Standard errors of the fit before within which the next fit agrees with it."""
 
 
 @dataclass(frozen=True)
 class Flown:
-    """Gains of one axis that are flown: the law, and its bandwidth [rad/s]."""
+    """Gains of one axis that are in use: the law, and its bandwidth [rad/s]."""
 
     law: AxisLaw
     bandwidth: float
@@ -84,7 +85,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Retuned:
-    """New gains: of some axes, and for each why."""
+    """New gains of some axes, and the reason for each axis."""
 
     tuning: Tuning
     why: Mapping[str, str]
@@ -95,10 +96,10 @@ class Retuning:
 
     Args:
         kind: Design of the gains.
-        rate: Commands a second.
-        latency: From the exposure of a pose to the command that uses it [s].
-        flown: Axis name to the gains that are flown; empty where that is not known.
-        before: What the vehicle was on an earlier flight; None where nothing is known.
+        rate: Command rate [1/s].
+        latency: Time from the exposure of a pose to the command that uses it [s].
+        flown: Axis name to the gains in use; empty if they are unknown.
+        before: The model of an earlier flight; None if there is none.
     """
 
     def __init__(
@@ -118,11 +119,11 @@ class Retuning:
         self._anew: set[str] = set()
 
     def changed(self, axes: Collection[str], cause: str) -> None:
-        """Some axes are of another vehicle from now on.
+        """Notes that the vehicle has changed.
 
         Args:
-            axes: Their names.
-            cause: Of the alarm; what it leaves as it was is still known.
+            axes: Names of the axes that changed.
+            cause: Cause of the alarm; what it leaves unchanged is still known.
         """
         for axis in axes:
             last = self._fits.pop(axis, None)
@@ -133,12 +134,12 @@ class Retuning:
                 self._anew.add(axis)
 
     def look(self, model: Model, known: Collection[str], excited: Collection[str] = ()) -> Retuned | None:
-        """New gains, where the model calls for them.
+        """New gains, if the model calls for them; else None.
 
         Args:
-            model: As of the last fit of each axis.
-            known: Axes that it is known of.
-            excited: Axes of which it tells something: enough where the rest is carried over.
+            model: The last fit of each axis.
+            known: Axes whose coefficients it tells.
+            excited: Axes of which it tells only some: enough if the others are carried over.
         """
         new: dict[str, AxisTuning] = {}
         why: dict[str, str] = {}
@@ -155,7 +156,7 @@ class Retuning:
         return Retuned(Tuning(self._kind, self._rate, self._latency, new, {}), why) if new else None
 
     def _settled(self, model: Model, axis: str, known: bool) -> Weighed | None:
-        """What is believed of an axis, where there is a new fit and it says the same as before, and not much more."""
+        """The belief about an axis, if there is a new fit and it has settled; else None."""
         before = self._fits.get(axis)
         if model.axes[axis].predictor is None or (before and before[0] is model.axes[axis]):
             return None
@@ -169,19 +170,19 @@ class Retuning:
         return now if (known and _same(before[1], fit)) or _same(before[2], now) else None
 
     def _belief(self, axis: str, now: Weighed) -> Weighed:
-        """What is believed of an axis: the last fit, and what is carried over."""
+        """The belief about an axis: the last fit, combined with what is carried over."""
         before = self._before.get(axis)
         return now if before is None else _carried_over(before, now, self._carried[axis])
 
     def _tuned(self, model: Model, axis: str) -> AxisTuning | None:
-        """Gains for an axis; None where no margins hold."""
+        """Gains for an axis; None if none keep the margins."""
         try:
             return tune(model, self._kind, rate=self._rate, latency=self._latency, axes=(axis,)).axes[axis]
         except ModelError:
             return None
 
     def _reason(self, model: Model, axis: str, fresh: AxisTuning) -> str:
-        """Why gains are to be these; empty where those that are flown may stay."""
+        """The reason for new gains; empty if those in use may stay."""
         flown = self._flown.get(axis)
         if flown is None:
             return "the first: the vehicle's interval has settled"
@@ -200,7 +201,7 @@ class Retuning:
 
 
 def _same(old: Weighed, now: Weighed) -> bool:
-    """Whether a law says the same as the one before, and not much more."""
+    """Whether a law agrees with the one before, and its standard errors have settled."""
     if any(name not in law.stderr for law in (old, now) for name in COEFFICIENTS):
         return False
     return all(
@@ -211,7 +212,7 @@ def _same(old: Weighed, now: Weighed) -> bool:
 
 
 def _carried_over(before: Weighed, now: Weighed, names: Collection[str]) -> Weighed:
-    """A fit, with some coefficients as they were known before; the fit where that says less, or something else."""
+    """A fit, with some coefficients as they were known before; the fit alone if it tells more or contradicts them."""
     if not names or any(name not in law.stderr for law in (before, now) for name in COEFFICIENTS):
         return now
     (old, old_covariance), (new, new_covariance) = _normal(before), _normal(now)
@@ -240,14 +241,14 @@ def _normal(law: Weighed) -> tuple[Array, Array]:
 
 
 def _with_law(model: Model, axis: str, law: Weighed) -> Model:
-    """The model with a first-order law beside an axis, by which gains go."""
+    """The model with a first-order law beside an axis, from which its gains are made."""
     nothing = dict.fromkeys(COEFFICIENTS)
     plain = Plain(None, None, None, nothing, {}, {}, law)
     return replace(model, axes={**model.axes, axis: replace(model.axes[axis], plain=plain)})
 
 
 def _apart(law: AxisLaw, model: Model, axis: str) -> float:
-    """Squared distance of what a law believes from what is known, if it was known as well as that."""
+    """Squared distance of the vehicle that a law assumes from the known one, taking both as equally uncertain."""
     mean, covariance = _normal(first_order(model, axis))
     off = np.array([law.input, law.damping, law.delay]) - mean
     return float(off @ np.linalg.solve(2.0 * covariance, off))

@@ -1,4 +1,4 @@
-"""Margins under what is not known: vehicles drawn from a model's covariance, and a law around each of them."""
+"""Margins under uncertainty: a law around each of many vehicles drawn from a model's covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from rotorfit.planning.axis_information import AxisBelief
 from rotorfit.planning.belief import DELAY
 
 GRID = 300
-"""Frequencies at which the loops of the draws are looked at."""
+"""Number of frequencies at which the loops of the draws are evaluated."""
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """A law around the vehicles that a model believes possible.
+    """Margins of a law around the vehicles that a model considers possible.
 
     Attributes:
-        unstable: Share of them around which it is not stable, by the eigenvalues.
-        peak: 95 % of them have no higher peak of the sensitivity.
-        phase: 95 % of them have no smaller phase margin [rad].
-        delay: 95 % of them have no smaller delay margin, the phase margin over the frequency at |L| = 1 [s].
-        draws: How many.
-        seed: Of the draws.
+        unstable: Share of the vehicles with an unstable loop, by its eigenvalues.
+        peak: Peak of the sensitivity that 95 % of them do not exceed.
+        phase: Phase margin that 95 % of them keep [rad].
+        delay: Delay margin that 95 % of them keep, the phase margin over the frequency at |L| = 1 [s].
+        draws: Number of vehicles.
+        seed: Seed of the draws.
     """
 
     unstable: float
@@ -39,13 +39,13 @@ class Robustness:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Vehicles that are believed possible, and their responses on one grid.
+    """Vehicles that are considered possible, and their frequency responses.
 
     Attributes:
         vehicles: D draws.
-        frequency: Shape (GRID,) [rad/s].
-        response: From the command to the pose, shape (D, GRID).
-        seed: Of the draws.
+        frequency: Grid of the responses, shape (GRID,) [rad/s].
+        response: From the command to the pose, complex, shape (D, GRID).
+        seed: Seed of the draws.
     """
 
     vehicles: tuple[AxisBelief, ...]
@@ -55,7 +55,7 @@ class Doubt:
 
 
 def known_dynamics(model: Model, axis: str) -> AxisBelief:
-    """The axis as a first-order law with a delay: its own, or the one that stands beside another law.
+    """The axis as a first-order law with a delay: its own law, or the one beside another law.
 
     Raises:
         ModelError: The axis was not excited.
@@ -65,9 +65,18 @@ def known_dynamics(model: Model, axis: str) -> AxisBelief:
 
 
 def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[AxisBelief]:
-    """Vehicles drawn for an axis: jointly normal by the model's covariance, no delay below 0.
+    """Vehicles drawn for an axis from the normal distribution of the model, with no delay below 0.
 
-    A delay of which the model knows nothing is that of commercial quadrotors, `belief.DELAY`.
+    A delay that the model does not know is drawn as that of commercial quadrotors, `belief.DELAY`.
+
+    Args:
+        model: From a fit.
+        axis: Name of the axis.
+        count: Number of vehicles.
+        seed: Seed of the draws.
+
+    Raises:
+        ModelError: The axis was not excited.
     """
     rng = np.random.default_rng(seed)
     values, law = np.tile(known_dynamics(model, axis), (count, 1)), first_order(model, axis)
@@ -80,19 +89,26 @@ def believed_possible(model: Model, axis: str, count: int, seed: int) -> list[Ax
 
 
 def doubt(vehicles: Sequence[AxisBelief], period: float, latency: float, seed: int) -> Doubt:
-    """The responses of vehicles, worked out once for all laws that are tried."""
+    """Vehicles with their frequency responses, computed once for all laws that are tried.
+
+    Args:
+        vehicles: The draws.
+        period: Time between commands [s].
+        latency: Time from the exposure of a pose to the command that uses it [s].
+        seed: Seed of the draws.
+    """
     w = frequencies(period, GRID)
     return Doubt(tuple(vehicles), w, np.array([vehicle_response(one, period, latency, w) for one in vehicles]), seed)
 
 
 def highest_peak(law: AxisLaw, possible: Doubt) -> float:
-    """The peak that 95 % of the vehicles do not exceed, if all are stable: what can be known without eigenvalues."""
+    """The peak of the sensitivity that 95 % of the vehicles do not exceed, if all loops are stable: no eigenvalues."""
     L = -law_response(law, possible.frequency) * possible.response
     return _quantile(1 / np.abs(1 + L).min(axis=1), 0.95)
 
 
 def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
-    """A law around every vehicle that is believed possible; one around which it is not stable has no margin."""
+    """Margins of a law around every possible vehicle; an unstable loop has none."""
     peak, phase, delay = _around_each(law, possible)
     return Robustness(
         float(np.mean(np.isinf(peak))),
@@ -105,14 +121,13 @@ def robustness(law: AxisLaw, possible: Doubt) -> Robustness:
 
 
 def share_beyond(law: AxisLaw, possible: Doubt, peak: float, delay: float) -> float:
-    """Share of the vehicles that are believed possible around which a law has a higher peak of the sensitivity, or a
-    smaller delay margin [s]."""
+    """Share of the possible vehicles with a higher peak of the sensitivity or a smaller delay margin [s] than given."""
     peaks, _, delays = _around_each(law, possible)
     return float(np.mean((peaks > peak) | (delays < delay)))
 
 
 def _around_each(law: AxisLaw, possible: Doubt) -> tuple[Array, Array, Array]:
-    """Peak, phase margin and delay margin of each vehicle, shape (D,): infinite, 0 and 0 where it is not stable."""
+    """Peak, phase margin [rad] and delay margin [s] of each vehicle, shape (D,): infinite, 0 and 0 if unstable."""
     L = -law_response(law, possible.frequency) * possible.response
     stable = np.array([spectral_radius(law, one) < 1 for one in possible.vehicles])
     phase, delay = _phase_and_delay(L, possible.frequency)
@@ -121,12 +136,12 @@ def _around_each(law: AxisLaw, possible: Doubt) -> tuple[Array, Array, Array]:
 
 
 def _quantile(values: Array, share: float) -> float:
-    """One of the values, infinite ones among them: nothing is drawn between two."""
+    """A quantile without interpolation: always one of the values, which may be infinite."""
     return float(np.quantile(values, share, method="inverted_cdf"))
 
 
 def _phase_and_delay(L: np.ndarray, w: Array) -> tuple[Array, Array]:
-    """Least phase margin and least delay margin of each row, at crossings drawn straight between the grid's points."""
+    """Least phase [rad] and delay margin [s] of each row; crossings are interpolated linearly between grid points."""
     size, angle = np.log(np.abs(L)), np.mod(np.angle(-L), 2 * np.pi)
     crossing = size[:, :-1] * size[:, 1:] < 0
     share = np.where(crossing, size[:, :-1] / np.where(crossing, size[:, :-1] - size[:, 1:], 1.0), 0.0)

@@ -1,4 +1,4 @@
-"""A controller tried in the virtual flight room: how far the vehicle is from its reference path, at true instants."""
+"""A controller tried in the virtual flight room: distance of the true vehicle from its reference path."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,12 +32,12 @@ from rotorfit.simulation.flight_room import Conditions, FlightRoom
 from rotorfit.simulation.vehicle import Vehicle, load_vehicle
 
 LOOK = 2
-"""The truth is looked at every so many commands."""
+"""Number of commands between two samples of the truth."""
 
 ROOM = "6x6x4"
 
 DURATIONS: Mapping[Shape, float] = {"circle": 28.0, "lemniscate": 28.0, "steps": WAIT + HOLD * len(STEPS)}
-"""Room [m] and paths [s] of `try_tuning`."""
+"""Room [m], and paths with their durations [s], of `try_tuning`."""
 
 BAND = 0.1
 """A step has settled when it stays within this share of its height."""
@@ -45,15 +45,15 @@ BAND = 0.1
 
 @dataclass(frozen=True)
 class Trial:
-    """One flight. N instants at which the truth was looked at.
+    """One flight, with N samples of the truth.
 
     Attributes:
-        path: What was to be followed.
-        time: Shape (N,) [s].
-        pose: True x, y, z, yaw, unwrapped, shape (N, 4).
-        reference: Wanted then, shape (N, 4).
-        saturated: Share of the commands that full scale has bounded on some axis.
-        failed: Whether it left the space; the flight ends there.
+        path: The reference path.
+        time: Sample times, shape (N,) [s].
+        pose: True world x, y, z [m] and unwrapped yaw [rad], shape (N, 4).
+        reference: Reference at these times, world, shape (N, 4).
+        saturated: Share of the commands that full scale bounded on some axis.
+        failed: Whether the vehicle left the space, which ended the flight.
     """
 
     path: ReferencePath
@@ -66,13 +66,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrackingError:
-    """Errors of a flight, from the end of the first hover on; infinite where it has failed.
+    """Tracking errors of a flight after the first hover; infinite if the flight failed.
 
     Attributes:
-        position: Root mean square of the distance [m].
-        heading: Root mean square of the heading's error [rad].
-        overshoot: Largest of the steps beyond their end, share of their height; None without steps.
-        settling: Median time from a step until the axis stays within a tenth of it [s]; None without steps.
+        position: RMS distance from the reference [m].
+        heading: RMS error of the heading [rad].
+        overshoot: Largest overshoot of the steps, as a share of their height; None without steps.
+        settling: Median time from a step until the axis stays within a tenth of its height [s]; None without steps.
     """
 
     position: float
@@ -83,14 +83,14 @@ class TrackingError:
 
 @dataclass(frozen=True)
 class PathScore:
-    """How a controller followed one path, over several seeds; medians, infinite where most flights failed.
+    """How a controller followed one path, over several seeds.
 
     Attributes:
-        path: What was to be followed.
-        error: Medians over the seeds.
-        saturated: Mean share of the commands that full scale has bounded.
-        failed: Flights that left the space.
-        flights: How many.
+        path: The reference path.
+        error: Medians over the seeds; infinite if most flights failed.
+        saturated: Mean share of the commands that full scale bounded.
+        failed: Number of flights that left the space.
+        flights: Number of flights.
     """
 
     path: ReferencePath
@@ -103,19 +103,20 @@ class PathScore:
 def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tuple[PathScore, ...]:
     """Tries gains on a circle, a lemniscate and steps in a room of 6 x 6 x 4 m.
 
-    The paths are flown at no more than 1 m/s, half of the speed of full commands and the speed whose turns take 0.3 of
-    the full acceleration, as the model has them: where a linear model may be trusted.
+    The speed is at most 1 m/s, half the steady speed at full command, and the speed whose turns take 0.3 of the full
+    acceleration, all according to the model: there a linear model may be trusted.
 
     Args:
         tuning: Gains of all four axes.
-        model: That they come from.
-        address: `VEHICLE,wind=MEAN,gusts=SIGMA`, as of the link `sim`.
-        seeds: Flights of each path, with the seeds 1, 2, 3 ...
+        model: The model that they come from.
+        address: `VEHICLE,wind=MEAN,gusts=SIGMA`, as for the link `sim`.
+        seeds: Number of flights of each path, with the seeds 1, 2, 3 ...
 
     Raises:
-        ModelError: An axis has no gains, or the model's commands mean something else to this vehicle.
-        VehicleError: No such vehicle.
-        LinkError: An option that nobody knows.
+        ModelError: An axis has no gains, or the model's commands have another meaning than those of this vehicle.
+        VehicleError: There is no such vehicle.
+        LinkError: The address has an unknown option.
+        PlanError: A path does not fit into the room or exceeds its speeds.
     """
     name, *options = address.split(",")
     vehicle = load_vehicle(name)
@@ -139,7 +140,7 @@ def try_tuning(tuning: Tuning, model: Model, address: str, seeds: int = 3) -> tu
 
 
 def scores_mapping(scores: Sequence[PathScore]) -> dict[str, dict[str, float | int | None]]:
-    """Scores by the name of the path as plain JSON types; None where most flights failed."""
+    """Scores by the name of the path, as plain JSON types; errors are None if most flights failed."""
     return {
         one.path.shape: {
             "speed": one.path.speed,
@@ -156,14 +157,14 @@ def scores_mapping(scores: Sequence[PathScore]) -> dict[str, dict[str, float | i
 
 
 def _speed(controller: AxisControllers) -> float:
-    """Of a path of 1 m that stays where the model is linear [m/s]."""
+    """Speed of a path of size 1 m within the range in which the model is linear [m/s]."""
     reach = [law.input * scale for law, scale in zip(controller.laws.values(), controller.full_scale, strict=True)][:2]
     steady = [full / max(controller.laws[axis].damping, 1e-3) for axis, full in zip("xy", reach, strict=True)]
     return float(min(1.0, *(0.5 * speed for speed in steady), *(np.sqrt(0.3 * full) for full in reach)))
 
 
 def controller_of(laws: Tuning | Mapping[str, AxisLaw], vehicle: Vehicle) -> AxisControllers:
-    """A controller for a vehicle of the room: gains that were tuned, or laws from elsewhere, and its full scale."""
+    """A controller for a simulated vehicle: tuned gains, or laws from elsewhere, with the vehicle's full scale."""
     of_axes = {axis: one.law for axis, one in laws.axes.items()} if isinstance(laws, Tuning) else dict(laws)
     return AxisControllers(of_axes, np.array(vehicle.limits()) / np.array(vehicle.full_scale()))
 
@@ -171,15 +172,15 @@ def controller_of(laws: Tuning | Mapping[str, AxisLaw], vehicle: Vehicle) -> Axi
 def try_path(
     controller: AxisControllers, vehicle: Vehicle, conditions: Conditions, path: ReferencePath, space: Space, seed: int
 ) -> Trial:
-    """Flies a path in the room, from its start, by the poses as they arrive.
+    """Flies a path in the room from its start, using the poses as they arrive.
 
     Args:
-        controller: That commands the vehicle.
-        vehicle: What flies.
-        conditions: Air, mocap, radio.
-        path: To be followed.
-        space: Whose fence ends the flight.
-        seed: Of everything random in the room.
+        controller: The controller.
+        vehicle: The vehicle.
+        conditions: Air, motion capture, radio.
+        path: The reference path.
+        space: The space; leaving it ends the flight.
+        seed: Seed of everything random in the room.
     """
     room = FlightRoom(vehicle, conditions, seed, path.start)
     steering, period = at_rest(np.array(path.start)), controller.period
@@ -211,7 +212,7 @@ def _pose(values: tuple[float, ...]) -> Array:
 
 
 def tracking_error(trial: Trial) -> TrackingError:
-    """The errors of a flight."""
+    """The tracking errors of a flight."""
     steps = trial.path.shape == "steps"
     if trial.failed:
         return TrackingError(np.inf, np.inf, np.inf if steps else None, np.inf if steps else None)
@@ -227,7 +228,7 @@ def tracking_error(trial: Trial) -> TrackingError:
 
 
 def _steps(trial: Trial) -> tuple[float, float]:
-    """Largest overshoot, and median settling time of the steps; one that does not settle takes the whole hold."""
+    """Largest overshoot and median settling time of the steps [s]; a step that never settles counts with `HOLD`."""
     beyond, settled = [], []
     levels = np.vstack([np.zeros(4), STEPS]) * np.array([trial.path.size] * 3 + [1.0])
     for number, (before, after) in enumerate(pairwise(levels)):

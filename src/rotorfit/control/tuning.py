@@ -1,8 +1,8 @@
-"""Tune: a model to the gains of a controller, as fast as what is known of the vehicle allows.
+"""Tune: from a model to the gains of a controller, as fast as the model's uncertainty allows.
 
-The bandwidth of each axis is the highest at which 95 % of the vehicles that the model's covariance believes possible
-keep a peak of the sensitivity of at most `PEAK` and a delay margin of at least half of what the loop already waits, and
-none is unstable. A model that knows its vehicle poorly gets slower gains, and one that knows too little gets none.
+The bandwidth of each axis is the highest at which none of the vehicles drawn from the model's covariance is unstable,
+and 95 % of them keep a peak of the sensitivity of at most `PEAK` and a delay margin of at least half the reach of the
+loop. A model that is less certain gets slower gains, and one that is too uncertain gets none.
 """
 
 import math
@@ -34,36 +34,38 @@ from rotorfit.planning.plan_control import full_scale
 
 PEAK = 1.7
 """Highest peak of the sensitivity. Source: K. J. Åström, T. Hägglund, Advanced PID Control (2006): between 1.4 for
-careful and 2.0 for fast loops. It holds a phase margin of 2 asin(1 / 2 peak) and a gain margin of peak / (peak - 1)."""
+careful and 2.0 for fast loops. It implies a phase margin of 2 asin(1 / 2 peak) and a gain margin of peak / (peak -
+1)."""
 
 DELAY_SHARE = 0.5
-"""Least delay margin as a share of the reach of the loop: latency and delay."""
+"""Least delay margin as a share of the reach of the loop: latency plus delay."""
 
 BANDWIDTHS = (0.1, 15.0, 81)
-"""Lowest and highest bandwidth that are tried [rad/s], and how many between them, in equal ratios."""
+"""Lowest and highest bandwidth that are tried [rad/s], and the number of them, in geometric steps."""
 
 FILTERS = (0.03, 0.06, 0.12, 0.25)
 """Filter times that are tried, the shortest first [s]."""
 
 RESTLESS = 0.05
-"""Largest standard deviation of a command that the noise of poses causes, as a share of full scale."""
+"""Largest standard deviation of a command due to the noise of poses, as a share of full scale, for which no longer
+filter is tried."""
 
 RATE, LATENCY, DRAWS = 50.0, 0.015, 200
-"""Commands a second; from the exposure of a pose to the command that uses it [s]; vehicles drawn."""
+"""Command rate [1/s]; time from the exposure of a pose to the command that uses it [s]; number of vehicles drawn."""
 
 
 @dataclass(frozen=True)
 class AxisTuning:
-    """One axis.
+    """Gains of one axis, with their margins.
 
     Attributes:
-        law: With the gains.
+        law: The law with the gains.
         bandwidth: w [rad/s].
-        margins: Around the vehicle as the model has it.
-        robustness: Around those that it believes possible.
-        noise: Standard deviation of the command that the noise of poses causes, share of full scale; None where the
-            model does not tell the noise or the card no full scale.
-        note: What had to be assumed; empty for nothing.
+        margins: Margins around the model's estimate of the vehicle.
+        robustness: Margins around the vehicles that the model considers possible.
+        noise: Standard deviation of the command due to the noise of poses, as a share of full scale; None if the model
+            has no noise or the card no full scale.
+        note: Assumptions and warnings; empty if there are none.
     """
 
     law: AxisLaw
@@ -79,11 +81,11 @@ class Tuning:
     """Gains for every axis that a model knows well enough.
 
     Attributes:
-        kind: Of the laws.
-        rate: Commands a second.
-        latency: From the exposure of a pose to the command that uses it [s].
+        kind: Design of the laws.
+        rate: Command rate [1/s].
+        latency: Time from the exposure of a pose to the command that uses it [s].
         axes: Axis name to its gains and margins.
-        refused: Axis name to why it has none.
+        refused: Axis name to the reason why it has none.
     """
 
     kind: Kind
@@ -125,18 +127,18 @@ def tune(
     Args:
         model: From a fit.
         kind: `predictor`, `lqr` or `linearising`; see `control_law`.
-        rate: Commands a second [1/s].
-        latency: From the exposure of a pose to the command that uses it [s].
-        axes: To tune.
-        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn.
-        draws: Vehicles drawn from the covariance, at least 20.
-        seed: Of the draws.
+        rate: Command rate, 5 to 500 [1/s].
+        latency: Time from the exposure of a pose to the command that uses it, 0 to 0.5 [s].
+        axes: Axes to tune.
+        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn, 1.2 to 3.
+        draws: Number of vehicles drawn from the covariance, at least 20.
+        seed: Seed of the draws.
 
     Returns:
         The gains of the axes that the model knows well enough, and for each of the others the reason in one line.
 
     Raises:
-        ModelError: No axis can be tuned, or what is asked cannot be: a kind, rate, latency or peak.
+        ModelError: No axis can be tuned, or the kind, rate, latency, peak or number of draws is not possible.
     """
     _check(kind, rate, latency, peak, draws)
     tuned: dict[str, AxisTuning] = {}
@@ -178,7 +180,7 @@ def _fastest(
     latency: float,
     peak: float,
 ) -> AxisTuning | str:
-    """The law of the highest bandwidth that holds, with the shortest filter that keeps it quiet; or why none does."""
+    """The fastest law that keeps the margins, with the shortest filter that keeps it quiet; or why there is none."""
     for filter_time in FILTERS:
         for bandwidth in np.geomspace(*BANDWIDTHS[:2], int(BANDWIDTHS[2]))[::-1].tolist():
             law = law_of_bandwidth(kind, vehicle, bandwidth, period, latency, filter_time)
@@ -200,7 +202,7 @@ def _holds(known: Robustness, law: AxisLaw, peak: float) -> bool:
 
 
 def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: AxisBelief) -> float | None:
-    """Standard deviation of the command that white noise of the poses causes in the closed loop, share of full scale.
+    """Standard deviation of the command due to white noise of the poses in the closed loop, as a share of full scale.
 
     Source: the stationary covariance X = M X M' + B B' of a stable linear system.
     """
@@ -216,7 +218,7 @@ def _command_noise(model: Model, axis: str, law: AxisLaw, vehicle: AxisBelief) -
 
 
 def _note(model: Model, axis: str, noise: float | None) -> str:
-    """What had to be assumed."""
+    """The assumptions and warnings about the gains of an axis."""
     notes = []
     known = model.axes[axis]
     if known.structure != FIRST_ORDER_DELAY.name:
