@@ -78,8 +78,7 @@ class Card:
         velocity_frame: Frame of its x and y, `heading` or `world`.
         velocity_time: Stamp of the velocity; None for that of its table.
         velocity_independent: Whether the velocity is an independent measurement: neither velocity nor pose was derived
-            from
-            the other.
+            from the other.
         attitude: Optional onboard heading: `yaw`, or the four of `qw`, `qx`, `qy`, `qz`.
         attitude_time: Stamp of the heading; None for that of its table.
         clock: For a flight in several files: `own` if each file has its own clock, `one` if all share one.

@@ -204,8 +204,8 @@ def line_panels(panels: Sequence[Panel], columns: int, size: tuple[float, float]
         columns: Number of panels side by side.
         size: Width and height of a panel [inch].
 
-        Returns:
-            The matplotlib axes, row by row.
+    Returns:
+        The matplotlib axes, row by row.
     """
     import matplotlib.pyplot as plt
 

@@ -62,8 +62,8 @@ def world_from_heading(vector: Array, yaw: Array) -> Array:
         vector: Forward and left components, shape (..., 2).
         yaw: Heading, shape (...) [rad].
 
-        Returns:
-            Horizontal world components, shape (..., 2), in the unit of `vector`.
+    Returns:
+        Horizontal world components, shape (..., 2), in the unit of `vector`.
 
     Source: paper, eq. (3).
     """

@@ -25,8 +25,7 @@ class FrequencyResponse:
         quantile: 97.5 % point of Student's t for the degrees of freedom of the standard errors, shape (K,).
         coherence: Share of the motion's power that the command explains at each frequency, shape (K,).
         instrument: Signal that excites the vehicle from outside any loop: `tones` of the command; the whole `command`
-            in
-            an open loop; else the `reference`; `none`.
+            in an open loop; else the `reference`; `none`.
         why_none: Why there is no response; empty where there is one.
     """
 

@@ -60,8 +60,7 @@ class Log:
         events: Events that `rotorfit fly` recorded in flight, in order.
         file_of: Table to its file where several files were joined; else empty.
         retimed: Table and column of a clock to the stamps that replace it, shape (N,) [ns]: shifted onto another clock,
-            or
-            corrected by arrival times. Empty as read.
+            or corrected by arrival times. Empty as read.
         damage: What was lost because the file is damaged or cut short, one line each.
         units: Table and column to the unit stated by the log itself, one of `frames.UNIT_SCALE`.
     """

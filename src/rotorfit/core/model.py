@@ -372,11 +372,9 @@ class Model:
         prior: Coefficient, such as `x.input`, to the effect of the card's prior on it; None where no prior was used.
         conversion: Set where the model was converted to other limits than those of its flights.
         leave_one_out: Cross-validation that leaves out each flight in turn, in the plain types of the file; None if it
-            was
-            not requested. See `leave_one_out.LeaveOneOut`.
+            was not requested. See `leave_one_out.LeaveOneOut`.
         paper_noise: Axis name to the disturbance levels at the paper's coefficients, for the filter from which the
-            paper's
-            predictions start. Empty for files of versions that did not write them.
+            paper's predictions start. Empty for files of versions that did not write them.
     """
 
     card: Card
@@ -415,8 +413,8 @@ class Model:
             A `DataFrame` with the columns `axis`, `coefficient`, `estimate`, `stderr`, `low` and `high` of the 95 %
             interval, `status`, `structure`; null where not identifiable, and for open ends.
 
-            Raises:
-                ModuleNotFoundError: pandas is requested but not installed.
+        Raises:
+            ModuleNotFoundError: pandas is requested but not installed.
         """
         heads = ("axis", "coefficient", "estimate", "stderr", "low", "high", "status", "structure")
         return frame(columns_of(heads, self._rows()), library)

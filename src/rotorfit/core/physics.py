@@ -24,8 +24,8 @@ def physics(model: Model) -> dict[str, dict[str, Quantity]]:
     Args:
         model: A model of any method.
 
-        Returns:
-            Axis name to `QUANTITIES` to quantity. A value that neither card nor data determine is None, with a reason.
+    Returns:
+        Axis name to `QUANTITIES` to quantity. A value that neither card nor data determine is None, with a reason.
     """
     return {axis: _quantities(model, axis) for axis in AXES}
 
@@ -143,8 +143,7 @@ def physics_rows(model: Model) -> tuple[PhysicsRow, ...]:
     """Rows of the table of physics: what the card has an expectation for, and the time constants.
 
     Only axes whose commands have a meaning. Quantities that the table of coefficients shows already (steady gain
-    without
-    expectation, total lag) are left out.
+    without expectation, total lag) are left out.
     """
     rows = []
     for axis, quantities in physics(model).items():

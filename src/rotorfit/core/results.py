@@ -416,8 +416,8 @@ class Validation:
             flight excites the axis), `predictor` (`model`, `hold`, `paper`, `coast`), `horizon` [s], `velocity_rmse`
             [m/s or rad/s], `position_rmse` [m or rad], `n` and `fit_percent`; null where there is no number.
 
-            Raises:
-                ModuleNotFoundError: pandas is requested but not installed.
+        Raises:
+            ModuleNotFoundError: pandas is requested but not installed.
         """
         return frame(columns_of(SCORE_COLUMNS, self.rows()), library)
 

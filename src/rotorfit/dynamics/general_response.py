@@ -219,7 +219,7 @@ def motion_response(
         whose: Axis of that parameter, shape (C,); for a start velocity, its world component.
         velocity: World velocity at the start of each segment, shape (S, K).
 
-        Returns:
+    Returns:
         Shape (B, C, K), world components where K is 2.
     """
     K = len(law)

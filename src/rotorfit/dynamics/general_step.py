@@ -117,8 +117,7 @@ def linear_step(law: Array, series: Array, a: int, dt: float, S: Array) -> None:
     v, q, the demand and the trim.
 
     With G the response of `lag_series`, D its derivative, J and H its integrals: G + A J + B H = t and D + A G + B J =
-    1;
-    the derivative of each by A equals the derivative by B of the next in the sequence H, J, G, D.
+    1; the derivative of each by A equals the derivative by B of the next in the sequence H, J, G, D.
     """
     order, beta = law[a, ORDER], law[a, DAMPING] * (1.0 - law[a, SHARE])
     if order < 2:

@@ -90,10 +90,8 @@ class MotionFilter:
         """The motion at the last pose, shape (2, 6); for each axis:
 
         its world velocity; the wind as an acceleration, and its standard error (for x and y along the heading where
-        both
-        are filtered); the standard deviation of the disturbance's velocity; the velocity `AHEAD` later if the last
-        command
-        holds, and its standard error. NaN for an axis that is not filtered.
+        both are filtered); the standard deviation of the disturbance's velocity; the velocity `AHEAD` later if the last
+        command holds, and its standard error. NaN for an axis that is not filtered.
 
         Args:
             command_time: As for `follow`.

@@ -49,16 +49,14 @@ def convert(model: Model, limits: Mapping[str, Any]) -> Model:
         limits: The new settings in the form of a card's `[limits]`, as from `core.limits.limits_from_text`; limits that
             are not named stay.
 
-        Returns:
-            The model with the new limits in its card and the old ones in `conversion`; converted back to its first
-            limits it
-            is the first model again.
+    Returns:
+        The model with the new limits in its card and the old ones in `conversion`; converted back to its first
+        limits it is the first model again.
 
-        Raises:
-            CardError: An invalid limit, unit or size.
-            ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits
-                are
-                already those of the model.
+    Raises:
+        CardError: An invalid limit, unit or size.
+        ModelError: The card has no value of the limit, no command of the card is a fraction of it, or the limits
+            are already those of the model.
 
     Source: at constant height a tilt t accelerates by 9.81 tan(t).
     """

@@ -260,8 +260,8 @@ def free_run(
         time: Increasing, shape (N,) [s].
         yaw: Heading at those times, shape (N,) [rad].
 
-        Returns:
-            World position and velocity, shape (N, 4).
+    Returns:
+        World position and velocity, shape (N, 4).
     """
     out: Array = np.empty((len(time), 4))
     position, velocity, time, yaw = (np.ascontiguousarray(one) for one in (position, velocity, time, yaw))

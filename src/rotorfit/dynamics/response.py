@@ -78,10 +78,10 @@ def axis_response(
         delay: tau [s].
         velocity: Velocity at the start of each segment, shape (S,) [unit/s].
 
-        Returns:
-            Shape (B, 5, 1): derivatives of the position by g (the response to a unit gain), c, b, tau and v0, the
-            velocity
-            at the start of the block's own segment. The position itself is g, c, v0 times the first, second and last.
+    Returns:
+        Shape (B, 5, 1): derivatives of the position by g (the response to a unit gain), c, b, tau and v0, the
+        velocity at the start of the block's own segment. The position itself is g, c, v0 times the first, second and
+        last.
 
     Source: paper, eq. (4), with u(t - tau) and a constant added.
     """
@@ -170,10 +170,9 @@ def plane_response(
         delay: tau of x and y, shape (2,) [s].
         velocity: World velocity at the start of each segment, shape (S, 2) [m/s].
 
-        Returns:
-            Shape (B, 10, 2), world components: derivatives by g, c, b, tau of x and y in turn, and by v0, the world
-            velocity
-            at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
+    Returns:
+        Shape (B, 10, 2), world components: derivatives by g, c, b, tau of x and y in turn, and by v0, the world
+        velocity at the start of the block's own segment. The position itself is the sum of g, c and v0 times theirs.
 
     Source: paper, eq. (5), with u(t - tau) and a constant added; exact for a heading that is constant between events.
     """

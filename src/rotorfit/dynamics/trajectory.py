@@ -103,8 +103,8 @@ def simulate(
         velocity: Its rate, shape (4,) [m/s, rad/s]; rest by default.
         before: Command in force until the first one acts, shape (4,); zero by default.
 
-        Returns:
-            The trajectory, without trim and disturbance.
+    Returns:
+        The trajectory, without trim and disturbance.
 
     Source: paper, eq. (5), with u(t - delay).
     """

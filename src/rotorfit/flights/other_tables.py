@@ -66,8 +66,7 @@ def rows_of_others(log: Log, card: Card) -> Mask:
     """Which rows of the commands' table hold no command but a number in another column, shape (N,).
 
     In a file of rows, a row leaves the cells blank that it has no value for, such as those of the commands where only
-    an
-    IMU was read. A message is complete: numbers beside its missing command are part of it and carry no information.
+    an IMU was read. A message is complete: numbers beside its missing command are part of it and carry no information.
     """
     own = sample_rows(log, card.command_time, card.command)
     table, clock = table_of(log, str(card.command_time.source))

@@ -36,8 +36,7 @@ def on_one_clock(log: Log, card: Card) -> tuple[Log, Clocks | None]:
 
     The offset follows from the onboard velocity or heading in the file of the commands. Without it, it follows from the
     response to the commands, which cannot separate delay from offset. Where the clocks are stated to be the same,
-    nothing
-    is moved.
+    nothing is moved.
 
     Args:
         log: As recorded.
