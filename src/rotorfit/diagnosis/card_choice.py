@@ -1,4 +1,4 @@
-"""Proposal: which card a log is read with where nobody names one, and why that one."""
+"""Proposal: the card with which a log is read if none is given, and the reason."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from rotorfit.flights.columns import fitting_cards
 
 @dataclass(frozen=True)
 class Proposal:
-    """A card for a log.
+    """A card proposed for a log.
 
     Attributes:
-        name: Of the built-in card; None for the card that the log carries.
+        name: Name of the built-in card; None for the card attached to the log.
         card: The card.
-        why: What speaks for it, one line.
-        rivals: Names of the other built-in cards whose columns are all there, too.
+        why: The reason, one line.
+        rivals: Names of the other built-in cards whose columns are all in the log.
     """
 
     name: str | None
@@ -32,14 +32,15 @@ class Proposal:
 
 
 def proposal(log: Log) -> Proposal:
-    """The card that the log carries, as recordings of `rotorfit fly` do; else the built-in card that fits best.
+    """The card attached to the log, as in recordings of `rotorfit fly`; else the built-in card that fits best.
 
-    Of the built-in cards whose columns are all there, those are left that make a flight of the log; of these, those
-    that no other is put over (`over` of a card: what was sent goes before what the vehicle made of it, motion capture
-    before the vehicle's own estimate); then the one with the most commanded axes, then with the longest flight.
+    Among the built-in cards whose columns are all in the log, those that yield a flight are kept; among these, those
+    that no other card overrides (`over` of a card: commands as sent override what the vehicle made of them, motion
+    capture overrides the vehicle's own estimate); then the one with the most commanded axes, then with the longest
+    flight.
 
     Raises:
-        CardError: The log's card is damaged; no built-in card fits; or several do equally.
+        CardError: The attached card is damaged; no built-in card fits; or several fit equally well.
     """
     if "card" in log.attached:
         try:
@@ -61,7 +62,7 @@ def proposal(log: Log) -> Proposal:
 
 
 def joined_by_plus(logs: Sequence[Log]) -> str:
-    """What to do with logs of which one holds commands and another one poses, one line; empty for all others."""
+    """Advice, in one line, if one log holds commands and another poses; else empty."""
     known = [(log, commands_in(log).channels, pose_in(log).channels.keys() & {"x", "y", "z"}) for log in logs]
     commands = [log.path for log, told, seen in known if told and not seen]
     poses = [log.path for log, told, seen in known if seen and not told]
@@ -75,7 +76,7 @@ def joined_by_plus(logs: Sequence[Log]) -> str:
 
 
 def another_card(log: Log, card: Card) -> str:
-    """That a log carries another card than the one that reads it, one line; empty where it does not."""
+    """States, in one line, that a log carries another card than the one that reads it; empty where it does not."""
     try:
         own = card_of(log) if "card" in log.attached else card
     except CardError:
@@ -95,7 +96,7 @@ def card_of(log: Log) -> Card:
 
 
 def _flights(log: Log, cards: Mapping[str, Card]) -> dict[str, Flight]:
-    """What each card makes of a log, without those that make nothing of it."""
+    """The flight that each card yields; cards that yield none are left out."""
     flights = {}
     for name, card in cards.items():
         try:
@@ -125,7 +126,7 @@ def _against(
     cards: Mapping[str, Card],
     rank: Mapping[str, tuple[int, float]],
 ) -> str:
-    """Why a card that fits was not taken."""
+    """Why a card that fits was not chosen."""
     if name not in flights:
         return "makes no flight of it"
     if name not in rank:
@@ -136,7 +137,11 @@ def _against(
 
 
 def _first(log: Log, cards: Mapping[str, Card]) -> Proposal:
-    """The card that no other is put over: it says why there is no flight."""
+    """The card that no other overrides: it reports why there is no flight.
+
+    Raises:
+        CardError: There is no single such card.
+    """
     beaten = {other for card in cards.values() for other in card.over}
     left = [name for name in cards if name not in beaten]
     if len(left) != 1:

@@ -1,6 +1,6 @@
-"""Texts of cards: of a built-in one, and the draft that names, values and the motion of a log give.
+"""Drafts of cards, from the names, values and motion of a log; or the text of a built-in card.
 
-What the names of a log say of its commands and pose, and the text of a card from that.
+The names in a log suggest its commands and pose; the motion corrects axes, signs, frames and units.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,17 +39,17 @@ from rotorfit.flights.columns import shape_text, source_of
 
 @dataclass(frozen=True)
 class DraftContents:
-    """What a draft is made of.
+    """Contents of a draft.
 
     Attributes:
-        commands: By their names, later with axes and signs by the motion.
-        pose: By its names.
-        velocity: The vehicle's own, by its names.
-        frame: Of the commands: `heading` or `world`.
-        velocity_frame: Likewise.
+        commands: Recognised by name, later with axes and signs from the motion.
+        pose: Recognised by name.
+        velocity: Onboard velocity, recognised by name.
+        frame: Frame of the commands: `heading` or `world`.
+        velocity_frame: Frame of the velocity, likewise.
         pose_frame: `ENU` or `NED`.
-        pose_said: Why it is that, behind its line.
-        remarks: What to say behind other lines of the pose, by quantity.
+        pose_said: Reason for the frame, appended to its line.
+        remarks: Remarks appended to other lines of the pose, by quantity.
     """
 
     commands: Recognised
@@ -63,12 +63,12 @@ class DraftContents:
 
     @property
     def alone(self) -> list[str]:
-        """Axes of which there is only a velocity."""
+        """Axes with a velocity but no position."""
         return [axis for axis in "xyz" if axis in self.velocity.channels and axis not in self.pose.channels]
 
 
 def found_in(log: Log) -> DraftContents:
-    """What the names say."""
+    """Contents of a draft according to the names in a log."""
     commands, pose = commands_in(log), pose_in(log)
     velocity = velocity_in(log, commands, pose)
     if is_of_tello(log, velocity):
@@ -79,7 +79,7 @@ def found_in(log: Log) -> DraftContents:
 
 
 def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: str = "") -> str:
-    """The draft."""
+    """The text of a draft."""
     commands, pose = found.commands, found.pose
     columns = [(table, name) for table in log.tables.values() for name in table.columns]
     reference = reference_in(log, commands)
@@ -123,7 +123,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
 
 
 def _velocity_lines(found: DraftContents) -> list[str]:
-    """The vehicle's own velocity: in place of a position, or beside it and not used unless the card says so."""
+    """Lines of the onboard velocity: in place of a position, or beside it and unused unless the card says otherwise."""
     velocity = found.velocity
     if not velocity.channels:
         return []
@@ -143,7 +143,7 @@ def _is_whole(pose: Recognised) -> bool:
 
 
 def _pose_frame(log: Log, velocity: Recognised) -> tuple[str, str]:
-    """The frame of the pose by the format, and what to say of it."""
+    """The frame of the pose according to the format, and its remark."""
     if is_of_tello(log, velocity):
         return "NED", "as the Tello has it: y to the right, z down, yaw clockwise"
     if log.format in FORMATS and FORMATS[log.format].ned:
@@ -156,7 +156,7 @@ def _window_lines(source: str, says: str) -> list[str]:
 
 
 def _heading(log: Log, found: DraftContents) -> list[str]:
-    """What a reader of the draft must know first."""
+    """The head of the draft: what to check, and what is missing."""
     pose = found.pose
     there = {
         "[command] time": found.commands.time is not None,
@@ -199,7 +199,7 @@ def _quaternion_line(pose: Recognised) -> str:
 
 
 CLEARER = 0.7
-"""Share of the residual variance that another way to read the pose must leave at most to be taken."""
+"""Largest share of the residual variance that another reading of the pose may leave to be preferred."""
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
@@ -210,17 +210,18 @@ _LEADS = {
 
 
 def draft_card(log: Log, fresh: bool = False) -> str:
-    """The TOML text of a card for a log, guessed from names, values and the motion, for the user to correct.
+    """The TOML text of a card for a log, guessed from names, values and motion, for the user to correct.
 
-    Where a built-in card fits, it is that card. Else the draft loads as a card if all the essentials were found, and
-    says on top which were not. Where the motion tells which way a command leads, the line says so, with axis and sign
-    corrected.
+    If a built-in card fits, the text is that card. Else the draft loads as a card if all essentials were found, and
+    lists missing ones at its top. Where the motion reveals the direction of a command, its line says so, with axis and
+    sign corrected.
 
     Args:
         log: As recorded.
-        fresh: Draft from names and motion also where a built-in card fits.
+        fresh: Whether to draft from names and motion even if a built-in card fits.
 
     Returns:
+        Text of the card, with comments on what to check; the names of all columns are at its end.
         Text of the card, with what to check in comments; the names of all columns stand at its end.
     """
     name = None if fresh else _builtin(log)
@@ -242,7 +243,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
 
 
 def _builtin(log: Log) -> str | None:
-    """Name of the built-in card that the log would be read with."""
+    """Name of the built-in card with which the log would be read; None if there is none."""
     try:
         return proposal(log).name
     except CardError:
@@ -251,14 +252,14 @@ def _builtin(log: Log) -> str | None:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A draft of which the motion was asked.
+    """A draft checked against the motion.
 
     Attributes:
-        found: What it is made of.
-        told: What the motion says; None where it says nothing.
-        why: Why not.
-        motion: Of the flight.
-        height: As of `height_sign`.
+        found: Its contents.
+        told: Responses to the commands; None where the motion shows none.
+        why: Why there are none; empty for an incomplete draft.
+        motion: Motion of the flight.
+        height: From `height_sign`.
     """
 
     found: DraftContents
@@ -269,11 +270,11 @@ class _Asked:
 
 
 def _asked(log: Log, found: DraftContents) -> _Asked:
-    """Asks the motion what the commands of a draft do."""
+    """Determines from the motion what the commands of a draft do."""
     try:
         card = card_from_mapping(plain_toml(text_of(log, found, {})), "drafted")
     except (CardError, ValueError):
-        return _Asked(found, None)  # incomplete: said on top; or more columns than a card can list
+        return _Asked(found, None)  # incomplete, which the draft states; or more columns than a card can list
     try:
         flight = flight_from_log(log, card)
     except (CardError, FlightError) as error:
@@ -289,10 +290,10 @@ def _asked(log: Log, found: DraftContents) -> _Asked:
 
 
 def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
-    """The draft with a velocity that has no position beside it in the frame that explains it better.
+    """The draft with a velocity without position in the frame that explains it better.
 
-    Where commands and velocity are in one frame, the motion does not tell which: then it is the heading frame, as
-    commands almost always are. The coefficients are the same.
+    Where commands and velocity share a frame, the motion does not reveal which: then it is the heading frame, as it
+    almost always is for commands. The coefficients are the same.
     """
     found, told = asked.found, asked.told
     if told is None or told.frame is None or "x" not in found.alone:
@@ -305,15 +306,15 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
 
 
 def _left(told: Answers) -> float:
-    """What commands leave of the horizontal velocity, as shares of its variance."""
+    """Unexplained share of the variance of the horizontal velocity, summed over x and y."""
     return sum(1 - answer.explained for name, answer in told.of.items() if name in ("x", "y"))
 
 
 def _better_read(log: Log, asked: _Asked) -> _Asked:
-    """The draft with the pose read as the motion bears out.
+    """The draft with the pose read in the way that the motion supports.
 
-    That is another frame where it alone turns several commands back, for both explain as much; else, of what explains
-    the motion clearly better, what leaves the fewest commands that do not do what they are called.
+    That is the other frame if it alone reverses several commands back, since both explain the same; else, among
+    readings that explain the motion clearly better, the one with the fewest commands that contradict their names.
     """
     found, told = asked.found, asked.told
     if told is None or (told.frame != "world" and not _odd(told)):
@@ -333,12 +334,12 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
 
 
 def _odd(told: Answers) -> int:
-    """How many commands do not do what they are called."""
+    """Number of commands whose response contradicts their name."""
     return sum(1 for name, answer in told.of.items() if answer.axis and (answer.axis != name or answer.sign < 0))
 
 
 def _readings(found: DraftContents) -> Iterator[DraftContents]:
-    """Other ways to read the pose that a card can say."""
+    """Alternative readings of the pose that a card can express."""
     pose, asks = found.pose.channels, "by the motion: EDIT if that is not so"
     if {"x", "y"} <= pose.keys():
         yield _read(found, f"y turned, for the pose is mirrored {asks}", y=_turned(pose["y"]))
@@ -350,7 +351,7 @@ def _readings(found: DraftContents) -> Iterator[DraftContents]:
 
 
 def _read(found: DraftContents, why: str, **channels: Channel) -> DraftContents:
-    """The same with channels of the pose changed."""
+    """The same draft with channels of the pose changed."""
     pose = replace(found.pose, channels={**found.pose.channels, **channels})
     return replace(found, pose=pose, remarks={next(iter(channels)): why})
 
@@ -360,7 +361,7 @@ def _turned(channel: Channel) -> Channel:
 
 
 def _in_metres(found: DraftContents, motion: Motion | None) -> DraftContents:
-    """The same with the unit of a position that no vehicle can have flown in metres."""
+    """The same draft with a unit for the position if no vehicle can have flown it in metres."""
     known = {axis: channel for axis, channel in found.pose.channels.items() if axis in "xyz"}
     unit = position_unit(motion) if motion and not found.alone else None
     if unit is None or any(channel.unit for channel in known.values()):
@@ -372,11 +373,11 @@ def _in_metres(found: DraftContents, motion: Motion | None) -> DraftContents:
 
 
 def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[str, str]]:
-    """Commands by the axes and with the signs that the motion tells, and what to say behind each."""
+    """Commands with the axes and signs inferred from the motion, and the remark for each."""
     sure = {name: answer for name, answer in told.of.items() if answer.axis}
     wanted = {name: answer.axis or name for name, answer in sure.items()}
     moved = {name: wanted.get(name, name) for name in commands.channels}
-    if len(set(moved.values())) < len(moved):  # two commands on one axis: names decide
+    if len(set(moved.values())) < len(moved):  # two commands on one axis: keep the names
         moved = {name: name for name in moved}
     channels, said = {}, {}
     for name, channel in commands.channels.items():
@@ -389,7 +390,7 @@ def _by_motion(commands: Recognised, told: Answers) -> tuple[Recognised, dict[st
 
 
 def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) -> str:
-    """What the motion says of one command."""
+    """Result of the motion for one command."""
     if answer is None:
         return "does not move in this log: EDIT, sign unknown"
     sure, explained = f"{answer.certainty:.0f} standard errors", f"{100 * answer.explained:.0f} % explained"
@@ -403,13 +404,14 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
 
 
 def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:
-    """Writes the draft of a card to a new file; the arguments are those of `draft_card`.
+    """Writes the draft of a card to a new file; see `draft_card` for the arguments.
 
     Returns:
         Whether it names a command: without one nothing can be fitted.
 
     Raises:
-        CardError: The file exists already: it may be a card that somebody has edited.
+        CardError: The file already exists: it may be a card that somebody has edited.
+        OSError: The file cannot be written.
     """
     if path.exists():
         raise CardError(f"{path}: exists already and is not overwritten; choose another name or remove it")

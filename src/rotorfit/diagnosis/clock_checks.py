@@ -1,6 +1,6 @@
-"""What the stamps of a flight give away: gaps, jitter, clocks that drift or disagree, rows that repeat a command.
+"""Checks of the stamps of a flight: gaps, jitter, clocks that drift or disagree, rows that repeat a command.
 
-What there is to say of the clocks of a flight whose commands and poses are from two files.
+Also findings on the clocks of a flight whose commands and poses are from two files.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ from rotorfit.flights.streams import recorder_clock
 
 
 def two_files(clocks: Clocks) -> Iterator[Finding]:
-    """Findings about the clocks of commands and poses that are from different files."""
+    """Findings on the clocks of commands and poses from different files."""
     if clocks.refused:
         yield Finding(
             "clock_source_refused",
@@ -94,51 +94,51 @@ def _figures(clocks: Clocks) -> str:
 
 
 def _explained(clocks: Clocks) -> str:
-    """What told the offset, with the share of it that the poses explain."""
+    """The signals that revealed the offset, with the share of each that the poses explain."""
     return ", ".join(f"{name} ({100 * share:.0f} % explained)" for name, share in clocks.explained.items())
 
 
 SETTLING_LOSS = 0.6
-"""What each segment of commands loses at its start [s]: the longest delay that is searched."""
+"""Time lost at the start of each segment of commands [s]: the longest delay that is searched."""
 
 LOST_SHARE = 0.05
-"""Share of the time that gaps may take before it is said."""
+"""Share of the time lost to gaps above which they are reported."""
 
 LARGE_LOSS = 0.2
-"""Share of the time from which on gaps are a warning."""
+"""Share of the time lost to gaps above which they are a warning."""
 
 POSE_HOLE = 0.25
-"""Shortest hole in the poses that counts [s]: the half width of the window that differentiates them."""
+"""Shortest gap in the poses that counts [s]: the half width of the window that differentiates them."""
 
 LONG_HOLE = 0.5
-"""A single hole of this length is said [s]: the vehicle has answered a command before it is seen again."""
+"""A single gap of this length is reported [s]: the vehicle has responded to a command before it is seen again."""
 
 JITTER_SHARE = 0.5
-"""Spread of the steps between stamps (5th to 95th percentile) over their median beyond which it is jitter. A scheduler
-on a busy computer gives 0.1 to 0.3; messages that arrive in bursts over Wi-Fi pass 1."""
+"""Ratio of the spread of the steps between stamps (5th to 95th percentile) to their median above which it is jitter. A
+scheduler on a busy computer gives 0.1 to 0.3; messages that arrive in bursts over Wi-Fi exceed 1."""
 
 LEAST_JITTER = 0.004
-"""Spread that is never said [s]: at 1 m/s it is 4 mm."""
+"""Spread that is never reported [s]: at 1 m/s it is 4 mm."""
 
 DRIFT_GROWTH = 0.010
-"""Growth of the difference of two clocks over a flight that matters [s]: standard errors of delays are about that."""
+"""Relevant drift of two clocks over a flight [s]: about the standard error of a delay."""
 
 CLOCK_OFFSET = 0.05
-"""Difference of two clocks of one file that transport does not explain [s]."""
+"""Offset of two clocks in one file that transport does not explain [s]."""
 
 STALE_SHARE = 0.05
-"""Share of repeated poses that is worth a word."""
+"""Share of repeated poses above which they are reported."""
 
 REPEATED_SHARE = 0.6
 """Share of rows that change the command below which rows repeat it; a controller at the rate of the rows changes it in
-nearly every one."""
+nearly every row."""
 
 LATENESS = 0.002
-"""Mean lateness of a change of the command that is worth a word [s]."""
+"""Mean lateness of a change of the command above which it is reported [s]."""
 
 
 def clock_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about the stamps of one flight."""
+    """Findings on the stamps of one flight."""
     log, card, flight = recording.log, recording.card, recording.flight
     commands = stamps_of(log, card.command_time)[sample_rows(log, card.command_time, card.command)]
     poses = stamps_of(log, card.pose_time)[sample_rows(log, card.pose_time, card.pose)]
@@ -198,7 +198,7 @@ def _pose_gaps(flight: Flight) -> Iterator[Finding]:
 
 
 def _holes(flight: Flight, start: float, end: float) -> Array:
-    """Lengths of the holes in the poses of a segment [s]."""
+    """Lengths of the gaps in the poses of a segment [s]."""
     time = flight.pose_time[(flight.pose_time >= start) & (flight.pose_time <= end)]
     steps = np.diff(time)
     limit = max(POSE_HOLE, (GAP_PERIODS + GAP_TOLERANCE) * float(np.median(steps))) if steps.size else POSE_HOLE
@@ -224,7 +224,7 @@ def _jitter(what: str, stamps: Stamps, flight: Flight, effect: str) -> Iterator[
 
 
 def _corrected(flight: Flight) -> Iterator[Finding]:
-    """A clock that drifts or steps against the recorder's, and was put right."""
+    """A clock that drifts or steps against the recorder's, and was corrected."""
     told = [note.text for note in flight.notes if note.code in ("command_clock_corrected", "pose_clock_corrected")]
     yield Finding(
         "clock_drift",
@@ -268,7 +268,7 @@ def _two_clocks(log: Log, card: Card) -> Iterator[Finding]:
 
 
 def _against_recorder(log: Log, time: Channel, channels: Mapping[str, Channel]) -> ClockDrift | None:
-    """The recorder's clock against the one that the card takes; None where that is neither of a message's stamps."""
+    """The recorder's clock against the one in the card; None if the latter is neither stamp of a message."""
     name = split_source(time.source)[1]
     if name == "log_time":
         return ClockDrift(0.0, (0.0, 0.0), 0.0)
@@ -295,7 +295,7 @@ def _stale(flight: Flight) -> Iterator[Finding]:
 
 
 def _repeated(flight: Flight) -> Iterator[Finding]:
-    """Commands that stand in every row of the poses, though they change in few."""
+    """Commands that are in every row of the poses but change in few."""
     if len(flight.command_time) < 2 or not np.any(np.diff(flight.command, axis=0)):
         return
     changed = np.any(np.diff(flight.command, axis=0) != 0, axis=1)

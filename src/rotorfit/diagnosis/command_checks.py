@@ -1,4 +1,4 @@
-"""What the commands of a flight alone give away: saturation, slowness, likeness, units that cannot be meant."""
+"""Checks of the commands of a flight alone: saturation, slowness, collinearity, implausible units, smoothing."""
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations
@@ -12,28 +12,28 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.diagnosis.recording import Recording
 
 SATURATED_SHARE = 0.1
-"""Share of the commands at the largest value beyond which they are called saturated."""
+"""Share of the commands at the largest value above which they count as saturated."""
 
 SATURATED_LEVELS = 5
-"""Commands of no more distinct values than this are steps, whose largest value is not a limit."""
+"""Commands with at most this many distinct values are steps, whose largest value is not a limit."""
 
 SATURATED_EXCESS = 3.0
-"""How much oftener a limit is held than any value below it, but zero: with steps of many sizes each is held alike."""
+"""Least ratio of how often a limit is held to how often any smaller value but zero is: steps hold each size alike."""
 
 SLOW_FREQUENCY = 0.1
 """Frequency [Hz] above which some power must lie. The paper's sines are at 0.16 and 0.21 Hz, and with them the delay
-comes out with a standard error of 0.01 to 0.07 s; at half their frequency it is lost on simulated flights."""
+has a standard error of 0.01 to 0.07 s; at half their frequency it is not identifiable on simulated flights."""
 
 SLOW_SHARE = 0.05
-"""Share of power below which there is none to speak of."""
+"""Share of power below which commands count as slow."""
 
 ALIKE = 0.95
-"""Correlation beyond which two commands are one: with 0.95 the standard errors of two regressors are 3.2 times those of
-independent ones. Independent steps over 40 s stay below 0.5 on simulated flights."""
+"""Correlation above which two commands count as one: at 0.95 the standard errors of two regressors are 3.2 times those
+of independent ones. Independent steps over 40 s stay below 0.5 on simulated flights."""
 
 FRACTION_LIMIT = 3.0
-"""Largest command that is believed to be a fraction of a limit. Controllers without limits overshoot 1, to 2.3 on
-simulated flights; per cent and degrees lie beyond 5."""
+"""Largest plausible command that is a fraction of a limit. Controllers without limits overshoot 1, up to 2.3 on
+simulated flights; per cent and degrees exceed 5."""
 
 MEANING_LIMITS: Mapping[str, tuple[float, str]] = {
     "tilt": (1.4, "rad"),
@@ -41,11 +41,11 @@ MEANING_LIMITS: Mapping[str, tuple[float, str]] = {
     "vertical_speed": (20.0, "m/s"),
     "yaw_rate": (20.0, "rad/s"),
 }
-"""Largest command that is believed, by what it means in SI: 80 degrees of tilt, a racer's speed, 3 turns a second."""
+"""Largest plausible command for each meaning in SI: 80 degrees of tilt, a racer's speed, 3 turns per second."""
 
 
 def command_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about the commands of one flight."""
+    """Findings on the commands of one flight."""
     card, flight = recording.card, recording.flight
     for axis in flight.axes:
         command = flight.command[:, AXES.index(axis)]
@@ -58,10 +58,10 @@ def command_findings(recording: Recording) -> Iterator[Finding]:
 
 
 def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
-    """Power of held values about their mean.
+    """Power spectrum of held values about their mean.
 
     Args:
-        time: When each value was sent, at least 2, shape (N,) [s].
+        time: Stamps, at least 2, shape (N,) [s].
         values: Shape (N,), each held until the next.
 
     Returns:
@@ -75,7 +75,7 @@ def spectrum(time: Array, values: Array) -> tuple[Array, Array]:
 
 
 def share_above(time: Array, values: Array, frequency: float) -> float:
-    """Share of the power of held values that lies above a frequency [Hz]; 0 for constant ones."""
+    """Share of the power of held values above a frequency [Hz]; 0 for constant ones and for fewer than 8."""
     if len(time) < 8:
         return 0.0
     at, power = spectrum(time, values)
@@ -84,7 +84,7 @@ def share_above(time: Array, values: Array, frequency: float) -> float:
 
 
 def saturated_share(command: Array) -> float:
-    """Share of samples at the largest magnitude, where that is a limit; 0 for steps."""
+    """Share of samples at the largest magnitude, if that is a limit; 0 for steps."""
     size = np.abs(command)
     top = size >= size.max() * (1 - 1e-9)
     below = np.unique(command[~top & (size > 0)], return_counts=True)[1]
@@ -141,7 +141,7 @@ def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
 
 
 def _low_passed(flight: Flight) -> Iterator[Finding]:
-    """Commands that the log smooths, as the notes of the flight say."""
+    """Commands smoothed by the logger, according to the notes of the flight."""
     told = {note.code: note.text for note in flight.notes}
     if "commands_unfiltered" in told:
         yield Finding(
@@ -163,7 +163,7 @@ def _low_passed(flight: Flight) -> Iterator[Finding]:
 
 
 def _alike(flight: Flight) -> Iterator[Finding]:
-    """Pairs of commanded axes whose commands are proportional but for a constant."""
+    """Pairs of commanded axes with commands proportional up to a constant."""
     moving = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
     weight = np.minimum(np.diff(flight.command_time, append=np.inf), np.median(np.diff(flight.command_time)) * 3)
     pairs = {}
@@ -185,6 +185,6 @@ def _alike(flight: Flight) -> Iterator[Finding]:
 
 
 def _correlation(one: Array, other: Array, weight: Array) -> float:
-    """Correlation of two series, weighted by how long each value is held."""
+    """Correlation of two series, weighted by the time for which each value is held."""
     a, b = (values - np.average(values, weights=weight) for values in (one, other))
     return float(np.sum(weight * a * b) / np.sqrt(np.sum(weight * a**2) * np.sum(weight * b**2)))

@@ -1,8 +1,8 @@
-"""Answers: which commands move the vehicle which way, told by the motion alone, whatever they are called.
+"""Answers: which command moves the vehicle in which direction, from the motion alone, whatever its name.
 
-The velocity along an axis is taken as a sum of the commands, each delayed and smoothed as a first-order vehicle would,
-and a straight line in time for wind and trim. Delay and time constant are those that leave least; standard errors come
-from leaving out each tenth of the flight in turn. Only the sign and the axis of the effects are used.
+The velocity along an axis is modelled as a sum of the commands, each delayed and smoothed as by a first-order vehicle,
+plus a straight line in time for wind and trim. Delay and time constant minimise the residual; standard errors come from
+leaving out each tenth of the flight in turn. Only the sign and the axis of the effects are used.
 """
 
 from dataclasses import dataclass
@@ -20,47 +20,47 @@ DELAYS = np.arange(0.0, 0.41, 0.1)
 """Delays that are tried [s]."""
 
 CONSTANTS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Time constants that are tried [s]: from a stiff velocity loop to the drag of a vehicle that is told its tilt."""
+"""Time constants that are tried [s]: from a stiff velocity loop to the drag of a vehicle commanded by its tilt."""
 
 GRID = 0.02
 """Step of the grid on which commands are smoothed [s]."""
 
 RATE = 10.0
-"""Velocities a second that are looked at."""
+"""Rate of the velocities that are used [Hz]."""
 
 BLOCKS = 10
-"""Stretches of the flight of which each is left out in turn."""
+"""Number of stretches of the flight, each of which is left out in turn."""
 
 LEAST_POSES = 100
-"""Poses under commands below which nothing is said."""
+"""Least number of poses under commands."""
 
 TOLD = 5.0
-"""Standard errors from which on an answer has a sign."""
+"""Standard errors above which a response has a sign."""
 
 EXPLAINED = 0.3
-"""Share of the variance of the velocity that commands must explain: those of a loop that only holds still follow the
-motion, and their sign is that of the loop."""
+"""Share of the variance of the velocity that commands must explain: the commands of a loop that only holds position
+follow the motion, and their sign is that of the loop."""
 
 CLEARLY = 1.5
-"""How many times as many standard errors one axis must show as any other for a command to be its."""
+"""Least ratio of the significance of one axis to that of any other for a command to belong to it."""
 
 TURNING = np.radians(20.0)
-"""Standard deviation of yaw from which on the frames differ."""
+"""Standard deviation of yaw above which the frames differ."""
 
 BETTER = 0.9
-"""Share of the residual variance, against the heading frame, that the world must leave at most to be believed."""
+"""Largest residual variance of the world frame, as a share of the heading frame's, for it to be chosen."""
 
 
 @dataclass(frozen=True)
 class CommandResponse:
-    """What a command does.
+    """Response to a command.
 
     Attributes:
-        axis: That it moves: one of `AXES`; None where none stands out.
-        sign: +1 where a positive command moves forward, left, up or counter-clockwise; -1 else.
+        axis: The axis that it moves, one of `AXES`; None where none stands out.
+        sign: +1 where a positive command moves forward, left, up or counter-clockwise; else -1.
         certainty: Effect on that axis, in standard errors.
-        explained: Share of the variance of the velocity along that axis that all commands together explain.
-        lag: After which the motion answers: delay and time constant together [s].
+        explained: Share of the variance of the velocity along that axis explained by all commands together.
+        lag: Delay plus time constant of the response [s].
     """
 
     axis: str | None
@@ -72,12 +72,12 @@ class CommandResponse:
 
 @dataclass(frozen=True)
 class Answers:
-    """What the commands of a flight do.
+    """Responses to the commands of a flight.
 
     Attributes:
-        frame: In which x and y of the commands lead: `heading` or `world`; None where the flight turned too little.
-        of: Name of the command in the card to its answer.
-        left: What the commands leave of the horizontal velocity, sum of squares [m^2/s^2].
+        frame: Frame of the x and y commands: `heading` or `world`; None where the flight turned too little.
+        of: Name of the command in the card to its response.
+        left: Residual sum of squares of the horizontal velocity [m^2/s^2].
     """
 
     frame: Literal["heading", "world"] | None
@@ -90,8 +90,8 @@ class _Fit:
     """Effects of all commands on one axis.
 
     Attributes:
-        effect: In standard errors, with sign, shape (K,).
-        lag: Delay and time constant that leave least [s].
+        effect: Effects in standard errors, with sign, shape (K,).
+        lag: Best delay plus time constant [s].
         left: Residual sum of squares.
         explained: Share of the variance about a straight line.
     """
@@ -103,14 +103,14 @@ class _Fit:
 
 
 def answers_of(flight: Flight, motion: Motion | None = None) -> Answers:
-    """Tells which command moves the vehicle which way.
+    """Determines which command moves the vehicle in which direction.
 
     Args:
-        flight: Read with a card that takes the commands as they are (`frame = "heading"`, no signs turned).
-        motion: Of the flight, where it is known already.
+        flight: Read with a card that takes the commands as they are (`frame = "heading"`, no signs changed).
+        motion: Motion of the flight, if already computed.
 
     Returns:
-        The frame and the answers; no answers for a flight that is too short to tell.
+        The frame and the responses; no responses for a flight that is too short.
     """
     motion = motion or motion_from_flight(flight)
     names = [axis for axis in flight.axes if np.ptp(flight.command[:, AXES.index(axis)]) > 0]
@@ -185,7 +185,7 @@ def _solved(design: Array, target: Array) -> Array:
 
 
 def _answer(fits: list[_Fit], j: int) -> CommandResponse:
-    """The axis that a command moves most surely."""
+    """The axis that a command moves most significantly."""
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])

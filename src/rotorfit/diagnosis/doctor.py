@@ -1,4 +1,4 @@
-"""The data doctor before any fit: what is wrong with a flight, in numbers, and what to do about it.
+"""The data doctor before any fit: faults of a flight, in numbers, and remedies.
 
 A check is a function `findings(recording) -> Iterator[Finding]` in a module of its own and one row in `CHECKS`.
 """
@@ -18,19 +18,19 @@ from rotorfit.diagnosis.position_loop import restoring_findings
 from rotorfit.diagnosis.recording import Recording, recording_of
 
 SHORT_TIME = 20.0
-"""Flight time below which it is called short [s]."""
+"""Flight time below which a flight counts as short [s]."""
 
 
 def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
-    """Everything that a flight tells of itself before any fit, the gravest first.
+    """All findings on a flight before any fit, the most severe first.
 
     Args:
         log: As recorded.
-        flight: What its card made of it.
+        flight: The flight read from it.
     """
     recording = recording_of(log, flight)
     found = {check: tuple(check(recording)) for check in CHECKS}
-    if found[frame_findings]:  # a wrong frame is why signs look turned and the horizontal motion unexplained
+    if found[frame_findings]:  # a wrong frame makes signs look reversed and leaves the horizontal motion unexplained
         found[sign_findings] = ()
         found[motion_findings] = tuple(
             finding
@@ -45,7 +45,7 @@ def findings_of_flight(log: Log, flight: Flight) -> tuple[Finding, ...]:
 
 
 def damage_of(log: Log) -> Finding | None:
-    """What is lost of a damaged log; None where it is whole."""
+    """What is lost from a damaged log; None where it is whole."""
     if not log.damage:
         return None
     return Finding(
@@ -84,4 +84,4 @@ CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     sign_findings,
     restoring_findings,
 )
-"""Every check of the data before a fit, in the order of findings of one severity."""
+"""Every check of the data before a fit; findings of equal severity appear in this order."""

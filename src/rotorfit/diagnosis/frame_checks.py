@@ -1,14 +1,14 @@
-"""In which direction the vehicle moves when it is told to: exchanged axes, wrong frames, a yaw that is off or mirrored.
+"""Directions of the response to commands: exchanged axes, wrong frames, a yaw that is offset or mirrored.
 
 A horizontal command u = u_x + i u_y accelerates the vehicle by A = exp(i k psi) (c_x u_x + c_y u_y + c - B v) in the
-world, B diagonal. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more names the
-wrong frame, or yaw in another unit; the directions of c_x and c_y name a wrong zero of yaw or exchanged axes.
-Directions hardly suffer from feedback, and a delay of any size is allowed for, so this is safe to say before any fit.
+world, B diagonal. With the right card k is 1, c_x is real and c_y imaginary. Another k that explains more indicates the
+wrong frame, or yaw in another unit; the directions of c_x and c_y indicate a wrong zero of yaw or exchanged axes.
+Directions are hardly affected by feedback, and any delay is allowed for, so the test is safe before any fit.
 
-Commands that lead the other way all at once: a pose with z down that is read as one with z up, or the reverse.
+Commands reversed all at once: a pose with z down read as one with z up, or the reverse.
 
-Half a turn about the vehicle's forward axis turns y, z and yaw and leaves x. So the motion alone does not tell a pose
-in NED from commands that are forward, right, down and clockwise; the height does, where the floor is at 0.
+Half a turn about the vehicle's forward axis reverses y, z and yaw and keeps x. So the motion alone cannot distinguish a
+pose in NED from commands that are forward, right, down and clockwise; the height can, where the floor is at 0.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,41 +29,41 @@ from rotorfit.diagnosis.recording import Recording
 Complex = npt.NDArray[np.complex128]
 
 RATE = 10.0
-"""Poses a second that are looked at: the windows that differentiate them are half a second long."""
+"""Rate of the poses that are used [Hz]: the windows that differentiate them are half a second long."""
 
 BLOCKS = 10
-"""Stretches of the flight of which each is left out in turn, for the standard errors."""
+"""Number of stretches of the flight, each of which is left out in turn for the standard errors."""
 
 LEAST_POSES = 100
-"""Poses under commands below which nothing is said of directions: ten a stretch."""
+"""Least number of poses under commands: ten per stretch."""
 
 TOLD = 5.0
-"""Standard errors from zero from which on a command's effect has a direction."""
+"""Standard errors above which a command's effect has a direction."""
 
 LEAST_EXPLAINED = 0.3
-"""Share of the variance of the horizontal acceleration below which no direction is believed."""
+"""Share of the variance of the horizontal acceleration below which no direction is accepted."""
 
 BETTER = 0.7
-"""Share of the residual variance, against the card's frame, that another frame must leave at most."""
+"""Largest residual variance of another frame, as a share of that of the card's frame, for it to be reported."""
 
 STRAIGHT = 0.85
-"""The same for directions that are off, against directions as they should be. When x and y are commanded by sine and
-cosine, as the paper does, a turned direction is nearly a delay: there standard errors alone are no proof."""
+"""The same for deviating directions against the right ones. When x and y are commanded by sine and cosine, as in the
+paper, a rotated direction is nearly equivalent to a delay: there standard errors alone are no proof."""
 
 DEGREE = float(np.pi / 180)
 
 TURNING = np.radians(20.0)
-"""Standard deviation of yaw from which on frames can be told apart: of less, a turned frame is a wrong zero of yaw."""
+"""Standard deviation of yaw above which frames are distinguishable: below, a rotated frame is a wrong zero of yaw."""
 
 SLIGHT = np.radians(3.0)
-"""Standard deviation of yaw as it is read from which on degrees that are taken for radians matter: below, turned by the
-wrong heading, the gains of x and y change by less than 1 - cos(3 degrees), a thousandth."""
+"""Standard deviation of yaw as read above which degrees taken for radians matter: below, the wrong heading changes the
+gains of x and y by less than 1 - cos(3 degrees), a thousandth."""
 
 SAME_THING = ": of a heading that is a few degrees off 0 all the time the commands tell no difference"
-"""Why degrees read as radians and commands of the world are one finding where the heading hardly turned."""
+"""Why degrees read as radians and world commands are one finding where the heading hardly turned."""
 
 OFF = np.radians(12.0)
-"""Deviation of a direction that is said, where it passes also `TOLD` standard errors. Markers put on by eye are off by
+"""Deviation of a direction that is reported if it also exceeds `TOLD` standard errors. Markers placed by eye are off by
 2 to 5 degrees."""
 
 NEAR = np.radians(30.0)
@@ -72,14 +72,15 @@ NEAR = np.radians(30.0)
 
 @dataclass(frozen=True)
 class Directions:
-    """Where the horizontal commands of a flight lead, in one frame.
+    """Directions of the response to the horizontal commands of a flight, in one frame.
 
     Attributes:
-        turns: k: how many times the measured yaw turns the command.
-        straight: Residual sum of squares with the directions held where they should be.
+        turns: k: multiple of the measured yaw by which the command is rotated.
         explained: Share of the variance of the acceleration.
         left: Residual sum of squares [m^2/s^4].
-        angle: Direction of the effect of `x` and of `y`, from where it should be, in (-pi, pi] [rad]; only those told.
+        straight: Residual sum of squares with the directions fixed to the right ones [m^2/s^4].
+        angle: Deviation of the effect of `x` and of `y` from the right direction, in (-pi, pi] [rad]; significant ones
+            only.
         stderr: Standard error of each [rad].
     """
 
@@ -92,7 +93,7 @@ class Directions:
 
 
 def frame_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about the frames of one flight; none where its directions cannot be told."""
+    """Findings on the frames of one flight; none where its directions are not significant."""
     card, flight, motion = recording.card, recording.flight, recording.motion
     moved = [axis for axis in ("x", "y") if np.ptp(flight.command[:, "xy".index(axis)]) > 0]
     if not moved or len(motion.time) < LEAST_POSES:
@@ -111,24 +112,24 @@ def frame_findings(recording: Recording) -> Iterator[Finding]:
 
 
 def _other_turns(card: Card, turning: float) -> list[float]:
-    """What k may be if the card is wrong; none where the vehicle turned too little to tell."""
+    """Candidates for k if the card is wrong; empty where the vehicle turned too little."""
     yaw = card.pose.get("yaw")
     others = [(2.0, 0.0), (0.0, -1.0)][card.command_frame == "heading"] if turning > TURNING else ()
     angle = yaw.unit or "rad" if yaw and card.frame == "ENU" else None
     units = []
     if angle == "rad" and (SLIGHT < turning <= TURNING or turning * DEGREE > TURNING):
-        units = [DEGREE]  # between, degrees that hardly turned and commands of the world are one
+        units = [DEGREE]  # in between, degrees that hardly turned and world commands are indistinguishable
     elif angle == "deg" and turning / DEGREE > TURNING:
         units = [1 / DEGREE]
     return [*others, *units]
 
 
 def directions(flight: Flight, motion: Motion, moved: list[str], turns: float) -> Directions:
-    """Fits the effect of the horizontal commands in the frame that yaw has turned so many times.
+    """Fits the effect of the horizontal commands in the frame rotated by `turns` times the yaw.
 
     Args:
-        flight: Commands.
-        motion: Of the flight.
+        flight: The flight that provides the commands.
+        motion: Motion of the flight.
         moved: Which of `x` and `y` are commanded.
         turns: k; 1 is the heading frame, 0 the world.
     """
@@ -164,20 +165,20 @@ def _real(rows: Complex) -> Array:
 
 
 def _left(design: Array, target: Array) -> float:
-    """Residual sum of squares, from the last corner of the triangle of both together."""
+    """Residual sum of squares, from the last diagonal element of the triangular factor of both together."""
     return float(_triangle(np.column_stack([design, target]))[-1, -1] ** 2)
 
 
 def _triangle(rows: Array) -> Array:
-    """R of the QR factorisation: all that least squares need of the rows."""
+    """R of the QR factorisation: all that least squares needs from the rows."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array]:
-    """Effects of the commands, along (real) and across, and their standard errors: each stretch left out in turn.
+    """Effects of the commands, along (real) and across, and their standard errors by leaving out each stretch in turn.
 
-    Stretches, because residuals are coloured by wind and by the windows of the derivatives. Each is first reduced to
-    its triangle.
+    Stretches are used because residuals are coloured by wind and by the windows of the derivatives. Each stretch is
+    first reduced to its triangular factor.
     """
     rows = np.column_stack([design, target])
     block = np.tile(np.arange(len(rows) // 2) * BLOCKS // (len(rows) // 2), 2)
@@ -194,7 +195,7 @@ def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array
 
 
 def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
-    """The card's frame is wrong: another explains what it does not."""
+    """Finding for a wrong frame in the card: another one explains more."""
     told = (
         f"of the horizontal acceleration {100 * best.explained:.0f} % are explained {{}}, {100 * own.explained:.0f} % "
         "as the card has it"
@@ -233,7 +234,7 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
 
 
 def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator[Finding]:
-    """The frame is right or cannot be told; directions may be off by a constant angle."""
+    """The frame is right or indistinguishable; directions may be off by a constant angle."""
     off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, TOLD * own.stderr[axis])}
     if not off or own.left > STRAIGHT * own.straight:
         return
@@ -246,12 +247,12 @@ def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator
     if both and apart > np.pi - NEAR:
         if abs(abs(own.angle["x"]) - np.pi / 2) < NEAR:
             yield _exchanged(told, own.angle["x"] < 0)
-        return  # else one sign is turned: the fit tells
+        return  # else one sign is reversed: the fit reports it
     if both and apart > NEAR:
         return
     angle = _mean_angle(own)
     if abs(angle) > np.pi - NEAR:
-        return  # both signs, or half a turn: the fit tells
+        return  # both signs, or half a turn: the fit reports it
     yield _offset(card, own, told, angle, yaw, turning)
 
 
@@ -287,7 +288,7 @@ def _offset(card: Card, own: Directions, told: str, angle: float, yaw: float, tu
 
 
 def _yaw_remedy(card: Card, angle: float) -> str:
-    """What turns yaw by an angle, given what the card says now."""
+    """Remedy that rotates yaw by an angle, given the present card."""
     if "yaw" not in card.pose:
         return (
             f"turn the rigid body's axes by {np.degrees(angle):+.0f} degrees about z; a card cannot turn a quaternion"
@@ -307,23 +308,23 @@ def _wrapped(angle: float) -> float:
 
 
 OVER = ("y", "z", "yaw")
-"""What half a turn about the forward axis turns."""
+"""Axes reversed by half a turn about the forward axis."""
 
 
 def height_sign(flight: Flight) -> int:
-    """+1 where the vehicle is above 0 throughout, -1 where it is below, 0 where z says nothing."""
+    """+1 where the vehicle is above 0 throughout, -1 where it is below, 0 where z is inconclusive."""
     z = flight.position[:, 2]
     return int(np.min(z) > 0) - int(np.max(z) < 0)
 
 
 def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, ...]:
-    """Which of y, z and yaw lead the other way, where half a turn about the forward axis explains that; else none.
+    """Which of y, z and yaw are reversed, if half a turn about the forward axis explains that; else empty.
 
     One axis alone is not enough, unless the vehicle flies below the floor.
 
     Args:
-        told: Command to answer, as the card has them.
-        height: As of `height_sign`.
+        told: Command to response, as read with the card.
+        height: From `height_sign`.
     """
     sure = {name: answer.sign < 0 for name, answer in told.items() if answer.axis == name}
     turned = tuple(name for name in OVER if sure.get(name))
@@ -332,7 +333,7 @@ def overturned(told: Mapping[str, CommandResponse], height: int) -> tuple[str, .
 
 
 def sign_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about signs that are turned together."""
+    """Findings on signs that are reversed together."""
     card, flight, motion = recording.card, recording.flight, recording.motion
     told, height = answers_of(flight, motion).of, height_sign(flight)
     turned = overturned(told, height)

@@ -1,5 +1,5 @@
-"""What commands and motion together give away before any fit: wind, commands that act no more, likeness of command and
-velocity."""
+"""Checks of commands and motion together before any fit: wind, commands without effect, velocity proportional to the
+command."""
 
 from collections.abc import Iterator
 
@@ -18,39 +18,39 @@ WINDOW = 10.0
 """Length of the windows of the spectra [s]: the paper's slower sine has a period of 6.3 s."""
 
 LEAST_WINDOWS = 3
-"""Windows, half overlapping, below which coherence says nothing: with few, noise alone is coherent."""
+"""Least number of half-overlapping windows for a coherence: with few, noise alone is coherent."""
 
 EXCITED_SHARE = 0.9
-"""The excited frequencies are those that together hold this share of the command's power, the strongest first."""
+"""The excited frequencies are the strongest ones that together hold this share of the command's power."""
 
 EXPLAINED = 0.4
-"""Share of the acceleration's variance there below which something else dominates. Clean simulated flights stay above
-0.8; commands that act on nothing give 0.1 to 0.35 with 3 to 10 windows."""
+"""Explained share of the acceleration's variance there below which something else dominates. Clean simulated flights
+stay above 0.8; commands without effect give 0.1 to 0.35 with 3 to 10 windows."""
 
 FOLLOWS = 0.995
-"""Correlation of command and later velocity beyond which they are one regressor: then input gain and damping are known
-by their ratio alone. Simulated flights of the fastest published servo (b = 4.7 1/s) under steps stay below 0.97, the
-paper's slow sines on yaw give 0.993, real ones that tell no damping 0.997 to 0.999."""
+"""Correlation of command and later velocity above which they are one regressor, so that input gain and damping are
+known only by their ratio. Simulated flights of the fastest published servo (b = 4.7 1/s) under steps stay below 0.97,
+the paper's slow sines on yaw give 0.993, real ones without an identifiable damping 0.997 to 0.999."""
 
 LAGS = np.arange(0.0, 0.401, 0.04)
 """Delays that are tried [s]."""
 
 LATCH_TIME = 3.0
-"""Shortest stretch of one constant command that may be a latched one [s]."""
+"""Shortest interval of a constant command that may be latched [s]."""
 
 LATCH_CHANGES = 20.0
-"""Such a stretch is longer than so many of the usual times between changes."""
+"""Least length of such an interval, in median times between changes."""
 
 LATCH_MOTION = 0.7
-"""Change of velocity over half a second during the stretch, against that while commands change, from which on the
-vehicle does something else than the command says."""
+"""Ratio of the velocity change over half a second in that interval to that under changing commands above which the
+vehicle no longer obeys the command."""
 
 LATCH_SETTLING = 1.0
-"""Time after which the vehicle has answered the last change but for its damping [s]."""
+"""Time after which the response to the last change has settled except for its damping [s]."""
 
 
 def motion_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about command and motion of one flight."""
+    """Findings on commands and motion of one flight."""
     flight, motion = recording.flight, recording.motion
     along = motion.acceleration.copy()
     along[:, :2] = heading_from_world(along[:, :2], motion.yaw)
@@ -63,30 +63,30 @@ def motion_findings(recording: Recording) -> Iterator[Finding]:
 
 
 def lagged_command(flight: Flight, time: Array, lag: float) -> Array:
-    """The command that was sent `lag` before, shape (N, 4); the first one before that.
+    """The command sent `lag` before each time, shape (N, 4); before the first command, the first one.
 
     Args:
-        flight: Its commands.
+        flight: The flight that provides the commands.
         time: Shape (N,) [s].
-        lag: [s].
+        lag: Lag [s].
     """
     index = np.searchsorted(flight.command_time, time - lag, side="right") - 1
     return np.asarray(flight.command[np.maximum(index, 0)])
 
 
 def explained_share(flight: Flight, time: Array, acceleration: Array, k: int) -> float | None:
-    """Share of the variance of an acceleration that a command explains, at the frequencies that it excites.
+    """Share of the variance of an acceleration explained by a command, at the frequencies that the command excites.
 
-    It is the coherence of the two, which no delay, damping or gain changes, weighted by the acceleration's spectrum.
+    It is their coherence, which no delay, damping or gain changes, weighted by the spectrum of the acceleration.
 
     Args:
-        flight: Its commands and segments.
+        flight: The flight that provides commands and segments.
         time: Stamps of the acceleration, shape (N,) [s].
-        acceleration: Of the axis, shape (N,).
-        k: Which axis.
+        acceleration: Along the axis, shape (N,).
+        k: Index of the axis.
 
     Returns:
-        0 to 1; None where there are too few windows.
+        0 to 1; None where there are too few windows or no acceleration.
 
     Source: J. S. Bendat, A. G. Piersol, Random Data, 4th ed. (2010), section 6.1.
     """
@@ -146,7 +146,7 @@ def _follows(axis: str, flight: Flight, motion: Motion, k: int) -> Iterator[Find
 
 
 def _latched(flight: Flight, motion: Motion) -> Iterator[Finding]:
-    """Stretches in which all commands stand still while the vehicle moves on as it did under changing ones."""
+    """Intervals in which all commands are constant while the vehicle moves as it did under changing ones."""
     changes = np.flatnonzero(np.any(np.diff(flight.command, axis=0) != 0, axis=1)) + 1
     if len(changes) < 10 or not len(motion.time):
         return
@@ -177,7 +177,7 @@ def _latched(flight: Flight, motion: Motion) -> Iterator[Finding]:
 
 
 def _velocity_changes(motion: Motion) -> tuple[Array, Array]:
-    """Size of the change of the horizontal and vertical velocity over half a second, and when it begins."""
+    """Start and size of the change of the velocity over half a second, x, y and z combined."""
     after = np.searchsorted(motion.time, motion.time + 0.5)
     there = after < len(motion.time)
     there[there] &= motion.time[after[there]] - motion.time[there] < 0.7

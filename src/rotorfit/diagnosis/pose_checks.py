@@ -1,4 +1,4 @@
-"""What the poses of a flight give away: leaps of the markers, and units that no vehicle's motion allows."""
+"""Checks of the poses of a flight: jumps of the markers, and implausible units."""
 
 from collections.abc import Iterator
 
@@ -13,31 +13,31 @@ from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.compiled import kernel
 
 LEAP_SIGMAS = 10.0
-"""Robust standard deviations of the steps beside the neighbouring motion beyond which a step may be a leap."""
+"""Robust standard deviations from the neighbouring motion above which a step may be a jump."""
 
 LEAP_FLOORS = (0.02, 20.0 * 0.15), (0.05, 100.0 * 0.15)
-"""What a step may differ from the neighbouring motion without being a leap, for position [m, m/s] and yaw [rad, rad/s]:
-a floor, and so much for each second of the step. The latter is the speed that 20 m/s^2, or 100 rad/s^2, give in the
-0.15 s by which the neighbours lie apart."""
+"""Deviation of a step from the neighbouring motion that is no jump, for position [m, m/s] and yaw [rad, rad/s]: a
+floor, plus so much per second of the step. The latter is the speed that 20 m/s^2, or 100 rad/s^2, give in the 0.15 s
+by which the neighbours are apart."""
 
 NEIGHBOURS = 9
-"""Steps on either side whose median speed is the neighbouring motion."""
+"""Number of steps on either side whose median speed is the neighbouring motion."""
 
 RETURN = 1.0
-"""Time within which a leap that is undone has come back [s]."""
+"""Time within which a jump that is undone has returned [s]."""
 
 FASTEST, HARDEST = 30.0, 25.0
-"""Speed [m/s] and acceleration [m/s^2], root mean squares over a flight, that no multirotor keeps."""
+"""RMS speed [m/s] and acceleration [m/s^2] over a flight that no multirotor sustains."""
 
 FASTEST_TURN = 6.0
-"""Turn rate, root mean square over a flight, that no multirotor keeps [rad/s]: commercial ones end at 1.7 to 5."""
+"""RMS turn rate over a flight that no multirotor sustains [rad/s]: commercial ones are limited to 1.7 to 5."""
 
 SMALLEST = 0.02
-"""Travel [m], over all of x, y and z, that no flight with commands on them stays within: a hover drifts more."""
+"""Largest extent in x, y and z [m] that no commanded flight stays within: a hover drifts more."""
 
 
 def pose_findings(recording: Recording) -> Iterator[Finding]:
-    """Findings about the poses of one flight."""
+    """Findings on the poses of one flight."""
     flight, motion = recording.flight, recording.motion
     yield from _leaps("position", flight.pose_time, flight.position, *LEAP_FLOORS[0])
     yield from _leaps("yaw", flight.pose_time, flight.yaw[:, None], *LEAP_FLOORS[1])
@@ -46,16 +46,16 @@ def pose_findings(recording: Recording) -> Iterator[Finding]:
 
 
 def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array, Array]:
-    """Steps that neighbouring motion does not explain.
+    """Steps that the neighbouring motion does not explain.
 
     Args:
         time: Stamps, shape (N,) [s].
         value: Position or yaw, shape (N, K).
-        floor: Least size of a leap.
-        slope: What is added to it for each second of the step.
+        floor: Least size of a jump.
+        slope: Increase of that size per second of the step.
 
     Returns:
-        When each leap ends, shape (J,) [s], and by how much it goes beyond the motion, shape (J, K).
+        When each jump ends, shape (J,) [s], and its deviation from the motion, shape (J, K).
     """
     if len(time) < 4 * NEIGHBOURS:
         return np.zeros(0), np.zeros((0, value.shape[1]))
@@ -70,7 +70,7 @@ def leaps(time: Array, value: Array, floor: float, slope: float) -> tuple[Array,
 
 
 def _running_median(values: Array, width: int) -> Array:
-    """Medians of an odd number of neighbours, column by column: shape (N - width + 1, K) of (N, K)."""
+    """Running medians over an odd number of rows, column by column: shape (N - width + 1, K) from (N, K)."""
     out = np.empty((values.shape[0] - width + 1, values.shape[1]))
     _fill_medians(np.ascontiguousarray(values), np.empty(width), out)
     return out
@@ -78,7 +78,7 @@ def _running_median(values: Array, width: int) -> Array:
 
 @kernel()
 def _fill_medians(values: Array, sorted_: Array, out: Array) -> None:
-    """Fills the medians; `sorted_` (width,) is work space. By insertion: a call of a sort takes a second to compile."""
+    """Fills the medians; `sorted_` (width,) is work space. A call of a sort would take a second to compile."""
     for k in range(values.shape[1]):
         for i in range(out.shape[0]):
             for n in range(sorted_.size):
@@ -91,10 +91,10 @@ def _fill_medians(values: Array, sorted_: Array, out: Array) -> None:
 
 
 def position_unit(motion: Motion) -> tuple[str, float] | None:
-    """`cm` or `mm`, whichever brings the speed nearer to 1 m/s, and that speed [m/s] (RMS); None for a speed in metres.
+    """`cm` or `mm`, whichever gives a speed nearer to 1 m/s, and that RMS speed [m/s]; None if metres are plausible.
 
     Args:
-        motion: Of the flight, its position taken for metres.
+        motion: Motion of the flight with positions taken in metres.
     """
     speed, acceleration = _pace(motion)
     if speed <= FASTEST and acceleration <= HARDEST:
@@ -104,7 +104,7 @@ def position_unit(motion: Motion) -> tuple[str, float] | None:
 
 
 def _pace(motion: Motion) -> tuple[float, float]:
-    """Speed [m/s] and acceleration [m/s^2], root mean squares; 0 without any."""
+    """RMS speed [m/s] and acceleration [m/s^2]; 0 for an empty motion."""
     if not len(motion.time):
         return 0.0, 0.0
     speed, acceleration = (
@@ -136,7 +136,7 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
 
 
 def _undone(when: Array, by: Array) -> int:
-    """How many leaps are followed, soon, by one of the opposite direction and about the same size."""
+    """Number of jumps that are soon followed by one in the opposite direction of about the same size."""
     count, used = 0, set()
     for i in range(len(when)):
         for j in range(i + 1, len(when)):

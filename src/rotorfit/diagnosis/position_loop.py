@@ -1,10 +1,10 @@
-"""Is a command a position controller's answer to the motion, and nothing else? And which came first, by the stamps?
+"""Tests whether a command is nothing but a position controller's response to the motion, and which came first.
 
-A controller that only holds an axis commands u = c - K p - D v of the pose that it was shown a moment before. Where
-that law is nearly the whole command, nothing else is in it: nobody excites the axis, and a fit that reads the law
-backwards, v = -(u + K p) / D, explains the motion by its own consequence. It gives itself away by a negative gain
-without memory. And since no controller knows the future, a law that fits best to poses that are stamped after the
-command tells that the stamps of the poses are late, or those of the commands early.
+A controller that only holds an axis commands u = c - K p - D v of a slightly earlier pose. Where that law is nearly the
+whole command, it contains nothing else: nobody excites the axis, and a fit that inverts the law, v = -(u + K p) / D,
+explains the motion by its own consequence. It shows as a negative gain without memory. And since no controller knows
+the future, a law that fits best to poses stamped after the command shows that the stamps of the poses are late, or
+those of the commands early.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,32 +20,33 @@ from rotorfit.diagnosis.recording import Recording
 from rotorfit.dynamics.kinematics import motion_from_flight
 
 LAGS = np.arange(-0.30, 0.301, 0.02)
-"""By how much later than the command the poses are stamped that it may answer [s]."""
+"""Lags of the poses' stamps behind the command that responds to them, as tried [s]."""
 
 WHOLE = 0.9
-"""Share of the variance of a command from which on the law is all of it. Of held axes it is 0.96 to 0.99 on simulated
-flights, 0.9998 on the z axis of a recorded one; of axes that are excited inside of such a loop less than 0.6."""
+"""Share of the variance of a command above which the law is all of it. For held axes it is 0.96 to 0.99 on simulated
+flights, 0.9998 on the z axis of a recorded one; for axes excited inside such a loop less than 0.6."""
 
 POSITION = 0.5
-"""Share of what velocity alone leaves of the command that may be left with position, too, at most. Velocity alone also
-follows a command that drives it, and then position adds next to nothing: 0.8 to 1 is left on clean flights."""
+"""Largest ratio of the residual with position to that with velocity alone. Velocity alone also follows a command that
+drives it, and then position adds next to nothing: the ratio is 0.8 to 1 on clean flights."""
 
 EARLY = 0.03
-"""Lag from which on a pose comes after its answer [s]: a step and a half of the lags above the best one possible, 0."""
+"""Lag from which a pose comes after its response [s]: one and a half steps above the largest possible, 0."""
 
 LEAST_COMMANDS = 200
-"""Commands below which nothing is said."""
+"""Least number of commands."""
 
 THINNED = 2000
-"""Commands that are looked at, at most, evenly spread."""
+"""Largest number of commands used, evenly spread."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """A command as an answer to the pose.
+    """A command as a response to the pose.
 
     Attributes:
-        lag: By how much later than the command the pose is stamped that it answers best; negative behind a pose [s].
+        lag: Best lag of the pose's stamp behind the command; negative where the command follows the pose [s].
+        explained: Share of the variance of the command.
         explained: Share of the variance of the command.
     """
 
@@ -54,12 +55,12 @@ class Law:
 
 
 def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> Law | None:
-    """The law of a position controller, where that is the whole command of an axis; None where it is not.
+    """The law of a position controller, if it is the whole command of an axis; else None.
 
     Args:
         flight: Commands in the heading frame.
-        axis: Name.
-        motion: Of the flight; computed where it is not at hand.
+        axis: `x`, `y`, `z` or `yaw`.
+        motion: Motion of the flight; computed if not given.
     """
     k = AXES.index(axis)
     if axis not in flight.axes or flight.velocity_only or not np.ptp(flight.command[:, k]) > 0:
@@ -73,7 +74,7 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
         return None
     rows = rows[:: max(1, rows.size // THINNED)]
     t, u = flight.command_time[rows], flight.command[rows, k]
-    if not np.ptp(u) > 0:  # what changes lies at the ends, where no motion is measured
+    if not np.ptp(u) > 0:  # all changes are at the ends, where no motion is measured
         return None
     place, rest = _place(flight, k)
     fits = [_fitted(t + lag, u, motion.time, motion.velocity[:, k], flight.pose_time, place, rest) for lag in LAGS]
@@ -84,7 +85,7 @@ def restoring_law(flight: Flight, axis: str, motion: Motion | None = None) -> La
 
 
 def _place(flight: Flight, k: int) -> tuple[Array, Array]:
-    """Position along an axis at the poses (N,), and what a constant place to be held looks like there (N, C)."""
+    """Position along an axis at the poses (N,), and the regressors of a constant place to be held (N, C)."""
     if k < 2:
         turned = heading_from_world(flight.position[:, :2], flight.yaw)[:, k]
         return turned, np.column_stack([np.cos(flight.yaw), np.sin(flight.yaw), np.ones(flight.yaw.size)])
@@ -94,7 +95,7 @@ def _place(flight: Flight, k: int) -> tuple[Array, Array]:
 def _fitted(
     t: Array, u: Array, motion_time: Array, velocity: Array, pose_time: Array, place: Array, rest: Array
 ) -> tuple[float, float, Array]:
-    """Shares of the command that the law, and velocity alone, leave; gains of position and velocity."""
+    """Shares of the command left unexplained by the law, and by velocity alone; gains of position and velocity."""
     v, p = np.interp(t, motion_time, velocity), np.interp(t, pose_time, place)
     others = np.column_stack([np.interp(t, pose_time, column) for column in rest.T])
     total = float(np.sum((u - u.mean()) ** 2))
@@ -107,13 +108,13 @@ def _fitted(
 
 
 def restored(flights: Sequence[Flight], axis: str) -> bool:
-    """Whether each flight that commands an axis merely holds it by such a law."""
+    """Whether each flight that commands an axis only holds it by such a law."""
     moving = [f for f in flights if axis in f.axes and np.ptp(f.command[:, AXES.index(axis)]) > 0]
     return bool(moving) and all(restoring_law(flight, axis) is not None for flight in moving)
 
 
 def restoring_findings(recording: Recording) -> Iterator[Finding]:
-    """What a law that answers poses of the future tells of the stamps; at most one finding."""
+    """Finding on stamps where a law responds to future poses; at most one."""
     flight, motion = recording.flight, recording.motion
     laws = {axis: law for axis in flight.axes if (law := restoring_law(flight, axis, motion))}
     early = {axis: law for axis, law in laws.items() if law.lag > EARLY}

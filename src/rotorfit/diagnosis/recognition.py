@@ -1,4 +1,4 @@
-"""Recognition: what the names of a log's columns say that they are."""
+"""Recognition of a log's columns by their names."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ from rotorfit.flights.stamps import degrees_for_radians, increasing, stamps_of
 _COMMAND_FAMILIES = (
     ("(?:cmd_vel|cmd|command)", "(?:v_?)?"),
     ("(?:u|input|ctrl|control)", "(?:v_?)?"),
-    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position that was asked for
+    ("(?:ref|setpoint|sp|des|desired|target)", "(?:vel_?|v_?)"),  # without a v it is a position setpoint
 )
 
 _ASKED = "cmd|command|setpoint|target|goal|desired"
@@ -100,11 +100,11 @@ _FLYING = "(?:is_?)?(?:armed|flying|in_?air|airborne|offboard|in_velocity_mode|c
 
 @dataclass(frozen=True)
 class Recognised:
-    """What was recognised of the commands or of the pose.
+    """Commands, pose or velocity recognised in a log.
 
     Attributes:
         channels: Quantity to channel.
-        time: Its clock; None where nothing looks like one.
+        time: Its clock; None where none was found.
         table: Its table; None where nothing was recognised.
     """
 
@@ -114,12 +114,12 @@ class Recognised:
 
 
 def commands_in(log: Log) -> Recognised:
-    """Axis to column of the commands, by their names."""
+    """Axis to column of the commands, by name."""
     return _recognised(log, _commands)
 
 
 def pose_in(log: Log) -> Recognised:
-    """Quantity to column of the pose, by their names; the heading may come from another table of a log of several."""
+    """Quantity to column of the pose, by name; with several tables the heading may come from another table."""
     if log.format in ("motive", "vicon"):
         body = _recognised(log, lambda _, table: _named(table, _BODY))
         return _z_up(body) if log.format == "motive" else body
@@ -128,12 +128,12 @@ def pose_in(log: Log) -> Recognised:
         return pose
     heading = _recognised(log, _attitude)
     if not pose.channels:
-        return heading  # all that there is of a pose where only velocities are logged
+        return heading  # the only pose information where only velocities are logged
     return replace(pose, channels={**pose.channels, **heading.channels})
 
 
 def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
-    """Axis to column of the vehicle's own velocity, by their names: of the pose's table where that has one."""
+    """Axis to column of the onboard velocity, by name; preferably from the pose's table."""
     taken = {channel.source for channel in commands.channels.values()}
 
     def names_in(log: Log, table: Table) -> dict[str, str]:
@@ -150,7 +150,7 @@ def velocity_in(log: Log, commands: Recognised, pose: Recognised) -> Recognised:
 
 
 def is_of_the_body(velocity: Recognised) -> bool:
-    """Whether the names say that a velocity is forward and left: that of an odometry is of the child's frame.
+    """Whether the names indicate that a velocity is forward and left: an odometry's is in the frame of the child.
 
     Source: nav_msgs/Odometry.msg.
     """
@@ -159,7 +159,7 @@ def is_of_the_body(velocity: Recognised) -> bool:
 
 
 def is_of_tello(log: Log, velocity: Recognised) -> bool:
-    """Whether velocities are those of the state packets of a Tello, whose z is down and whose velocities are in dm/s.
+    """Whether velocities are from the state packets of a Tello, whose z is down and whose velocities are in dm/s.
 
     Source: the names of its SDK; the unit is what flights show.
     """
@@ -169,7 +169,7 @@ def is_of_tello(log: Log, velocity: Recognised) -> bool:
 
 
 def reference_in(log: Log, commands: Recognised) -> dict[str, Channel]:
-    """What a position controller was told: columns of that name beside the commands, or in the one table of a log."""
+    """Setpoint of a position controller: columns named so in the table of the commands."""
     table = log.tables.get(commands.table or "")
     if table is None:
         return {}
@@ -180,7 +180,7 @@ def reference_in(log: Log, commands: Recognised) -> dict[str, Channel]:
 
 
 def windows_in(log: Log) -> list[tuple[str, str]]:
-    """Columns that say when commands count, and what else a card must say of them."""
+    """Columns that tell when commands count, with the further keys that a card needs for them."""
     known = [(source, says) for source, says in _WINDOWS if _has(log, source)]
     if known:
         return known
@@ -195,7 +195,7 @@ def windows_in(log: Log) -> list[tuple[str, str]]:
 
 
 def lacking(log: Log) -> str:
-    """What a log without a card lacks for a fit, by its names, as a clause; empty where nothing is missed."""
+    """What a log without a card lacks for a fit, judging by its names, as a clause; empty where nothing is missing."""
     commands, pose = commands_in(log), pose_in(log)
     there = [axis for axis in "xyz" if axis in pose.channels]
     if not commands.channels and there:
@@ -213,9 +213,9 @@ def _has(log: Log, source: str) -> bool:
 
 
 def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> Recognised:
-    """The stream of the table that is named as a command, in which most is recognised, and that has most samples.
+    """The stream of the table that is named as a command, has most quantities recognised, and has most samples.
 
-    Only commands are looked for in tables of such names: a Twist may also be what a motion capture has measured.
+    Only commands are searched in tables with such names, because a Twist may also be a measurement of motion capture.
     """
     best: tuple[Table, dict[str, str], int] | None = None
     most = (False, 0, 0)
@@ -241,7 +241,7 @@ def _recognised(log: Log, names_in: Callable[[Log, Table], dict[str, str]]) -> R
 
 
 def _unit(log: Log, table: Table, name: str) -> str | None:
-    """A unit that the name says, or the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
+    """The unit in a name, or that of the message: NTUN of ArduPilot is in cm. Source: its Log.cpp up to 3.6."""
     if log.format.startswith("dataflash") and table.name == "NTUN":
         return "cm" if name.startswith("Pos") else "cm/s" if "Vel" in name else None
     return unit_of_name(name)
@@ -253,7 +253,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
     families.append(_named(table, _TOLD))
-    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are angles of the loops below
+    if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
         families = families[-1:]
     if _asked(log, table):
         families.append(_named(table, _SETPOINT))
@@ -263,41 +263,41 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
 
 
 def _family(word: str, speed: str) -> dict[str, str]:
-    """Patterns of the axes' names before or after a word that says command."""
+    """Patterns of the axes' names before or after a word that means command."""
     axes = {"x": f"{speed}x|{_FORWARD}", "y": f"{speed}y|{_LEFT}", "z": f"{speed}z|{_UP}", "yaw": _TURN_RATE}
     return {axis: f"{word}_?(?:{names})|(?:{names})_?{word}" for axis, names in axes.items()}
 
 
 def _pose(log: Log, table: Table) -> dict[str, str]:
-    """Quantity to column of a pose; none from a topic that is named as a command or a set-point."""
+    """Quantity to column of a pose; empty for a topic that is named as a command or a setpoint."""
     found = {} if _asked(log, table) else _named(table, _POSE)
     return found if len(log.tables) == 1 or found.keys() & {"x", "y", "z"} else {}
 
 
 def _attitude(log: Log, table: Table) -> dict[str, str]:
-    """A heading alone, of a table that is no set-point: the quaternion where it is whole."""
+    """A heading alone, from a table that is no setpoint: the quaternion if it is complete, else yaw."""
     found = {} if _asked(log, table) else _named(table, _HEADING)
     whole = {name: found[name] for name in found if name != "yaw"}
     return whole if len(whole) == 4 else {name: found[name] for name in ("yaw",) if name in found}
 
 
 def _is_twist_of(commands: Recognised, table: Table) -> bool:
-    """Whether the commands were recognised in a table: a Twist holds nothing else."""
+    """Whether the commands are a Twist in this table, which then holds no velocity."""
     return commands.table == table.name and any("linear" in str(one.source) for one in commands.channels.values())
 
 
 def _asked(log: Log, table: Table) -> bool:
-    """Whether a table of a log of several, or a topic, is named as a command or a set-point."""
+    """Whether a table in a log of several, or a topic, is named as a command or a setpoint."""
     return (len(log.tables) > 1 or table.name.startswith("/")) and re.search(_ASKED, table.name.lower()) is not None
 
 
 def _z_up(body: Recognised) -> Recognised:
-    """A pose of Motive, which has y up: the three axes are turned in a ring, so no sign changes."""
+    """A pose of Motive, which has y up: the three axes are permuted cyclically, so no sign changes."""
     return replace(body, channels={axis: body.channels[own] for axis, own in _Y_UP.items() if own in body.channels})
 
 
 def _named(table: Table, patterns: Mapping[str, str]) -> dict[str, str]:
-    """Quantity to the shortest name that fits its pattern; columns as long as a clock go before others."""
+    """Quantity to the shortest name that matches its pattern; columns as long as a clock take precedence."""
     found: dict[str, str] = {}
     series, lengths = series_of(table), set(clocks(table).values())
     timed = {name for name, count in series.items() if lengths & {count - 1, count, count + 1}}

@@ -1,4 +1,4 @@
-"""What a check of the data looks at: a log, the flight that was made of it, and the motion by differentiated poses."""
+"""Input of the checks of the data: a log, its flight, and the motion from differentiated poses."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ class Recording:
 
     Attributes:
         log: As recorded.
-        flight: What came of it, commands in the heading frame and after the card's scale.
-        motion: Velocity and acceleration of the flight by differentiated poses.
+        flight: The flight read from it, commands in the heading frame and after the card's scale.
+        motion: Velocity and acceleration of the flight from differentiated poses.
     """
 
     log: Log

@@ -1,4 +1,4 @@
-"""Survey: what is in a log, which card fits, what the flight excites."""
+"""Survey: the contents of a log, the card that fits, and the excitation of the flight."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,13 +34,12 @@ from rotorfit.flights.streams import recorder_clock
 class TableSurvey:
     """One table of a log.
 
-    Attributes:
-        name: As in the log.
-        columns: Names, with the shape behind matrices: `SS (6 x 19780)`.
-        count: Samples.
-        time: Column taken for its clock; None where nothing looks like one.
-        rate: Of that clock.
-        used: Whether the card reads it; without a card, whether its names look like commands, a pose or a velocity.
+    name: As in the log.
+    columns: Names, with the shape appended to matrices: `SS (6 x 19780)`.
+    count: Number of samples.
+    time: Column taken for its clock; None where none was found.
+    rate: Rate of that clock.
+    used: Whether the card reads it; without a card, whether its names look like commands, a pose or a velocity.
     """
 
     name: str
@@ -53,7 +52,7 @@ class TableSurvey:
 
 @dataclass(frozen=True)
 class CommandActivity:
-    """How one command moves, weighted by how long each value is held, in the unit that the card leaves it in.
+    """Activity of one command, weighted by the time for which each value is held, in the unit after the card's scale.
 
     Attributes:
         axis: One of `AXES`.
@@ -61,8 +60,8 @@ class CommandActivity:
         rms: Root mean square.
         low: Smallest value.
         high: Largest value.
-        levels: Distinct values.
-        extreme_share: Share of time at the smallest or the largest value, but 0: saturation, where levels are many.
+        levels: Number of distinct values.
+        extreme_share: Share of time at the smallest or largest non-zero value: saturation, if there are many levels.
         bandwidth: Frequency below which 95 % of its power about the mean lies [Hz]; None for a constant.
     """
 
@@ -78,20 +77,20 @@ class CommandActivity:
 
 @dataclass(frozen=True)
 class FlightSurvey:
-    """What a card makes of a log.
+    """The flight that a card yields from a log.
 
     Attributes:
-        duration: Length of the segments together [s].
+        duration: Total length of the segments [s].
         segments: Start and end of each [s].
-        command: Rate of the commands as recorded, of the rows that hold one.
-        pose: Rate of the poses as recorded, of the rows that hold one.
+        command: Rate of the commands as recorded, from the rows that hold one.
+        pose: Rate of the poses as recorded, from the rows that hold one.
         fresh: Rate of the fresh poses in the flight.
-        stale_share: Share of the recorded poses that repeat the one before.
-        clocks: The poses' clock against the commands'.
+        stale_share: Share of the recorded poses that repeat the previous one.
+        clocks: Relation of the poses' clock to the commands'.
         recorder: `command` and `pose` to the recorder's `log_time` against the `header.stamp`, where both exist.
         axes: Excitation of each commanded axis.
         notes: Repairs.
-        findings: What the data doctor says before any fit.
+        findings: Findings of the data doctor before any fit.
     """
 
     duration: float
@@ -109,7 +108,7 @@ class FlightSurvey:
 
 @dataclass(frozen=True)
 class Survey:
-    """What is in a log.
+    """Contents of a log.
 
     Attributes:
         path: As given.
@@ -117,14 +116,14 @@ class Survey:
         tables: In the order of the log.
         skipped: Tables that were not decoded, with the reason.
         notes: What was recovered or left out on reading.
-        fitting: Names of the built-in cards whose columns are all there.
-        card: What the card that was applied calls itself; None where none was given and not exactly one fits.
-        flight: What it makes of the log; None where no card fits or there is no usable flight.
+        fitting: Names of the built-in cards whose columns are all in the log.
+        card: Name stated in the card that was applied; None where none was given and no single one fits.
+        flight: The flight that the card yields; None where no card fits or there is no usable flight.
         problem: Why there is no card or no flight, one line.
-        why: What speaks for that card; None where it was given.
-        recording: Of a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
-        events: What it noted: seconds since the first one, and the text.
-        damage: What is lost of a damaged log.
+        why: Why that card was chosen; None where it was given.
+        recording: For a log of `rotorfit fly`: `plan` (its name), `link`, `rotorfit` (version).
+        events: Events recorded by `rotorfit fly`: seconds since the first one, and the text.
+        damage: Finding on the losses of a damaged log.
     """
 
     path: str
@@ -158,15 +157,15 @@ class Survey:
 
 
 def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
-    """Looks through a log.
+    """Surveys a log.
 
     Args:
         log: As recorded.
-        card: To apply; None for the log's own, or the built-in card that fits, if there is one.
+        card: The card to apply; None for the log's own, or the built-in card that fits, if there is one.
         span: Part of the flight [s], from the start of its common window.
 
     Raises:
-        CardError: The card that was given does not fit.
+        CardError: The given card does not fit.
     """
     flight, problem, why = None, None, None
     try:
@@ -200,7 +199,7 @@ def survey(log: Log, card: Card | None = None, span: Span = WHOLE) -> Survey:
 
 
 def _recording(log: Log) -> dict[str, str]:
-    """What is attached to a log, the plan by its name; the card is told by `Survey.card`."""
+    """What is attached to a log, the plan by its name; the card is left out, as `Survey.card` names it."""
     told = {key: text for key, text in log.attached.items() if key not in ("plan", "card")}
     if "plan" not in log.attached:
         return told
@@ -212,16 +211,16 @@ def _recording(log: Log) -> dict[str, str]:
 
 
 def survey_logs(paths: Sequence[str], card: str | None = None, progress: Progress | None = None) -> tuple[Survey, ...]:
-    """Reads logs and looks through them; logs that only together hold what the card names are one flight.
+    """Reads and surveys logs; logs that only together hold what the card names are one flight.
 
     Args:
-        paths: Of the logs, each as `LOG` or `LOG@T0:T1`.
+        paths: The logs, each as `LOG` or `LOG@T0:T1`.
         card: Name or file of the card to apply; None for the built-in card that fits, if there is one.
-        progress: As of `read`.
+        progress: As for `files.logs.read`.
 
     Raises:
         LogError: A log cannot be read.
-        CardError: The card that was given is none, or does not fit.
+        CardError: The given card is invalid, or does not fit.
     """
     chosen = None if card is None else load_card(card)
     asked = [parse_log(path) for path in paths]
@@ -232,11 +231,11 @@ def survey_logs(paths: Sequence[str], card: str | None = None, progress: Progres
 
 
 def survey_draft(path: str, draft: Path) -> Survey:
-    """Reads a log and looks through it by the card that was drafted for it.
+    """Reads a log and surveys it with the card that was drafted for it.
 
     Args:
-        path: Of the log, as `LOG` or `LOG@T0:T1`.
-        draft: The card; as drafted it need not be complete.
+        path: The log, as `LOG` or `LOG@T0:T1`.
+        draft: The card file; it may still be incomplete.
 
     Raises:
         LogError: The log cannot be read.
@@ -253,7 +252,7 @@ def survey_draft(path: str, draft: Path) -> Survey:
 
 
 def excitation(flight: Flight) -> tuple[CommandActivity, ...]:
-    """How each commanded axis of a flight is excited."""
+    """Excitation of each commanded axis of a flight."""
     starts, ends = (np.array([getattr(part, end) for part in flight.segments]) for end in ("start", "end"))
     time = flight.command_time
     until = np.minimum(np.append(time[1:], np.inf), ends[np.searchsorted(starts, time, side="right") - 1])
@@ -306,7 +305,7 @@ def _flight_survey(log: Log, card: Card, flight: Flight) -> FlightSurvey:
 
 
 def _used(log: Log, card: Card | None) -> frozenset[str]:
-    """Names of the tables that matter for a flight."""
+    """Names of the tables that are relevant for a flight."""
     if card is not None:
         return tables_of(card) or frozenset(log.tables)
     commands, pose = commands_in(log), pose_in(log)
