@@ -1,4 +1,4 @@
-"""Air: mean wind, gusts with a Dryden spectrum, steps at stated times; world frame, the same at every place.
+"""Air: mean wind, gusts with a Dryden spectrum, steps at stated times; world frame, uniform in space.
 
 The longitudinal form drives gusts along the world's x axis, the transverse form those along y and z:
 
@@ -28,7 +28,7 @@ class Gusts:
     Attributes:
         intensity: Standard deviation along the world's x, y, z [m/s].
         length: Scale length [m].
-        speed: At which the frozen field is carried past the vehicle [m/s]; length / speed is the correlation time.
+        speed: Speed at which the frozen field passes the vehicle [m/s]; length / speed is the correlation time.
     """
 
     intensity: Three
@@ -42,13 +42,13 @@ class Gusts:
 
 @dataclass(frozen=True)
 class Rise:
-    """Wind that rises, or falls, along a straight line and stays so.
+    """Wind that changes linearly over an interval and then stays.
 
     Attributes:
-        start: Since the start of the flight [s].
-        end: [s].
-        mean: Added to the mean by then, world [m/s].
-        gusts: Factor on the gusts' standard deviation by then.
+        start: Start, since the start of the flight [s].
+        end: End [s].
+        mean: Added to the mean wind at the end, world [m/s].
+        gusts: Factor on the gusts' standard deviation at the end.
     """
 
     start: float
@@ -63,14 +63,14 @@ class Rise:
 
 @dataclass(frozen=True)
 class Wind:
-    """How the air moves.
+    """Motion of the air.
 
     Attributes:
-        mean: World [m/s].
+        mean: Mean wind, world [m/s].
         gusts: None for none.
         steps: Changes of the mean: the time since the start [s] and what is added from then on [m/s]. A step takes
             0.02 s, one interval between the nodes of the wind.
-        rises: See `Rise`; their factors on the gusts multiply.
+        rises: Linear changes; their factors on the gusts multiply.
     """
 
     mean: Three = (0.0, 0.0, 0.0)
@@ -94,15 +94,15 @@ def wind_at_nodes(wind: Wind, first: int, count: int, period: float, gusts: Arra
 
 
 class GustSource:
-    """Gusts at equally spaced nodes, drawn one block after another from a generator of its own."""
+    """Gusts at equally spaced nodes, drawn block by block from a generator of their own."""
 
     def __init__(self, gusts: Gusts | None, period: float, rng: np.random.Generator) -> None:
         """Starts in the stationary state.
 
         Args:
             gusts: None for still air.
-            period: Between nodes [s].
-            rng: Of these gusts alone.
+            period: Time between nodes [s].
+            rng: Generator for these gusts alone.
         """
         self._rng = rng
         self._sigma = np.array(gusts.intensity if gusts else (0.0, 0.0, 0.0))
@@ -123,7 +123,7 @@ def _dryden_steps(h: float) -> tuple[Array, Array]:
     """Exact step of the two-state shaping filter over h correlation times: transition (2, 2), noise root (2, 2).
 
     With time in correlation times, z1' = -z1 + n and z2' = -z2 + z1 under white noise n: z1 alone has the longitudinal
-    spectrum, and z1 and z2 together have the transverse one.
+    spectrum, z1 and z2 combined have the transverse one.
     """
     decay = math.exp(-h)
     transition = np.array([[decay, 0.0], [h * decay, decay]])
@@ -145,7 +145,7 @@ def _stationary() -> Array:
 
 @numba.njit(cache=True)
 def _run(state, normal, transition, root, gusts):  # type: ignore[no-untyped-def]
-    """Steps the filters of three axes; gusts of unit variance."""
+    """Steps the filters of three axes and fills gusts of unit variance."""
     for n in range(normal.shape[0]):
         for a in range(3):
             z1, z2 = state[0, a], state[1, a]
@@ -159,7 +159,7 @@ def _run(state, normal, transition, root, gusts):  # type: ignore[no-untyped-def
 
 
 def wind_of(options: Sequence[str], address: str) -> "Wind":
-    """The wind of an address, from what follows its vehicle; errors as `open_link`."""
+    """The wind of a link address, from the options after its vehicle; raises as `open_link`."""
 
     known, given = {"wind": 0.0, "gusts": 0.0}, f"--link sim{'' if address.startswith(',') else ':'}{address}"
     for option in options:

@@ -1,7 +1,7 @@
-"""Change: what becomes of a vehicle in flight at a stated second.
+"""Change: a sudden change of a vehicle in flight.
 
-A payload, a weak propeller, a battery that gives way, other limits, a slower radio. What happens to the pose alone is
-with the mocap (`sensors.Mocap`), and the wind that rises with the air (`air.Wind`).
+A payload, a weak propeller, a failing battery, other limits, a slower radio. Changes of the pose alone belong to the
+mocap (`sensors.Mocap`), rising wind to the air (`air.Wind`).
 """
 
 import math
@@ -13,28 +13,28 @@ from rotorfit.core.errors import LinkError
 from rotorfit.simulation.vehicle import Four, Radio, Vehicle
 
 GIVEN = {"mass": 1, "rotors": 4, "latency": 1, "tilt": 1, "speed": 1, "vertical_speed": 1, "yaw_rate": 1}
-"""What an address can change, and how many numbers it takes; names of `Change`."""
+"""What an address can change, with the number of values; names of `Change`."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What changes at one instant, for good; several may follow one another.
+    """A permanent change at one instant; several may follow one another.
 
     Attributes:
         time: Since the start of the flight [s].
-        mass: Factor on the mass: a payload at the centre, which neither turns with more effort nor adds drag.
+        mass: Factor on the mass: a payload at the centre, which changes neither inertia nor drag force.
         rotors: Factors on the thrust of each rotor: front left, front right, rear right, rear left.
         fade: Share of the full thrust of all rotors that the battery loses over `fade_time`.
-        fade_time: [s].
-        latency: Added to the time that commands sent from then on are on the way [s].
-        tilt: New tilt of a full command [rad]; None for the old one. This and the following are settings: a command
-            that arrives from then on obeys them.
+        fade_time: Duration of that loss [s].
+        latency: Added to the transmission time of commands sent from then on [s].
+        tilt: New tilt of a full command [rad]; None for the old one. This and the following are settings, which apply
+            to commands that arrive from then on.
         speed: New horizontal speed of a full command [m/s]; None likewise.
-        vertical_speed: [m/s].
-        yaw_rate: [rad/s].
+        vertical_speed: New vertical speed of a full command [m/s]; None likewise.
+        yaw_rate: New yaw rate of a full command [rad/s]; None likewise.
 
     Raises:
-        ValueError: A time before the start, a factor or limit that is not positive, all thrust lost.
+        ValueError: A time before the start, a factor or limit that is not positive, or all thrust lost.
     """
 
     time: float
@@ -55,16 +55,16 @@ class Change:
             raise ValueError("change: limits must be positive")
 
     def limits(self) -> dict[str, Any]:
-        """The limits that change, by their names in `vehicle.Command`."""
+        """The changed limits, by their names in `vehicle.Command`."""
         limits = {name: getattr(self, name) for name in ("tilt", "speed", "vertical_speed", "yaw_rate")}
         return {name: value for name, value in limits.items() if value is not None}
 
 
 def changed(vehicle: Vehicle, changes: Sequence[Change]) -> Vehicle:
-    """The vehicle after all of these changes, its autopilot having learnt of them: `linear` says what it is then.
+    """The vehicle after all of these changes, once its autopilot has adapted; `linear` then gives its coefficients.
 
-    Drag is a deceleration, so that it falls as the mass grows. A weak rotor or battery leaves no trace here: what has
-    been learnt is made up for, as long as there is thrust to spare.
+    Drag is a deceleration per airspeed, so it falls as the mass grows. A weak rotor or battery has no effect here: the
+    autopilot compensates for it as long as there is thrust to spare.
     """
     for one in changes:
         vehicle = replace(
@@ -83,10 +83,10 @@ def later(radio: Radio, change: Change) -> Radio:
 
 
 def changes_of(options: Sequence[str], address: str) -> tuple[Change, ...]:
-    """The changes of an address, from options such as `mass=1.3@40` or `rotors=0.9/1/1/1@40`: at second 40.
+    """The changes of a link address, from options such as `mass=1.3@40` or `rotors=0.9/1/1/1@40`: at second 40.
 
     Raises:
-        LinkError: One that is none.
+        LinkError: An option is not a valid change.
     """
     found = []
     for option in options:

@@ -1,7 +1,7 @@
 """The virtual flight room: a vehicle, air, motion capture, radio and clocks; step by step, or a whole flight at once.
 
 Both forms run the same compiled kernel over the same nodes with the same random numbers, so they agree bit for bit.
-The simulator imports nothing of the estimator.
+The simulator imports nothing from the estimator.
 """
 
 import hashlib
@@ -42,17 +42,17 @@ MODES = ("grounded", "taking_off", "flying", "landing")
 
 @dataclass(frozen=True)
 class Conditions:
-    """Everything of a flight that is not the vehicle.
+    """Conditions of a flight, apart from the vehicle.
 
     Attributes:
-        wind: How the air moves.
+        wind: Motion of the air.
         mocap: Motion capture.
-        radio: How commands travel; the vehicle's own where None.
-        mocap_clock: Stamps of poses.
-        vehicle_clock: Stamps of onboard velocities and of the battery.
-        charge: Of the battery at the start, 0 to 1.
+        radio: Transmission of commands; None for the vehicle's own.
+        mocap_clock: Clock of the poses.
+        vehicle_clock: Clock of onboard velocities and of the battery.
+        charge: Charge of the battery at the start, 0 to 1.
         floor: Height of the floor, world [m].
-        changes: What becomes of the vehicle in flight.
+        changes: Changes of the vehicle in flight.
     """
 
     wind: Wind = field(default_factory=Wind)
@@ -67,14 +67,14 @@ class Conditions:
 
 @dataclass(frozen=True)
 class TrueState:
-    """What nobody in the room can see.
+    """The true state, which no sensor measures.
 
     Attributes:
         position: World [m].
         velocity: World [m/s].
         quaternion: Body to world, w, x, y, z.
-        rates: About the body's axes [rad/s].
-        charge: Of the battery, 0 to 1.
+        rates: Body rates [rad/s].
+        charge: Charge of the battery, 0 to 1.
         mode: `grounded`, `taking_off`, `flying` or `landing`.
     """
 
@@ -88,12 +88,12 @@ class TrueState:
 
 @dataclass(frozen=True)
 class RoomFlight:
-    """What was recorded, and beside it the truth at the poses. M commands, N poses, K velocities, B batteries.
+    """A recorded flight, with the truth at the poses; M commands, N poses, K velocities, B battery samples.
 
     Attributes:
-        vehicle: What flew.
-        conditions: In what.
-        seed: Of all randomness.
+        vehicle: The vehicle flown.
+        conditions: Its conditions.
+        seed: Seed of all randomness.
         command_stamp: When each command was sent, shape (M,) [ns since the start].
         command: In the unit of the vehicle's commands, shape (M, 4).
         pose_stamp: By the mocap's clock, shape (N,) [ns].
@@ -104,12 +104,12 @@ class RoomFlight:
         velocity: Forward, left, up [m/s], yaw rate [rad/s], heading frame, shape (K, 4).
         battery_stamp: By the vehicle's clock, shape (B,) [ns].
         battery_received: Shape (B,) [ns since the start].
-        battery: What is left, 0 to 1, shape (B,).
-        true_instant: When each frame was really taken, shape (N,) [ns since the start].
-        true_position: Then, world, shape (N, 3) [m].
-        true_velocity: Then, world, shape (N, 3) [m/s].
-        true_quaternion: Then, body to world, w, x, y, z, shape (N, 4).
-        true_wind: How the air moves then, world, shape (N, 3) [m/s].
+        battery: Remaining charge, 0 to 1, shape (B,).
+        true_instant: When each frame was truly taken, shape (N,) [ns since the start].
+        true_position: At that instant, world, shape (N, 3) [m].
+        true_velocity: At that instant, world, shape (N, 3) [m/s].
+        true_quaternion: At that instant, body to world, w, x, y, z, shape (N, 4).
+        true_wind: Air velocity at that instant, world, shape (N, 3) [m/s].
     """
 
     vehicle: Vehicle
@@ -137,10 +137,10 @@ class FlightRoom:
     """A vehicle in a room, step by step. Deterministic: everything follows from the arguments and the calls.
 
     Attributes:
-        vehicle: What flies.
+        vehicle: The vehicle.
         conditions: Air, mocap, radio, clocks, battery, floor.
-        seed: Of all randomness.
-        now: True time since the start, which is also the clock of whoever sends and receives [ns].
+        seed: Seed of all randomness.
+        now: True time since the start, which is also the clock of the ground station [ns].
     """
 
     def __init__(
@@ -155,15 +155,15 @@ class FlightRoom:
         """The vehicle hovers at the start, or stands on the floor below it.
 
         Args:
-            vehicle: What flies.
+            vehicle: The vehicle.
             conditions: Air, mocap, radio, clocks, battery, floor.
-            seed: Of all randomness.
+            seed: Seed of all randomness.
             start: x, y, z [m] and yaw [rad], world.
             flying: False: on the floor, rotors at rest.
             max_step: Longest step of the integration [ns].
 
         Raises:
-            ValueError: A start below the floor; a step that does not divide the interval between nodes of the wind.
+            ValueError: A start below the floor, or a step that does not divide the interval between nodes of the wind.
         """
         if start[2] < conditions.floor:
             raise ValueError(f"the start is at {start[2]:g} m, below the floor at {conditions.floor:g} m")
@@ -183,14 +183,15 @@ class FlightRoom:
         self._event, self._events = _no_events(64), 0
         self._shot, self._seen = np.empty(0, np.int64), np.empty((0, rigid_body.SEEN))
         self._wind, self._blocks = np.empty((0, 3)), 0
-        self._fly(0)  # with this every kernel is loaded: no later call waits for that
+        self._fly(0)  # loads every kernel, so that no later call has to wait
         for stream in self._streams:
             stream.values(self._seen, np.empty(0, np.int64))
 
     def send(self, command: Sequence[float]) -> None:
         """Sends forward, left, up, counter-clockwise, in the unit of the vehicle's commands, now.
 
-        It arrives late, or never. The autopilot holds the last one that arrived; `command_timeout` after it, it hovers.
+        The command arrives late, or never. The autopilot holds the last one that arrived and hovers after
+        `command_timeout`.
 
         Raises:
             ValueError: Not four finite numbers.
@@ -198,24 +199,24 @@ class FlightRoom:
         self._send(np.array([self.now]), np.array([command], np.float64))
 
     def take_off(self) -> None:
-        """Asks for a take-off, which a vehicle on the floor obeys; it hears no commands until it hovers."""
+        """Requests a take-off, which a vehicle on the floor obeys; it ignores commands until it hovers."""
         self._ask(rigid_body.TAKE_OFF)
 
     def land(self) -> None:
-        """Asks for a landing, which a vehicle in the air obeys; it hears no commands any more."""
+        """Requests a landing, which a vehicle in the air obeys; it ignores commands from then on."""
         self._ask(rigid_body.LAND)
 
     def advance(self, until: int) -> list[Sample]:
-        """Lets time pass.
+        """Advances the simulation.
 
         Args:
             until: True time since the start [ns], not before `now`.
 
         Returns:
-            The samples that arrived after the last call, by then, in the order of their arrival.
+            The samples that arrived since the last call, in the order of their arrival.
 
         Raises:
-            ValueError: Time runs backwards.
+            ValueError: `until` is before `now`.
         """
         self._fly(until)
         samples = []
@@ -231,7 +232,7 @@ class FlightRoom:
     def truth(self) -> TrueState:
         """The true state now."""
         state, held, progress = self._state.copy(), self._held.copy(), self._progress.copy()
-        if self.now > 0:  # the kernel stops at its last node: a copy flies on to a shot that is taken now
+        if self.now > 0:  # the kernel stops at its last node: a copy continues to a shot at the present time
             progress[rigid_body.NEXT_SHOT] = 0
             shot, seen = np.array([self.now]), np.empty((1, rigid_body.SEEN))
             self._run(state, held, progress, self.now, shot, seen)
@@ -242,13 +243,17 @@ class FlightRoom:
         )  # fmt: skip
 
     def wind(self, instant: Integers) -> Array:
-        """How the air moves at instants up to `now`, shape (N,) [ns]: world, shape (N, 3) [m/s]."""
+        """Air velocity at instants up to `now`, shape (N,) [ns]: world, shape (N, 3) [m/s]."""
         row, rest = np.divmod(instant, rigid_body.WIND_STEP)
         place = (rest / rigid_body.WIND_STEP)[:, None]
         return np.asarray((1 - place) * self._wind[row] + place * self._wind[row + 1])
 
     def _send(self, sent: Integers, commands: Array) -> None:
-        """Sends commands at instants that are not before `now`, in order; cuts them at the vehicle's limits."""
+        """Sends commands at instants not before `now`, in order, clipped at the vehicle's limits.
+
+        Raises:
+            ValueError: Commands that are not four finite numbers each.
+        """
         if commands.shape != (sent.size, 4) or not np.isfinite(commands).all():
             raise ValueError("a command is four finite numbers: forward, left, up, counter-clockwise")
         arrival, kept = self._radio.arrivals(sent, self._slower(sent))
@@ -264,7 +269,7 @@ class FlightRoom:
         self._queue(np.array([self._radio.arrival_of_request(self.now, slower)]), kind, np.zeros((1, 4)))
 
     def _slower(self, sent: Integers) -> Array:
-        """Time on the way beyond the radio's latency of what is sent at instants, because it has changed [s]."""
+        """Additional latency of what is sent at some instants, due to changes of the radio, shape (N,) [s]."""
         slower = np.zeros(sent.size)
         for change in self._changes:
             slower[sent >= change.time * 1e9] += change.latency
@@ -294,7 +299,7 @@ class FlightRoom:
         )  # fmt: skip
 
     def _draw_block(self) -> None:
-        """Wind and frames of the next `BLOCK` seconds; two nodes of the wind beyond them, for the line to the next."""
+        """Draws wind and frames of the next `BLOCK` seconds; two more nodes of the wind for interpolation."""
         first, count = len(self._wind), round(BLOCK / WIND_PERIOD) + (2 if self._blocks == 0 else 0)
         air = wind_at_nodes(self.conditions.wind, first, count, WIND_PERIOD, self._gusts.draw(count))
         self._wind = np.concatenate([self._wind, air])
@@ -306,14 +311,14 @@ class FlightRoom:
         for stream, rows in zip(self._streams, np.split(row, np.cumsum([new.size for new in drawn])[:-1]), strict=True):
             stream.place(rows)
         self._shot = np.concatenate([self._shot, instant[order]])
-        if self._shot.size > len(self._seen):  # twice the room, so that long flights do not copy it in every block
+        if self._shot.size > len(self._seen):  # double the buffer, so that long flights do not copy it in every block
             grown = np.empty((2 * self._shot.size, rigid_body.SEEN))
             grown[: len(self._seen)] = self._seen
             self._seen = grown
 
 
 def _asked(vehicle: Vehicle, commands: Array) -> Array:
-    """What commands ask a vehicle for, cut at its limits: rad or m/s, forward and left; m/s up; rad/s."""
+    """Setpoints of commands, clipped at the vehicle's limits: rad or m/s, forward and left; m/s up; rad/s."""
     limits = np.array(vehicle.limits())
     return np.asarray(np.clip(commands * np.array(vehicle.full_scale()), -limits, limits))
 
@@ -321,7 +326,7 @@ def _asked(vehicle: Vehicle, commands: Array) -> Array:
 def _streams(
     vehicle: Vehicle, conditions: Conditions, mocap: np.random.Generator, onboard: np.random.Generator
 ) -> tuple[FrameStream, FrameStream, FrameStream]:
-    """Poses, onboard velocities, charges of the battery."""
+    """Streams of poses, onboard velocities and battery charges."""
     odometry, clock = vehicle.odometry, conditions.vehicle_clock
     bias = odometry.bias * onboard.standard_normal(3)
     pose = partial(mocap_frames, conditions.mocap, conditions.mocap_clock, mocap)
@@ -335,7 +340,7 @@ def _streams(
 
 
 def _no_events(count: int) -> tuple[Integers, Integers, Array]:
-    """Room for arrivals, kinds, and what commands ask for."""
+    """Buffers for arrivals, kinds, and setpoints of events."""
     return np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros((count, 4))
 
 
@@ -349,15 +354,15 @@ def fly_commands(
     start: Four = (0.0, 0.0, 1.5, 0.0),
     max_step: int = rigid_body.MAX_STEP,
 ) -> RoomFlight:
-    """Flies commands that are known beforehand: the same as a `FlightRoom` to which they are sent one by one.
+    """Flies given commands: equivalent to a `FlightRoom` to which they are sent one by one.
 
     Args:
-        vehicle: What flies; it hovers at the start.
+        vehicle: The vehicle; it hovers at the start.
         conditions: Air, mocap, radio, clocks, battery, floor.
         stamps: When each command is sent, in order, shape (M,) [ns since the start].
         commands: Forward, left, up, counter-clockwise, in the unit of the vehicle's commands, shape (M, 4).
-        duration: Until when samples are received [s].
-        seed: Of all randomness.
+        duration: Time until which samples are received [s].
+        seed: Seed of all randomness.
         start: x, y, z [m] and yaw [rad], world.
         max_step: Longest step of the integration [ns].
 
@@ -383,7 +388,7 @@ def fly_commands(
 
 
 def log_of_room_flight(flight: RoomFlight) -> Log:
-    """The flight as a log in memory, topics and columns as the recorder writes them; `vehicle.card()` reads it."""
+    """The flight as a log in memory, with topics and columns like the recorder's; `vehicle.card()` reads it."""
     received = {"header.stamp": flight.command_stamp, "log_time": flight.command_stamp}
     tables = {
         "/rotorfit/command": received | _twist(flight.command),
@@ -401,7 +406,7 @@ def log_of_room_flight(flight: RoomFlight) -> Log:
 
 
 def _twist(values: Array) -> dict[str, Array]:
-    """Columns of a TwistStamped that holds x, y, z and yaw."""
+    """Columns of a TwistStamped with x, y, z and yaw."""
     zero = np.zeros(len(values))
     linear = {f"twist.linear.{axis}": values[:, k].copy() for k, axis in enumerate("xyz")}
     return linear | {"twist.angular.x": zero, "twist.angular.y": zero, "twist.angular.z": values[:, 3].copy()}

@@ -7,7 +7,7 @@ The paper's vehicle: its eq. (5) with a delay, slow wind, motion capture, and a 
     w' = -w / T + noise                                        slow wind, in the world
 
 and the same law for yaw: the paper's eq. (5) with delay, trim and wind. Plain Runge-Kutta steps lead from one switching
-instant to the next, the turning heading included. No formula is shared with the estimator.
+instant to the next, including the turning heading. No formula is shared with the estimator.
 """
 
 import functools
@@ -45,7 +45,7 @@ def _gamma(name: str) -> tuple[float, ...]:
 GAMMA_PAPER, GAMMA_A, GAMMA_B, GAMMA_C, GAMMA_E, GAMMA_F = (_gamma(name) for name in ("paper", "A", "B", "C", "E", "F"))
 
 STABLE = {"A": GAMMA_A, "B": GAMMA_B, "E": GAMMA_E, "F": GAMMA_F, "C": (*GAMMA_C[:7], GAMMA_B[7])}
-"""Published vehicles whose four axes are stable; C's yaw runs away as published and gets the damping of B."""
+"""Published vehicles with four stable axes; C's yaw is unstable as published and gets the damping of B."""
 
 HOVER_HEIGHT = 2.0  # m, where a flight starts, at rest, above the world's origin
 
@@ -58,19 +58,19 @@ class Truth:
 
     Attributes:
         gamma: The paper's eight coefficients, shape (8,) [m/s^2 or rad/s^2 per unit of command; 1/s].
-        delay: From a command's stamp until it acts, for x, y, z, yaw [s]; not negative.
+        delay: From a command's stamp to its effect, for x, y, z, yaw [s]; not negative.
         trim: Constant acceleration in the heading frame [m/s^2; rad/s^2 for yaw].
         wind_sigma: Standard deviation of the slow disturbance, in the world frame [m/s^2; rad/s^2 for yaw].
         wind_time: Its correlation time [s].
         mocap_noise: Standard deviation of the mocap's white error [m; rad for yaw].
-        stale_share: Share of frames that repeat the last pose with a fresh stamp, each drawn alone.
-        pose_rate: Mocap frames a second.
-        pose_jitter: A frame is taken up to this much late, uniform [s]; its stamp tells the true instant.
-        command_rate: Commands a second, each held until the next one arrives.
-        command_jitter: A command is sent up to this much late, uniform [s]; its stamp tells the true instant.
+        stale_share: Share of frames that repeat the last pose with a fresh stamp, drawn independently.
+        pose_rate: Mocap frame rate [Hz].
+        pose_jitter: A frame is taken up to this much late, uniform [s]; its stamp is the true instant.
+        command_rate: Command rate [Hz]; each command is held until the next one arrives.
+        command_jitter: A command is sent up to this much late, uniform [s]; its stamp is the true instant.
 
     Raises:
-        ValueError: A value that no flight can have.
+        ValueError: An impossible value.
     """
 
     gamma: tuple[float, ...] = GAMMA_B
@@ -100,18 +100,18 @@ class Truth:
 class Controller:
     """Tracks a reference from the measured pose alone, by default the start pose; adds its command to the excitation.
 
-    u = (stiffness (r - pose) + damping (r' - velocity) + r'' + b r') / g in the heading frame, with the velocity by
-    filtered differences of the measured poses, and the input g and damping b that it believes in.
+    u = (stiffness (r - pose) + damping (r' - velocity) + r'' + b r') / g in the heading frame, with the velocity from
+    filtered differences of the measured poses, and the input g and damping b that it assumes.
 
     Attributes:
-        stiffness: Demanded acceleration per position error, of all axes or of each [1/s^2].
-        damping: Demanded acceleration per velocity error, of all axes or of each [1/s].
+        stiffness: Demanded acceleration per position error, for all axes or each [1/s^2].
+        damping: Demanded acceleration per velocity error, for all axes or each [1/s].
         filter_time: Time constant of that filter [s].
-        axes: On which it acts.
-        gamma: What it believes of the vehicle, shape (8,); None for the truth.
+        axes: Axes on which it acts.
+        gamma: Coefficients that it assumes, shape (8,); None for the truth.
         reference: Times since the start (N,) [s] -> position, velocity, acceleration relative to the start, forward,
             left, up and counter-clockwise of it, each (N, 4). None holds the start.
-        full_scale: Bound of the whole command, excitation included.
+        full_scale: Bound of the whole command, including the excitation.
     """
 
     stiffness: float | Four = 1.0
@@ -125,19 +125,19 @@ class Controller:
 
 @dataclass(frozen=True)
 class SimulatedFlight:
-    """What the room recorded, and beside it the truth at the same stamps. M commands, N poses; x, y, z, yaw.
+    """A recorded flight, with the truth at the same stamps; M commands, N poses; x, y, z, yaw.
 
     Attributes:
-        truth: What was simulated.
-        seed: Of all its randomness.
+        truth: The truth that was simulated.
+        seed: Seed of all its randomness.
         command_stamp: When each command was sent, shape (M,) [ns since the start].
         command: In the heading frame, shape (M, 4), fractions of full scale.
         pose_stamp: When each frame was taken, shape (N,) [ns since the start].
         pose: Measured, world, yaw not wrapped, shape (N, 4) [m, rad].
-        stale: Whether the frame repeats the pose before, shape (N,).
+        stale: Whether the frame repeats the previous pose, shape (N,).
         true_pose: World, shape (N, 4) [m, rad].
         velocity: True, world, shape (N, 4) [m/s, rad/s].
-        acceleration: True, world, shape (N, 4) [m/s^2, rad/s^2]; at a switching instant, that just after it.
+        acceleration: True, world, shape (N, 4) [m/s^2, rad/s^2]; at a switching instant, the value just after it.
         wind: The disturbance, world, shape (N, 4) [m/s^2, rad/s^2].
     """
 
@@ -161,7 +161,7 @@ class SimulatedFlight:
 
 
 def noise_free(truth: Truth) -> Truth:
-    """The same vehicle without wind, in a room whose mocap errs nowhere and repeats nothing."""
+    """The same vehicle without wind, in a room with an error-free mocap that repeats no frame."""
     return replace(truth, wind_sigma=(0.0,) * 4, mocap_noise=(0.0,) * 4, stale_share=0.0)
 
 
@@ -176,15 +176,15 @@ def simulate_flight(
     initial_yaw: float = 0.0,
     max_step: float = 0.002,
 ) -> SimulatedFlight:
-    """Flies from rest at (0, 0, `HOVER_HEIGHT`). Before the first command arrives the command is zero.
+    """Simulates a flight from rest at (0, 0, `HOVER_HEIGHT`). The command is zero until the first one arrives.
 
     Args:
         truth: Vehicle, air and room.
-        excitation: Commands as a function of time; with a controller, what is added to its commands.
-        duration: Of commands and poses [s].
-        seed: Of wind, noise, stale frames and jitter: the same whatever the vehicle, excitation or controller.
-        held: Commands are samples, each held until the next one arrives. False: the vehicle answers the function
-            itself, u(t - tau), and the log holds its value u(t) at every pose's own stamp.
+        excitation: Commands as a function of time; with a controller, added to its commands.
+        duration: Duration of commands and poses [s].
+        seed: Seed of wind, noise, stale frames and jitter, which do not depend on vehicle, excitation or controller.
+        held: Commands are samples, each held until the next one arrives. False: the vehicle responds to the function
+            itself, u(t - tau), and the log holds its value u(t) at the stamp of every pose.
         controller: Closes the loop on the measured pose; needs held commands.
         initial_yaw: Heading at the start [rad].
         max_step: Longest step of the integration [s]. Steps never cross an instant at which anything switches.
@@ -212,7 +212,7 @@ def simulate_flight(
         _places(time, seen), noise, stale, steered_at, gains, reference,
         start, np.array(truth.gamma, float), np.array(truth.trim, float),
     )  # fmt: skip
-    command = value[1:] if held else command  # with what the controller has added
+    command = value[1:] if held else command  # including the controller's contribution
     return SimulatedFlight(
         truth=truth, seed=seed, command_stamp=command_stamp, command=command, pose_stamp=pose_stamp, pose=pose,
         stale=stale, true_pose=state[:, :4], velocity=state[:, 4:], acceleration=acceleration,
@@ -225,7 +225,7 @@ def _seconds(stamps: Integers) -> Array:
 
 
 def _stamps(duration: float, rate: float, jitter: float, rng: np.random.Generator) -> Integers:
-    """Regular instants, each up to `jitter` late, before the end [ns]."""
+    """Regular instants before the end, each up to `jitter` late [ns]."""
     due = np.arange(int(np.ceil(duration * rate))) / rate
     stamps = np.round((due + jitter * rng.random(due.size)) * 1e9).astype(np.int64)
     return stamps[stamps < round(duration * 1e9)]
@@ -234,8 +234,8 @@ def _stamps(duration: float, rate: float, jitter: float, rng: np.random.Generato
 def _wind(truth: Truth, duration: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Node times (J,) and an Ornstein-Uhlenbeck disturbance at them (J, 4), exact at the nodes from the first on.
 
-    Between the nodes it is a straight line, which for a correlation time T lacks (h / T)^2 / 12 of the variance of the
-    wind's impulse: 8e-6 for 1 s.
+    It is interpolated linearly between the nodes, which for a correlation time T loses (h / T)^2 / 12 of the variance
+    of the wind's impulse: 8e-6 for 1 s.
     """
     node = np.arange(np.ceil(duration / WIND_PERIOD) + 1, dtype=np.float64) * WIND_PERIOD
     memory = np.exp(-WIND_PERIOD / np.array(truth.wind_time))
@@ -253,7 +253,7 @@ def _slow(normal: Array, memory: Array) -> Array:
 
 
 def _grid(duration: float, poses: Array, commands: Array, delay: Four, node: Array, max_step: float) -> Array:
-    """Every instant at which something switches or is asked for, and enough between them [s]."""
+    """Every instant at which something switches or is sampled, and sufficiently many in between [s]."""
     arrivals = [commands + tau for tau in sorted(set(delay))]
     events = np.unique(np.concatenate([[0.0, *delay, duration], poses, commands, *arrivals, node]))
     events = events[events <= duration]
@@ -265,7 +265,7 @@ def _grid(duration: float, poses: Array, commands: Array, delay: Four, node: Arr
 
 
 def _places(time: Array, asked: Array) -> Integers:
-    """For each instant of the grid its index among the instants asked for, or -1."""
+    """Index of each instant of the grid among the requested instants, or -1."""
     places = np.full(time.size, -1)
     places[np.searchsorted(time, asked)] = np.arange(asked.size)
     return places
@@ -276,16 +276,16 @@ def _interpolated(time: Array, node: Array, value: Array) -> Array:
 
 
 def _held(time: Array, sent: Array, delay: Four, command: Array) -> tuple[Array, Integers, int]:
-    """Row 0 is the hover before the first command; the middle of an interval says without doubt which row acts."""
+    """Values, rows and stride for `_fly`; row 0 is the hover before the first command. Midpoints select the row."""
     middle = (time[:-1] + time[1:]) / 2
-    # commands are fewer than intervals: each is looked for among these, and then those that came before are counted
+    # there are fewer commands than intervals: locate each command among the intervals, then count those before each
     first = [np.searchsorted(middle, sent + tau, side="right") for tau in delay]
     row = np.stack([np.cumsum(np.bincount(each, minlength=time.size)[:-1]) for each in first], axis=1)
     return np.concatenate([np.zeros((1, 4)), command]), row, 0
 
 
 def _smooth(time: Array, delay: Four, excitation: Excitation) -> tuple[Array, Integers, int]:
-    """Three rows an interval with the delay in them: hover until it has passed, then the function itself."""
+    """Three rows per interval, with the delay included: hover until it has passed, then the function itself."""
     middle = (time[:-1] + time[1:]) / 2
     stage = np.stack([time[:-1], middle, time[1:]], axis=1).ravel()
     flown = [excitation(stage - tau)[:, a] * (np.repeat(middle, 3) > tau) for a, tau in enumerate(delay)]
@@ -293,7 +293,7 @@ def _smooth(time: Array, delay: Four, excitation: Excitation) -> tuple[Array, In
 
 
 def _steering(controller: Controller, truth: Truth, sent: Array, start: Array) -> tuple[Array, Array]:
-    """What the compiled loop needs of a controller.
+    """Parameters of a controller for the compiled loop.
 
     Returns:
         Rows stiffness, damping, input, damping of the vehicle, full scale, filter time (of all axes): shape (6, 4).
@@ -320,7 +320,7 @@ def _steering(controller: Controller, truth: Truth, sent: Array, start: Array) -
 
 @functools.cache
 def _compiled(function: Function) -> Function:
-    """The function, compiled by numba and kept on disk; here, since importing numba takes longer than `--help` may."""
+    """Compiles a function with numba, cached on disk; numba is imported late, as it takes longer than `--help` may."""
     import numba
 
     return cast("Function", numba.njit(cache=True)(function))
@@ -331,7 +331,7 @@ def _fly(
     pose_at: Integers, noise: Array, stale: Flags, steered_at: Integers,
     gains: Array, reference: Array, start: Array, gamma: Array, trim: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Integrates over the grid; takes a pose at `pose_at`, steers at `steered_at` (adds to `value`). Compiled.
+    """Integrates over the grid; takes a pose at `pose_at`, adds the controller's command to `value` at `steered_at`.
 
     In interval n the command on axis a is `value[row[n, a] + stride * (0, 1, 2)]` at its start, middle and end.
     Returns, at the poses, the state (N, 8), its acceleration (N, 4) and the measured pose (N, 4).
@@ -342,7 +342,7 @@ def _fly(
     seen, speed, seen_at, force, asked = start.copy(), np.zeros(4), 0.0, np.zeros(4), np.zeros((4, 4))
     for n in range(time.size - 1):
         pose = pose_at[n]
-        if pose >= 0:  # a controller cannot tell a stale frame: it differences what it is shown
+        if pose >= 0:  # a controller cannot recognise a stale frame: it differences the poses it receives
             since, seen_at = time[n] - seen_at, time[n]
             for a in range(4):
                 shown = seen[a] if stale[pose] else state[a] + noise[pose, a]
@@ -390,7 +390,7 @@ LOG_EPOCH = 1_577_836_800 * 10**9  # ns: 2020-01-01, added to the stamps of a lo
 
 
 def as_log(flight: SimulatedFlight) -> Log:
-    """The flight as a log in memory: `/cmd_vel` (TwistStamped) and `/pose` (PoseStamped), columns as a bag has them."""
+    """The flight as a log in memory: `/cmd_vel` (TwistStamped) and `/pose` (PoseStamped), with the columns of a bag."""
     names = {
         "/cmd_vel": [f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"],
         "/pose": [*(f"pose.position.{axis}" for axis in "xyz"), *(f"pose.orientation.{axis}" for axis in "xyzw")],
@@ -410,10 +410,10 @@ def as_log(flight: SimulatedFlight) -> Log:
 
 
 def write_bag(flight: SimulatedFlight, path: Path) -> None:
-    """Writes the same as a ROS 1 bag; the same flight gives the same bytes. A message is its fields, little-endian.
+    """Writes the flight as a ROS 1 bag; the same flight gives the same bytes. A message is its fields, little-endian.
 
     Raises:
-        LogError: The file exists already; nothing is written over a log.
+        LogError: The file already exists; a log is never overwritten.
     """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore

@@ -1,8 +1,8 @@
 """Published coefficients of commercial quadrotors: for comparison, as priors, and as truths to simulate.
 
 gamma as published, signs included: input and damping of x, y, z, yaw in turn, of a = input u - damping v.
-No source of a set in fractions says which limits were set, so their gains compare in units of the command only;
-`limit_that_gives` tells which limit they would equal.
+No source of a set in fractions states its limits, so these gains compare only in units of the command;
+`limit_that_gives` returns the limit to which they correspond.
 """
 
 import re
@@ -13,15 +13,15 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class PublishedSet:
-    """One published set.
+    """One published set of coefficients.
 
     Attributes:
-        name: Short, as the documents use it.
+        name: Short name, as in the documents.
         vehicle: A name that `vehicle_of` returns.
         command: `fraction` of limits that are not published, or `si`: rad, rad, m/s, rad/s.
         gamma: Shape (8,), None where nothing was published [m/s^2 or rad/s^2 per unit of command; 1/s].
-        delay: [s]; None where the source has none.
-        source: Who published it, and how the pose was measured.
+        delay: Delay [s]; None where the source has none.
+        source: Author, and how the pose was measured.
     """
 
     name: str
@@ -74,7 +74,7 @@ _KIN: Mapping[str, tuple[str, ...]] = {
     "Bebop 1": ("Bebop 1", "Bebop 2"),
     "AR.Drone 2": ("AR.Drone 2",),
 }
-"""Vehicles whose sets are worth a look beside one's own."""
+"""Vehicles whose sets are comparable with a vehicle's own."""
 
 _NAMED = (
     ("Bebop 2", r"bebop[\s_-]*2\b"),
@@ -84,10 +84,10 @@ _NAMED = (
 
 
 def vehicle_of(name: str) -> str | None:
-    """`Bebop 2`, `Bebop 1` or `AR.Drone 2` where a card's name says so, else None."""
+    """`Bebop 2`, `Bebop 1` or `AR.Drone 2` if a card's name contains it, else None."""
     return next((vehicle for vehicle, pattern in _NAMED if re.search(pattern, name, re.IGNORECASE)), None)
 
 
 def sets_for(vehicle: str) -> tuple[PublishedSet, ...]:
-    """The published sets of a vehicle and of its next kin; none where it is not known."""
+    """The published sets of a vehicle and its closest relatives; empty for an unknown vehicle."""
     return tuple(known for known in PUBLISHED if known.vehicle in _KIN.get(vehicle, ()))

@@ -6,10 +6,10 @@
     I omega' = M - omega x I omega
     f_i' = (s k_i c_i - f_i) / T               rotor thrust behind its command c_i; s falls with the battery's voltage
 
-F is the sum of the thrusts f_i, M their moment; k_i is 1 but for a weak rotor. Between two nodes (the grid of
-`max_step`, the instants at which somebody measures, the arrivals of commands, time-outs, changes of the vehicle) one
-classic Runge-Kutta step is taken, the autopilot's laws evaluated in each of its stages. Nodes depend on neither how
-often nor up to when the kernel is called, so a flight in one piece and one in many are the same bit for bit.
+F is the sum of the thrusts f_i, M their moment; k_i is 1 except for a weak rotor. Between two nodes (the grid of
+`max_step`, the instants of measurements, arrivals of commands, time-outs, changes of the vehicle) one classic
+Runge-Kutta step is taken, with the autopilot's laws evaluated in each stage. The nodes do not depend on how often or
+up to which time the kernel is called, so a flight in one piece and one in many agree bit for bit.
 """
 
 from collections.abc import Sequence
@@ -25,16 +25,16 @@ from rotorfit.simulation.vehicle import Four, Vehicle
 
 # State, by index
 POSITION, VELOCITY, QUATERNION, RATES, THRUST, GAIN, CHARGE, SEEN = 0, 3, 6, 10, 13, 17, 18, 19
-"""Position, velocity (world), quaternion w x y z, body rates, rotor thrusts, learnt thrust gain, battery's charge; as
-many are kept of every shot."""
+"""Position, velocity (world), quaternion w x y z, body rates, rotor thrusts, learnt thrust gain, charge of the battery;
+the first `SEEN` elements are stored for every shot."""
 
 FADE, LOAD, ROTORS, STATES = 19, 20, 21, 25
 """Share of the thrust that a failing battery has left, learnt factor on the mass, learnt factors on the rotors."""
 
 # Progress, whole numbers by index
 TIME, NEXT_EVENT, NEXT_SHOT, MODE, HEARD, LAST, STEPS, REGIME, PROGRESS = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""Time [ns], next event, next shot, mode, whether a command has come, when the last one came [ns], steps taken, which
-of the vehicle's regimes is in force."""
+"""Time [ns], next event, next shot, mode, whether a command has arrived, when the last one arrived [ns], steps taken,
+index of the regime of the vehicle that applies."""
 
 GROUNDED, TAKING_OFF, FLYING, LANDING = 0, 1, 2, 3
 
@@ -46,7 +46,7 @@ WIND_STEP = 20_000_000  # ns between the nodes of the wind; a multiple of the st
 
 NEVER = np.iinfo(np.int64).max
 
-LEAST_COSINE = 0.5  # beyond a tilt of 60 deg height is no longer held at any price
+LEAST_COSINE = 0.5  # beyond a tilt of 60 deg the thrust is no longer increased to hold the height
 
 _DTYPE = np.dtype(
     [
@@ -63,7 +63,7 @@ _DTYPE = np.dtype(
 
 
 def parameters(vehicle: Vehicle, floor: float) -> npt.NDArray[Any]:
-    """What the kernel wants to know of a vehicle above a floor [m], shape (1,)."""
+    """Parameters of a vehicle above a floor [m] for the kernel, shape (1,)."""
     record = np.zeros(1, _DTYPE)
     rotors, attitude, loops, pilot = vehicle.rotors, vehicle.attitude, vehicle.loops, vehicle.autopilot
     values = {
@@ -89,12 +89,12 @@ def parameters(vehicle: Vehicle, floor: float) -> npt.NDArray[Any]:
 
 
 def regimes(first: npt.NDArray[Any], changes: Sequence[Change]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any]]:
-    """What the kernel wants to know of a vehicle that changes.
+    """Parameters of a changing vehicle for the kernel.
 
-    A battery that gives way makes two regimes, one in which its thrust falls and one after that.
+    A failing battery makes two regimes, one in which its thrust falls and one after that.
 
     Args:
-        first: Of the vehicle before, as `parameters` gives it, shape (1,).
+        first: The vehicle before the changes, from `parameters`, shape (1,).
         changes: In any order.
 
     Returns:
@@ -115,7 +115,7 @@ def regimes(first: npt.NDArray[Any], changes: Sequence[Change]) -> tuple[npt.NDA
 
 
 def initial_state(vehicle: Vehicle, start: Four, flying: bool, charge: float, floor: float) -> npt.NDArray[np.float64]:
-    """Hovering at x, y, z, yaw with level rotors, or standing on the floor there, shape (STATES,)."""
+    """State of hovering at x, y, z, yaw with level rotors, or of standing on the floor there, shape (STATES,)."""
     state = np.zeros(STATES)
     state[POSITION : POSITION + 3] = start[:3] if flying else (*start[:2], floor)
     state[QUATERNION], state[QUATERNION + 3] = np.cos(start[3] / 2), np.sin(start[3] / 2)
@@ -132,9 +132,9 @@ def _nanoseconds(seconds: float) -> int:
 
 @numba.njit(cache=True)
 def _thrust_commands(par, collective, roll, pitch, yaw, out):  # type: ignore[no-untyped-def]
-    """Rotor commands for a collective [N] and moments [N m]: tilt comes first, then collective, then yaw.
+    """Rotor commands for a collective [N] and moments [N m]: tilt takes priority, then collective, then yaw.
 
-    The rotors stand front left, front right, rear right, rear left; the first and third turn clockwise.
+    The rotors are front left, front right, rear right, rear left; the first and third turn clockwise.
     """
     r, p, y = roll / (4 * par.lever), pitch / (4 * par.lever), yaw / (4 * par.torque_ratio)
     widest = 2 * (abs(r) + abs(p))
@@ -156,13 +156,13 @@ def _thrust_commands(par, collective, roll, pitch, yaw, out):  # type: ignore[no
 
 @numba.njit(cache=True)
 def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untyped-def]
-    """Time derivative of the state `s` under the targets of the autopilot; `command` is room for four numbers."""
+    """Time derivative of the state `s` under the targets of the autopilot; `command` is work space of four numbers."""
     w, x, y, z = s[6], s[7], s[8], s[9]
     r11, r21, r31 = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
     r12, r22, r32 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
     r13, r23, r33 = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
     level = 1 / np.sqrt(r11 * r11 + r21 * r21)
-    hx, hy = r11 * level, r21 * level  # where the nose points
+    hx, hy = r11 * level, r21 * level  # direction of the nose
 
     # Outer loops: slopes of the thrust's direction in the heading frame, and vertical acceleration
     forward, left = target[0], target[1]
@@ -176,7 +176,7 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
     lift = GRAVITY + min(max(lift, -par.climb_acceleration), par.climb_acceleration)
     collective = par.mass * s[20] * lift / max(r33, LEAST_COSINE) / s[17]
 
-    # Attitude loop: the shortest turn from the thrust's direction to the wanted one, seen from the body
+    # Attitude loop: the shortest rotation from the thrust's direction to the wanted one, in the body frame
     length = np.sqrt(1 + forward * forward + left * left)
     dx, dy, dz = (hx * forward - hy * left) / length, (hy * forward + hx * left) / length, 1 / length
     bx, by, bz = r11 * dx + r21 * dy + r31 * dz, r12 * dx + r22 * dy + r32 * dz, r13 * dx + r23 * dy + r33 * dz
@@ -198,7 +198,7 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
     # Rotors and battery
     gain = (1 - par.sag * (1 - s[18])) * s[19]
     for i in range(4):
-        if s[21 + i] != 1.0:  # what was learnt of a rotor goes on top of what the mixer asks it for
+        if s[21 + i] != 1.0:  # the learnt factor of a rotor is applied on top of the mixer's command
             command[i] = min(command[i] / s[21 + i], par.most)
         out[13 + i] = (gain * par.rotors[i] * command[i] - s[13 + i]) / par.rotor_time
         out[21 + i] = (par.rotors[i] - s[21 + i]) / par.learning
@@ -234,7 +234,7 @@ def _slope(par, s, target, holds, wind, command, out):  # type: ignore[no-untype
 
 @numba.njit(cache=True)
 def _step(par, state, target, holds, wind, start, end, room):  # type: ignore[no-untyped-def]
-    """One classic Runge-Kutta step between two instants [ns]; wind a straight line between its nodes."""
+    """One classic Runge-Kutta step between two instants [ns]; the wind is linear between its nodes."""
     slope, trial, total, air, command = room[0], room[1], room[2], room[3, :3], room[4, :4]
     h = (end - start) * 1e-9
     row = start // WIND_STEP
@@ -259,7 +259,7 @@ def _step(par, state, target, holds, wind, start, end, room):  # type: ignore[no
 
 @numba.njit(cache=True)
 def _settle_on_floor(par, state):  # type: ignore[no-untyped-def]
-    """The floor stops all motion and levels the vehicle; its heading stays."""
+    """The floor stops all motion and levels the vehicle; its heading is kept."""
     state[2] = par.floor
     state[3:6] = 0.0
     state[10:13] = 0.0
@@ -269,7 +269,7 @@ def _settle_on_floor(par, state):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _hear(par, kind, asked, held, progress, instant):  # type: ignore[no-untyped-def]
-    """What an event that has arrived changes: the held command, or the mode."""
+    """Applies an event that has arrived to the held command, or to the mode."""
     if kind == COMMANDED:
         held[:] = asked
         if par.tilts:  # a tilt of t gives a horizontal acceleration of g tan(t)
@@ -283,7 +283,7 @@ def _hear(par, kind, asked, held, progress, instant):  # type: ignore[no-untyped
 
 @numba.njit(cache=True)
 def _aim(par, held, progress, target):  # type: ignore[no-untyped-def]
-    """Targets of the outer loops now; whether the first two are velocities to be held (rather than slopes)."""
+    """Fills the targets of the outer loops; returns whether the first two are velocities to hold (not slopes)."""
     target[:] = 0.0
     mode = progress[MODE]
     if mode == TAKING_OFF:
@@ -298,7 +298,7 @@ def _aim(par, held, progress, target):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
-    """Touch-down, end of the take-off, landing by itself."""
+    """Handles touch-down, the end of the take-off, and automatic landing."""
     if state[2] <= par.floor and state[5] <= 0.0:
         _settle_on_floor(par, state)
         if progress[MODE] == LANDING:
@@ -314,20 +314,20 @@ def _change_mode(par, state, progress):  # type: ignore[no-untyped-def]
 def advance(  # type: ignore[no-untyped-def]
     starts, parameter, state, held, progress, until, arrival, kind, asked, count, shot, shots, seen, wind, max_step
 ):
-    """Flies on to the last node up to `until`; writes the state at every shot on the way.
+    """Advances to the last node up to `until`; stores the state at every shot on the way.
 
     Args:
         starts: When the vehicle's regimes begin, shape (P,) [ns].
-        parameter: Of each regime, as `regimes` gives them, shape (P,).
-        state: Shape (STATES,), changed.
-        held: Targets of the last command that arrived, shape (4,), changed.
-        progress: Whole numbers, see above, shape (PROGRESS,), changed.
+        parameter: Parameters of each regime, from `regimes`, shape (P,).
+        state: Shape (STATES,), updated.
+        held: Targets of the last command that arrived, shape (4,), updated.
+        progress: Integers, see above, shape (PROGRESS,), updated.
         until: Instant [ns].
-        arrival: When events arrive, in order, the first `count` count [ns].
+        arrival: When events arrive, in order; the first `count` are valid [ns].
         kind: COMMANDED, TAKE_OFF or LAND.
-        asked: What a command asks for: rad or m/s, forward and left; m/s up; rad/s; shape (., 4).
+        asked: Setpoints of commands: rad or m/s, forward and left; m/s up; rad/s; shape (., 4).
         count: Number of events.
-        shot: Instants at which the state is wanted, in order, the first `shots` count [ns].
+        shot: Instants at which the state is stored, in order; the first `shots` are valid [ns].
         shots: Number of shots.
         seen: The state at the shots, shape (., SEEN), filled as far as flown.
         wind: Air velocity at multiples of WIND_STEP, world, shape (., 3) [m/s].

@@ -1,7 +1,7 @@
-"""Sensors and radio: what is measured and sent when, what goes wrong with it, when it arrives.
+"""Sensors and radio: what is measured or sent when, with which errors, and when it arrives.
 
-Everything random is drawn by the index of a frame, in blocks, from a generator of its own: how often somebody looks
-does not change it.
+All randomness is drawn by the index of a frame, in blocks, from a separate generator: how often samples are read does
+not change it.
 """
 
 from collections.abc import Callable
@@ -25,11 +25,11 @@ BATTERY_RATE = 1.0  # samples a second
 
 @dataclass(frozen=True)
 class Swap:
-    """Markers taken for others: for a while the body is seen turned and displaced.
+    """Swapped markers: for a while the body appears rotated and displaced.
 
     Attributes:
-        start: Since the start of the flight [s].
-        end: [s].
+        start: Start, since the start of the flight [s].
+        end: End [s].
         turn: Added to the heading [rad].
         offset: Added to the position, world [m].
     """
@@ -42,11 +42,11 @@ class Swap:
 
 @dataclass(frozen=True)
 class Turn:
-    """The mocap's frame turned for good, as by another calibration: positions and headings turn about the vertical.
+    """Permanent rotation of the mocap's frame, as by a new calibration: positions and headings turn about the vertical.
 
     Attributes:
         start: Since the start of the flight [s].
-        angle: By which poses are seen turned, counter-clockwise about the world's origin [rad].
+        angle: Rotation of the poses, counter-clockwise about the world's origin [rad].
     """
 
     start: float
@@ -58,17 +58,20 @@ class Mocap:
     """Motion capture, as it reaches the user.
 
     Attributes:
-        rate: Frames a second.
+        rate: Frame rate [Hz].
         noise: Standard deviation of the white error of x, y, z each [m].
         turn_noise: Standard deviation of the white error of the attitude about each axis [rad].
-        latency: Least time from the exposure until a frame arrives [s].
-        jitter: Mean of the exponentially distributed time on top [s]; frames stay in order.
-        stale: Share of frames that repeat the frame before with a fresh stamp, each drawn alone.
-        lost: Share of frames that never arrive, each drawn alone.
+        latency: Least time from the exposure to the arrival of a frame [s].
+        jitter: Mean of an additional, exponentially distributed time [s]; frames stay in order.
+        stale: Share of frames that repeat the previous frame with a fresh stamp, drawn independently.
+        lost: Share of frames that never arrive, drawn independently.
         drop_outs: Intervals (start, end) without frames, since the start of the flight [s].
-        swaps: See `Swap`.
+        swaps: Intervals with swapped markers.
         frozen: Intervals (start, end) in which every frame repeats the last one before, under fresh stamps [s].
-        turns: See `Turn`; they add up.
+        turns: Rotations of the frame; they add up.
+
+    Raises:
+        ValueError: A negative or impossible value.
     """
 
     rate: float = 120.0
@@ -96,31 +99,32 @@ class SenderClock:
     """A sender's clock: it shows offset + (1 + drift) t.
 
     Attributes:
-        offset: [s].
-        drift: Seconds a second.
+        offset: Offset [s].
+        drift: Drift [s/s].
     """
 
     offset: float = 0.0
     drift: float = 0.0
 
     def shows(self, instant: Integers) -> Integers:
-        """What it shows at true instants [ns]."""
+        """Readings of the clock at true instants [ns]."""
         shift = np.round(self.offset * 1e9 + instant * self.drift).astype(np.int64)
         return np.asarray(instant + shift)
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of one stream, in order, as far as they have been drawn. N frames.
+    """Frames of one stream drawn so far, in order; N frames.
 
     Attributes:
         instant: When each is taken [ns].
         arrival: When each arrives, increasing [ns].
-        stamp: What its sender's clock shows when it is taken [ns].
-        shown: Index of the frame whose content it carries, shape (N,): its own, or an older one where it is stale.
+        stamp: Reading of the sender's clock when it is taken [ns].
+        shown: Index of the frame whose content it carries, shape (N,): its own, or an older one if it is stale.
         kept: Whether it arrives at all.
-        error: Drawn errors: of pose x, y, z [m], three turns [rad]; of velocity x, y, z [m/s], yaw rate [rad/s].
-        shift: For poses: x, y, z [m] and turn [rad] of swapped markers, turn of the frame [rad], shape (N, 5).
+        error: Drawn errors: for poses x, y, z [m], three rotations [rad]; for velocities x, y, z [m/s], yaw rate
+            [rad/s].
+        shift: For poses: x, y, z [m] and rotation [rad] of swapped markers, rotation of the frame [rad], shape (N, 5).
     """
 
     instant: Integers
@@ -135,15 +139,15 @@ class Frames:
 def mocap_frames(
     mocap: Mocap, clock: SenderClock, rng: np.random.Generator, first: int, count: int, before: tuple[int, int]
 ) -> Frames:
-    """Frames `first` to `first` + `count`.
+    """Draws frames `first` to `first` + `count`.
 
     Args:
         mocap: The system.
         clock: Its clock.
-        rng: Of these frames alone.
+        rng: Generator for these frames alone.
         first: Index of the first frame.
         count: Number of frames.
-        before: What the frame before showed (its `shown`; -1 where there is none), and when it arrived [ns].
+        before: `shown` of the previous frame (-1 if there is none), and its arrival [ns].
     """
     index = first + np.arange(count)
     instant = np.round(index / mocap.rate * 1e9).astype(np.int64)
@@ -189,12 +193,12 @@ def battery_frames(
     count: int,
     before: tuple[int, int],  # noqa: ARG001 as above
 ) -> Frames:
-    """Charges of the battery; the other arguments as for `mocap_frames`."""
+    """Frames of the battery's charge; the arguments as for `mocap_frames`."""
     return _plain_frames(BATTERY_RATE, latency, clock, first, np.zeros((count, 1)))
 
 
 def _plain_frames(rate: float, latency: float, clock: SenderClock, first: int, error: Array) -> Frames:
-    """Frames that all arrive, each with its own content, after the same time."""
+    """Frames that all arrive, each with its own content, after the same latency."""
     index = first + np.arange(len(error))
     instant = np.round(index / rate * 1e9).astype(np.int64)
     arrival, kept = instant + round(latency * 1e9), np.ones(len(error), np.bool_)
@@ -208,12 +212,12 @@ def _in_order(instant: Integers, latency: float, late: Array, before: int) -> In
 
 
 class FrameStream:
-    """Frames of one sensor: drawn in blocks, given out once, when they have arrived.
+    """Frames of one sensor: drawn in blocks, each returned once, after it has arrived.
 
     Attributes:
-        name: As a `Sample` has it.
-        frames: All that have been drawn.
-        row: Shot of the kernel at which each is taken, shape (N,).
+        name: Stream name of a `Sample`.
+        frames: All frames drawn.
+        row: Index of the shot at which each is taken, shape (N,).
     """
 
     def __init__(
@@ -226,11 +230,11 @@ class FrameStream:
         """Starts without a frame.
 
         Args:
-            name: As a `Sample` has it.
-            rate: Frames a second.
-            draw: Frames from their first index, their number, and what the frame before showed and when it arrived.
-            read: What the sensor makes of the states at the shots: of those, the rows, the frames, and the indices of
-                the frames that are wanted.
+            name: Stream name of a `Sample`.
+            rate: Frame rate [Hz].
+            draw: Draws frames from their first index, their number, and `shown` and arrival of the previous frame.
+            read: Returns the sensor's values from the states at the shots, the rows, the frames, and the indices of the
+                requested frames.
         """
         whole, real = np.empty(0, np.int64), np.empty((0, 0))
         self.name = name
@@ -241,7 +245,7 @@ class FrameStream:
         self._arrivals: list[int] = []
 
     def draw(self, end: float) -> Integers:
-        """Draws the frames that are taken before `end` [s]; returns the instants of the new ones [ns]."""
+        """Draws the frames taken before `end` [s]; returns the instants of the new ones [ns]."""
         old = self.frames
         first = old.instant.size
         before = (int(old.shown[-1]), int(old.arrival[-1])) if first else (-1, 0)
@@ -252,11 +256,11 @@ class FrameStream:
         return new.instant
 
     def place(self, row: Integers) -> None:
-        """Says at which shots the new frames are taken."""
+        """Sets the shots at which the new frames are taken."""
         self.row = np.concatenate([self.row, row])
 
     def arrived(self, until: int) -> Integers:
-        """Indices of the frames that have arrived since the last call, without the lost ones."""
+        """Indices of the frames that have arrived since the last call, without lost ones."""
         first = self._given
         while self._given < len(self._arrivals) and self._arrivals[self._given] <= until:
             self._given += 1
@@ -264,7 +268,7 @@ class FrameStream:
         return index[self.frames.kept[first : self._given]]
 
     def values(self, seen: Array, index: Integers) -> Array:
-        """What frames show, given the states at the shots."""
+        """Values of frames, given the states at the shots."""
         return self._read(seen, self.row, self.frames, index)
 
 
@@ -283,21 +287,21 @@ def velocities(seen: Array, row: Integers, frames: Frames, index: Integers) -> A
 
 
 def charges(seen: Array, row: Integers, frames: Frames, index: Integers) -> Array:  # noqa: ARG001 all streams are read alike
-    """What the battery still holds, 0 to 1, shape (N, 1)."""
+    """Remaining charge of the battery, 0 to 1, shape (N, 1)."""
     return seen[row[index], CHARGE : CHARGE + 1]
 
 
 @numba.njit(cache=True)
 def _see_poses(seen, row, shown, error, shift, out):  # type: ignore[no-untyped-def]
-    """Measured poses of frames whose contents are the frames `shown`; x, y, z, quaternion w, x, y, z.
+    """Fills measured poses of frames that carry the content of the frames `shown`; x, y, z, quaternion w, x, y, z.
 
     Args:
-        seen: States at the shots, shape (., STATES).
-        row: The shot of each frame of the stream.
-        shown: Which frames' contents are wanted, shape (N,).
-        error: Of each frame of the stream, shape (., 6).
-        shift: Of each frame of the stream, shape (., 5).
-        out: Shape (N, 7), filled.
+        seen: States at the shots, shape (., SEEN).
+        row: Index of the shot of each frame of the stream.
+        shown: Indices of the frames whose content is used, shape (N,).
+        error: Errors of each frame of the stream, shape (., 6).
+        shift: Shifts of each frame of the stream, shape (., 5).
+        out: Filled, shape (N, 7).
     """
     for n in range(shown.size):
         k = shown[n]
@@ -341,19 +345,19 @@ def _see_velocities(seen, row, shown, error, out):  # type: ignore[no-untyped-de
 
 
 class RadioSource:
-    """When commands arrive; drawn by the index of the command."""
+    """Arrival of commands, drawn by the index of the command."""
 
     def __init__(self, radio: Radio, seed: np.random.SeedSequence) -> None:
-        """Starts with nothing on the way."""
+        """Starts with no command in transit."""
         self._radio, self._last = radio, 0
         self._late, self._lost = (np.random.default_rng(one) for one in seed.spawn(2))
 
     def arrivals(self, sent: Integers, slower: Array) -> tuple[Integers, npt.NDArray[np.bool_]]:
-        """Arrival of each command sent now or later [ns], and whether it arrives at all.
+        """Arrival of each command [ns], and whether it arrives at all.
 
         Args:
             sent: Shape (N,) [ns].
-            slower: Beyond the latency, because the radio has changed, shape (N,) [s].
+            slower: Additional latency due to changes of the radio, shape (N,) [s].
         """
         late = slower + self._radio.jitter * self._late.standard_exponential(sent.size)
         arrival = _in_order(sent, self._radio.latency, late, self._last)
@@ -361,6 +365,6 @@ class RadioSource:
         return arrival, self._lost.random(sent.size) >= self._radio.loss
 
     def arrival_of_request(self, now: int, slower: float) -> int:
-        """Of a take-off or a landing: never lost, not before the commands that were sent before [ns]."""
+        """Arrival of a take-off or landing request: never lost, not before earlier commands [ns]."""
         self._last = max(self._last, now + round((self._radio.latency + slower) * 1e9))
         return self._last

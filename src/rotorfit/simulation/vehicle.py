@@ -1,4 +1,4 @@
-"""Vehicle: a multirotor with its autopilot, as physical parameters from TOML; what they mean for small slow motion."""
+"""Vehicle: a multirotor with its autopilot, as physical parameters from TOML, and its equivalent linear model."""
 
 import functools
 import math
@@ -23,9 +23,9 @@ class Rotors:
     """Four rotors in an X. A rotor's thrust follows its command with a first-order lag.
 
     Attributes:
-        arm: From the centre to a rotor's axis [m].
+        arm: Distance from the centre to a rotor's axis [m].
         thrust: Least and most thrust of one rotor with a full battery [N].
-        time_constant: Of the lag [s].
+        time_constant: Time constant of the lag [s].
         torque_ratio: Drag torque over thrust [m].
     """
 
@@ -37,13 +37,13 @@ class Rotors:
 
 @dataclass(frozen=True)
 class Attitude:
-    """The tilt loop: second order but for the rotors' lag.
+    """The tilt loop: second order apart from the rotors' lag.
 
     Attributes:
         frequency: Natural frequency [rad/s].
         damping: Damping ratio.
-        rate_limit: Fastest roll and pitch rate that the loop asks for [rad/s].
-        tilt_limit: Largest tilt that the velocity loop asks for [rad].
+        rate_limit: Largest roll and pitch rate demanded by the loop [rad/s].
+        tilt_limit: Largest tilt demanded by the velocity loop [rad].
     """
 
     frequency: float
@@ -54,14 +54,14 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Loops:
-    """Outer loops: acceleration asked for per error of velocity.
+    """Outer loops: acceleration demanded per velocity error.
 
     Attributes:
         velocity: Forward and left [1/s]; where commands are tilts, only for braking.
         climb: Vertical speed [1/s].
-        climb_acceleration: Largest vertical acceleration that is asked for [m/s^2].
+        climb_acceleration: Largest vertical acceleration demanded [m/s^2].
         yaw: Yaw rate [1/s].
-        yaw_acceleration: Largest yaw acceleration that is asked for [rad/s^2].
+        yaw_acceleration: Largest yaw acceleration demanded [rad/s^2].
     """
 
     velocity: float
@@ -73,11 +73,12 @@ class Loops:
 
 @dataclass(frozen=True)
 class Command:
-    """What the four commands mean.
+    """Meaning of the four commands.
 
     Attributes:
-        horizontal: Of forward and left: `tilt` angles or `velocity`.
-        unit: `fraction` of the limits below, or `si`: m/s, rad/s, and rad for tilts. What is beyond the limits is cut.
+        horizontal: Meaning of forward and left: `tilt` angles or `velocity`.
+        unit: `fraction` of the limits below, or `si`: m/s, rad/s, and rad for tilts. Values beyond the limits are
+            clipped.
         vertical_speed: Limit [m/s].
         yaw_rate: Limit [rad/s].
         tilt: Limit [rad]; where commands are tilts.
@@ -94,12 +95,12 @@ class Command:
 
 @dataclass(frozen=True)
 class Radio:
-    """How commands travel. They arrive in the order in which they were sent.
+    """Transmission of commands. They arrive in the order in which they were sent.
 
     Attributes:
-        latency: Least time on the way [s].
-        jitter: Mean of the exponentially distributed time on top [s].
-        loss: Share of commands that never arrive, each drawn alone. Take-off and landing are never lost.
+        latency: Least transmission time [s].
+        jitter: Mean of an additional, exponentially distributed time [s].
+        loss: Share of commands that never arrive, drawn independently. Take-off and landing are never lost.
     """
 
     latency: float
@@ -109,16 +110,16 @@ class Radio:
 
 @dataclass(frozen=True)
 class Autopilot:
-    """What the autopilot does by itself.
+    """Autonomous behaviour of the autopilot.
 
     Attributes:
-        brakes_on_zero: Forward and left both exactly zero make it hold zero velocity, where commands are tilts.
-        command_timeout: So long after the last command it hovers [s].
-        land_after: So long after the last command it lands [s]; inf for never.
-        take_off_height: Where it hovers after take-off, above the floor [m].
-        take_off_speed: [m/s].
-        landing_speed: [m/s].
-        learning: Time constant with which it learns that its thrust, a rotor or its mass has changed [s]; inf for an
+        brakes_on_zero: Whether forward and left both exactly zero make it hold zero velocity, where commands are tilts.
+        command_timeout: Time after the last command at which it hovers [s].
+        land_after: Time after the last command at which it lands [s]; inf for never.
+        take_off_height: Hover height after take-off, above the floor [m].
+        take_off_speed: Climb rate [m/s].
+        landing_speed: Sink rate [m/s].
+        learning: Time constant with which it adapts to changes of its thrust, a rotor or its mass [s]; inf for an
             autopilot without integral action. 0.2 s, chosen: with its battery it sinks 1 cm a minute.
     """
 
@@ -135,12 +136,11 @@ class Autopilot:
 class Odometry:
     """Onboard velocity, heading frame.
 
-    Attributes:
-        rate: Samples a second.
-        noise: Standard deviation of the white error on x, y, z [m/s].
-        bias: Standard deviation, from flight to flight, of the constant error [m/s].
-        yaw_noise: Standard deviation of the white error of the yaw rate [rad/s].
-        latency: From the measurement until it arrives [s]; its stamp tells the instant of measurement.
+    rate: Sampling rate [Hz].
+    noise: Standard deviation of the white error on x, y, z [m/s].
+    bias: Standard deviation, from flight to flight, of the constant error [m/s].
+    yaw_noise: Standard deviation of the white error of the yaw rate [rad/s].
+    latency: From the measurement to its arrival [s]; the stamp is the instant of measurement.
     """
 
     rate: float
@@ -152,12 +152,12 @@ class Odometry:
 
 @dataclass(frozen=True)
 class Battery:
-    """What is left drives the rotors.
+    """The battery.
 
     Attributes:
-        flight_time: Of hovering, from full to empty [s].
+        flight_time: Hovering time from full to empty [s].
         sag: Share of the thrust lost from full to empty at the same command.
-        land_below: Share left at which the vehicle lands by itself.
+        land_below: Remaining share at which the vehicle lands by itself.
     """
 
     flight_time: float
@@ -167,11 +167,11 @@ class Battery:
 
 @dataclass(frozen=True)
 class Linear:
-    """What a vehicle is for small slow motion: a = input u(t - delay) - damping v on each axis.
+    """Linear equivalent of a vehicle for small slow motion: a = input u(t - delay) - damping v on each axis.
 
     Attributes:
         gamma: Input and damping of x, y, z, yaw in turn, per unit of command, shape (8,). Source: paper, eq. (4).
-        delay: Effective delay from sending a command to its acting, x, y, z, yaw [s].
+        delay: Effective delay from sending a command to its effect, x, y, z, yaw [s].
     """
 
     gamma: tuple[float, ...]
@@ -184,10 +184,10 @@ class Vehicle:
 
     Attributes:
         name: For people.
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the body's forward, left and up axes [kg m^2].
         drag: Deceleration per airspeed along those axes [1/s].
-        rotors, attitude, loops, command, radio, autopilot, odometry, battery: See there.
+        rotors, attitude, loops, command, radio, autopilot, odometry, battery: See the classes.
     """
 
     name: str
@@ -204,7 +204,7 @@ class Vehicle:
     battery: Battery
 
     def card(self) -> dict[str, Any]:
-        """The card of its flights, as parsed from TOML: what commands mean, their limits, columns as recorded."""
+        """The card of its flights, as parsed from TOML: meaning and limits of commands, columns as recorded."""
         command, fraction = self.command, self.command.unit == "fraction"
         limit = {"x": self._horizontal_limit, "y": self._horizontal_limit, "z": "vertical_speed", "yaw": "yaw_rate"}
         meaning = {axis: name if name != "speed" else "velocity" for axis, name in limit.items()}
@@ -227,7 +227,10 @@ class Vehicle:
         """Coefficients and delays for small slow motion, from the parameters; docs/flight-room.md derives them.
 
         Args:
-            radio: How commands travel; the vehicle's own where None.
+            radio: Transmission of commands; None for the vehicle's own.
+
+        Raises:
+            VehicleError: A loop overshoots so much that no first-order model matches it.
         """
         way = radio or self.radio
         latency = way.latency + way.jitter
@@ -244,14 +247,14 @@ class Vehicle:
         return Linear(tuple(gamma), cast("Four", tuple(latency + delay for _, _, delay in axes)))
 
     def full_scale(self) -> Four:
-        """What a command of 1 asks for: rad or m/s, m/s, m/s, rad/s."""
+        """Setpoint of a command of 1: rad or m/s twice, m/s, rad/s."""
         if self.command.unit == "si":
             return (1.0, 1.0, 1.0, 1.0)
         horizontal = self.limits()[0]
         return (horizontal, horizontal, self.command.vertical_speed, self.command.yaw_rate)
 
     def limits(self) -> Four:
-        """The most that a command can ask for: rad or m/s, m/s, m/s, rad/s."""
+        """Largest setpoint of a command: rad or m/s twice, m/s, rad/s."""
         horizontal = getattr(self.command, self._horizontal_limit)
         return (horizontal, horizontal, self.command.vertical_speed, self.command.yaw_rate)
 
@@ -267,7 +270,7 @@ def _servo(gain: float, drag: float, lag: float, second: float) -> tuple[float, 
     response when T^2 = a^2 - 2 b and delay = a - T.
 
     Raises:
-        VehicleError: The loop overshoots so much that no first-order model has its spread.
+        VehicleError: The loop overshoots so much that no first-order model matches its spread.
     """
     a, b = (1 + lag * drag) / (gain + drag), (lag + second * drag) / (gain + drag)
     if a * a <= 2 * b:
@@ -280,7 +283,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     """Loads a built-in vehicle by its name, or one from a TOML file.
 
     Raises:
-        VehicleError: Neither a name nor a file; not TOML; or what `vehicle_from_mapping` refuses.
+        VehicleError: Neither a known name nor a file; not TOML; or refused by `vehicle_from_mapping`.
     """
     built_in = _builtin_files()
     if name_or_path in built_in:
@@ -313,8 +316,7 @@ def vehicle_from_mapping(raw: Mapping[str, Any], where: str) -> Vehicle:
     """Checks a vehicle as parsed from TOML.
 
     Raises:
-        VehicleError: A key that is missing or that nobody knows (the nearest is named), a wrong type, a value that no
-            vehicle can have.
+        VehicleError: A missing or unknown key (the nearest is suggested), a wrong type, or an impossible value.
     """
     vehicle = cast("Vehicle", _read(Vehicle, raw, f"vehicle {where}"))
     _check(vehicle, f"vehicle {where}")
@@ -322,7 +324,7 @@ def vehicle_from_mapping(raw: Mapping[str, Any], where: str) -> Vehicle:
 
 
 def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
-    """A dataclass of numbers, words and further dataclasses from the table that has its keys."""
+    """Builds a dataclass of numbers, words and further dataclasses from a table with its keys."""
     known = {field.name: field for field in fields(noun)}
     for key in raw:
         if key not in known:
@@ -361,7 +363,7 @@ def _number(value: Any, place: str) -> float:
 
 
 def _check(vehicle: Vehicle, place: str) -> None:
-    """What the types do not say."""
+    """Checks what the types do not guarantee."""
     needed = "tilt" if vehicle.command.horizontal == "tilt" else "speed"
     if getattr(vehicle.command, needed) is None:
         raise VehicleError(f"{place}, command: {needed} is missing where commands are a {vehicle.command.horizontal}")
