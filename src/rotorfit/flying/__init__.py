@@ -1,4 +1,5 @@
-"""Plan and Link to a recording: preflight checks, guard, the loop that commands, the recorder.
+"""Flying: from a plan and a link to a recording, with preflight checks, guard, command loop and recorder.
 
-In go a Plan and an open Link; out comes a log on the disk and how the flight ended. Hover first, then the error.
+A Plan and an open Link go in; a log on the disk and the ending of the flight come out. Whatever goes wrong, the vehicle
+hovers first, and then the error is reported.
 """

@@ -1,15 +1,15 @@
-"""Approach: leads a vehicle that is known only roughly to a plan's start, and lets it come to rest there.
+"""Approach: leads a roughly known vehicle to a plan's start, and lets it come to rest there.
 
     p' = v        v' = g u(t - T) - b v + c
 
-with the believed input g, damping b and delay T of each axis, in the heading frame. What the belief gets wrong (wind,
-trim, an input or damping that is off) goes into c. A fading-memory filter with one triple pole finds p, v and c from
-the measured poses; they are led ahead by T under the commands that are on their way, and the command is
+with the believed input g, damping b and delay T of each axis, in the heading frame. Errors of the belief (wind, trim, a
+wrong input or damping) go into c. A fading-memory filter with one triple pole estimates p, v and c from the measured
+poses; they are predicted over T with the commands under way, and the command is
 
     u = (K (r - p) + D (r' - v) + r'' + b r' - c) / g
 
-for a reference r that goes to the start and rests there (least jerk). How fast filter and loop may be follows from the
-delay and from how far it may be off: a filter that is faster than the doubt about the delay swings.
+for a minimum-jerk reference r that goes to the start and rests there. The delay and its uncertainty bound the bandwidth
+of filter and loop: a filter that is fast compared with the uncertainty of the delay oscillates.
 
 Source: O. J. M. Smith, "Closer control of loops with dead time", Chemical Engineering Progress 53 (1957), 217-219, for
 the prediction; N. Morrison, "Introduction to Sequential Smoothing and Prediction" (1969), for the filter.
@@ -29,38 +29,37 @@ UNMODELLED = 0.1
 """Lag of attitude loop and measurement that the believed delay may leave out [s]."""
 
 BAND, RATIO, DOUBT = 0.35, 5.0, 0.8
-"""Of the loop, over the delay that matters; of the filter, over the loop's; and at most over the doubt about the delay.
-
-Chosen on simulated vehicles that are believed possible, `bench/bench_approach.py`.
-"""
+"""Bandwidth of the loop times the effective delay; bandwidth of the filter over the loop's; bound on the filter's
+bandwidth times the uncertainty of the delay. Chosen on simulated possible vehicles, `bench/bench_approach.py`."""
 
 LEAST_DOUBT = 0.2
-"""About a delay, however well it is believed to be known: the lag may be there or not [s]."""
+"""Least uncertainty of a delay that is assumed, since `UNMODELLED` lag may or may not be there [s]."""
 
 SPEED, TURN = 0.2, 0.25
-"""Of the reference, on average [m/s, rad/s]; its peak is 1.875 times that."""
+"""Average speed of the reference [m/s, rad/s]; its peak is 1.875 times that."""
 
 SHARE = 4.0
-"""The speed limit is so many times that of the reference, on average."""
+"""Least ratio of the speed limit to the average speed of the reference."""
 
 UNHURRIED, LONG_WAY = 20.0, 2.0
-"""Over the loop's band, the time that a way takes which is so long or longer [m, rad]."""
+"""Least duration of the reference times the loop's bandwidth, for a distance of `LONG_WAY` [m, rad] or more; below it,
+in proportion."""
 
 
 @dataclass(frozen=True)
 class Approach:
-    """A way to the start and the loop that follows it; all in the order x, y, z, yaw.
+    """A path to the start and the loop that follows it; all in the order x, y, z, yaw.
 
     Attributes:
         tracker: The plan, the belief and full scale.
-        period: Between commands [s].
-        origin: Pose at the beginning, world, shape (4,) [m, rad].
-        way: From there to the start, yaw the short way round, shape (4,).
-        duration: Of the reference [s].
+        period: Time between commands [s].
+        origin: Initial pose, world, shape (4,) [m, rad].
+        way: Displacement from there to the start, world, yaw the short way round, shape (4,) [m, rad].
+        duration: Duration of the reference [s].
         stiffness: K, shape (4,) [1/s^2].
         damping: D, shape (4,) [1/s].
-        filter_band: Of the filter, shape (4,) [rad/s].
-        lags: Believed delay in periods, shape (4,).
+        filter_band: Bandwidth of the filter, shape (4,) [rad/s].
+        lags: Assumed delay in periods: the belief, `UNMODELLED` and two standard deviations, shape (4,).
     """
 
     tracker: Tracker
@@ -76,13 +75,13 @@ class Approach:
 
 @dataclass(frozen=True)
 class Guess:
-    """What is thought of the vehicle now, world.
+    """The estimated state of the vehicle, world frame.
 
     Attributes:
         pose: Shape (4,) [m, rad].
         velocity: Shape (4,) [m/s, rad/s].
-        push: What the belief does not explain, shape (4,) [m/s^2, rad/s^2].
-        sent: Commands, the newest first, shape (N, 4), heading frame.
+        push: Acceleration c that the belief does not explain, shape (4,) [m/s^2, rad/s^2].
+        sent: The last commands, the newest first, heading frame, shape (N, 4).
     """
 
     pose: Array
@@ -92,7 +91,13 @@ class Guess:
 
 
 def approach(plan: Plan, pose: Array, velocity: Array) -> tuple[Approach, Guess]:
-    """The approach from a pose, shape (4,), at a velocity, world, shape (4,); and what is thought at its beginning."""
+    """The approach, and the initial estimate of the vehicle.
+
+    Args:
+        plan: The plan to whose start it leads.
+        pose: Initial pose, world, yaw unwrapped, shape (4,) [m, rad].
+        velocity: Initial velocity, world, shape (4,) [m/s, rad/s].
+    """
     tracker, period = tracker_of(plan), 1 / plan.rate
     believed = plan.belief.get("delay", (DELAY[0],) * 4)
     doubt = 2 * np.array([_delay_sd(plan, axis) for axis in AXES])
@@ -119,13 +124,13 @@ def approach(plan: Plan, pose: Array, velocity: Array) -> tuple[Approach, Guess]
 
 
 def _delay_sd(plan: Plan, axis: str) -> float:
-    """How far the believed delay may be off, one standard deviation [s]."""
+    """Standard deviation of the believed delay [s]."""
     known = plan.belief.get("covariance", {})
     return float(math.sqrt(known[axis][2][2])) if axis in known else DELAY[1]
 
 
 def _duration(plan: Plan, way: Array, band: Array) -> float:
-    """How long the reference is on its way [s]."""
+    """Duration of the reference [s]."""
     flat, up, turn = math.hypot(way[0], way[1]), abs(way[2]), abs(way[3])
     fast = min(SPEED, plan.space.speed / SHARE), min(SPEED, plan.space.climb / SHARE), TURN
     by_speed = max(way / speed for way, speed in zip((flat, up, turn), fast, strict=True))
@@ -134,7 +139,14 @@ def _duration(plan: Plan, way: Array, band: Array) -> float:
 
 
 def measured(loop: Approach, guess: Guess, pose: Array, since: float) -> Guess:
-    """Takes in a pose, world, yaw unwrapped, shape (4,), so long after the one before it [s]."""
+    """The estimate after a pose.
+
+    Args:
+        loop: The approach.
+        guess: The estimate before.
+        pose: World, yaw unwrapped, shape (4,) [m, rad].
+        since: Time since the pose before it [s].
+    """
     fade = np.exp(-loop.filter_band * since)
     off = pose - guess.pose
     return replace(
@@ -146,7 +158,7 @@ def measured(loop: Approach, guess: Guess, pose: Array, since: float) -> Guess:
 
 
 def led(loop: Approach, guess: Guess, t: float) -> tuple[Guess, Array]:
-    """The command at a time from the beginning [s], shape (4,); and what is thought at the next one."""
+    """The estimate one period later, and the command at a time since the beginning [s], heading frame, shape (4,)."""
     yaw, gamma = guess.pose[3], loop.tracker.gamma
     ahead, speed = _ahead(loop, guess, loop.lags)
     position, velocity, acceleration = _reference(loop, t)
@@ -159,7 +171,7 @@ def led(loop: Approach, guess: Guess, t: float) -> tuple[Guess, Array]:
 
 
 def _reference(loop: Approach, t: float) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration that are wanted, world, each of shape (4,)."""
+    """Position, velocity and acceleration of the reference, world, each of shape (4,)."""
     s, d = min(t / loop.duration, 1.0), loop.duration
     position = s**3 * (10 - 15 * s + 6 * s**2)
     velocity, acceleration = 30 * s**2 * (1 - s) ** 2 / d, 60 * s * (1 - s) * (1 - 2 * s) / d**2
@@ -167,10 +179,10 @@ def _reference(loop: Approach, t: float) -> tuple[Array, Array, Array]:
 
 
 def _ahead(loop: Approach, guess: Guess, periods: Indices) -> tuple[Array, Array]:
-    """Pose and velocity, world, so many periods ahead on each axis, under the commands that act until then.
+    """Pose and velocity, world, a number of periods ahead on each axis, under the commands that act until then.
 
-    The heading is taken for constant meanwhile. Of an axis with the lag n, the command of n - k periods ago acts in the
-    period k from now.
+    The heading is taken as constant meanwhile. On an axis with a lag of n periods, the command sent n - k periods ago
+    acts in the k-th period from now.
     """
     yaw, h = guess.pose[3], loop.period
     gain, b = loop.tracker.gamma[::2], np.maximum(loop.tracker.gamma[1::2], 1e-3)
@@ -178,7 +190,7 @@ def _ahead(loop: Approach, guess: Guess, periods: Indices) -> tuple[Array, Array
     acts = k < periods
     left = np.asarray(
         np.where(acts, (periods - k) * h, h), np.float64
-    )  # from the begin of each period to the end of all
+    )  # from the start of each period to the end of the last
     row = np.clip(loop.lags - k - 1, 0, len(guess.sent) - 1)
     force = gain * np.take_along_axis(guess.sent, row, axis=0) * acts
     horizon = np.asarray(periods * h, np.float64)
@@ -196,11 +208,11 @@ def _slowed(b: Array, t: Array) -> Array:
 
 
 def _way(b: Array, t: Array) -> Array:
-    """Way after a time under a constant acceleration of 1, from rest."""
+    """Distance after a time under a constant acceleration of 1, from rest."""
     return np.asarray((t - _slowed(b, t)) / b)
 
 
 def _turned(four: Array, angle: float) -> Array:
-    """x and y turned counter-clockwise by an angle; z and yaw as they are."""
+    """x and y rotated counter-clockwise by an angle [rad]; z and yaw unchanged."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])

@@ -1,7 +1,7 @@
-"""A tracker beside a flight of ours, in a process of its own: it is told what the flight loop sends and receives.
+"""A tracker beside a flight of ours, in a process of its own, fed with what the flight loop sends and receives.
 
-The loop writes a few bytes into a socket that never makes it wait; what the other process cannot take in time is left
-out and counted. Alarms come back and go into the recording as events. Nothing of it reaches the vehicle.
+The loop writes to a non-blocking socket; samples that the other process cannot take in time are dropped and counted.
+Alarms come back and are recorded as events. Nothing of this reaches the vehicle.
 """
 
 import json
@@ -21,32 +21,32 @@ from rotorfit.core.tracked import Tracked
 from rotorfit.files.cards import card_from_mapping
 
 RECORD = struct.Struct("<Bqq7d")
-"""Stream, stamp, arrival, and as many numbers as a pose has."""
+"""Stream number, stamp [ns], arrival [ns], and seven values, as many as a pose has."""
 
 STREAMS = ("pose", "command")
 
 WIDTH = {"pose": 7, "command": 4}
 
 ROOM = 1 << 20
-"""Bytes that may wait for the other process: a minute of samples, while it loads what it needs."""
+"""Bytes that may wait for the other process: a minute of samples, while it starts."""
 
 NICE = 10
-"""The other process stands back by so much."""
+"""Niceness of the other process."""
 
 PATIENCE = 30.0
-"""How long it may take to end [s]."""
+"""How long the other process may take to end before it is killed [s]."""
 
 
 class Beside:
     """The near end: takes samples without ever waiting.
 
     Args:
-        card: Raw, of the commands that are flown.
+        card: Raw card of the commands that are flown.
 
     Attributes:
-        words: What is known of each axis, in words; empty before the first look.
-        alarm: The last; empty before any.
-        lost: Samples that the other process could not take in time.
+        words: The state of each axis, in words; empty before the first look.
+        alarm: Axes and cause of the last alarm; empty before any.
+        lost: Number of samples that the other process could not take in time.
     """
 
     def __init__(self, card: Mapping[str, Any]) -> None:
@@ -66,7 +66,14 @@ class Beside:
         self._thread.start()
 
     def take(self, stream: str, stamp: int, received: int, values: Sequence[float]) -> None:
-        """Hands over a pose or a command [ns]."""
+        """Hands over a sample.
+
+        Args:
+            stream: `pose` or `command`.
+            stamp: By the sender's clock [ns].
+            received: Time of arrival [ns].
+            values: Of the pose or the command, as in a `Sample`.
+        """
         padded = (*values, 0.0, 0.0, 0.0) if stream == "command" else values
         if len(self._rest) > ROOM:
             self.lost += 1
@@ -83,7 +90,7 @@ class Beside:
             yield self._news.popleft()
 
     def close(self) -> None:
-        """Ends the other process after its last look; its last alarms are among the news."""
+        """Ends the other process after its last look; its last alarms are then in `news`."""
         self._near.settimeout(PATIENCE)
         with suppress(OSError):
             self._near.sendall(self._rest)
@@ -96,7 +103,7 @@ class Beside:
         self._thread.join(1.0)
 
     def _run(self) -> None:
-        """The thread that hears the other process."""
+        """Body of the thread that reads from the other process."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             told = json.loads(line)
@@ -107,7 +114,7 @@ class Beside:
 
 @contextmanager
 def tracked_beside(card: Mapping[str, Any], wanted: bool) -> Iterator[Beside | None]:
-    """The tracker beside a flight, where it is wanted; it has ended afterwards."""
+    """A tracker beside a flight, if `wanted`, else None; it is closed on exit."""
     if not wanted:
         yield None
         return
@@ -119,12 +126,12 @@ def tracked_beside(card: Mapping[str, Any], wanted: bool) -> Iterator[Beside | N
 
 
 def words_of(state: Tracked) -> str:
-    """What is known of each axis, in a few words."""
+    """The state of each axis, in a few words."""
     return ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
 
 
 def main() -> None:
-    """The far end: samples by the standard input, words and alarms by the standard output."""
+    """The far end: reads samples from standard input, writes words and alarms to standard output."""
     from rotorfit.tracking.tracker import Tracker
 
     os.nice(NICE)

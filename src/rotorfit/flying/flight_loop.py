@@ -1,8 +1,8 @@
-"""Fly: a plan, on a link, under guard, onto a recording. One loop for simulated and for real time.
+"""Fly: executes a plan over a link, under guard, and records it. One loop for simulated and real time.
 
 take-off (if asked) -> approach (if the start is not near) -> the plan -> hover -> landing (if asked)
 
-Whatever ends a flight, the first thing sent is zero: hover.
+Whatever ends a flight, the first command sent is zero: hover.
 """
 
 import math
@@ -49,34 +49,35 @@ WATCHING = 3.0
 """How long a landing is recorded [s]."""
 
 ARRIVED, RESTING = 0.1, 0.5
-"""An approach ends so near to the start [m], at rest for so long in a row [s]."""
+"""Distance to the start at which an approach ends [m], and time that the vehicle must rest there [s]."""
 
 SETTLING = 45.0
-"""How long the vehicle may take to rest there once its reference does [s]."""
+"""How long the vehicle may take to rest at the start once its reference does [s]."""
 
 TAKE_OFF, CLIMBED = 15.0, 0.3
-"""Longest take-off [s]; height gained and rest, in a row for a second, end it [m]."""
+"""Longest take-off [s]; it ends after a second at rest above the floor by more than this height [m]."""
 
 BRAKING, BRAKED = 3.0, 0.1
 """Longest active braking [s], and the speed that ends it [m/s]."""
 
 STALE = 0.15
-"""Age of a pose beyond which nothing is steered by it any more [s]."""
+"""Largest age of a pose that may be used for braking [s]."""
 
 ASKED = 1e-3
-"""A command below this asks for nothing [unit of the command]."""
+"""Commands below this count as zero [unit of the command]."""
 
 LATE = 3.0
-"""A command that comes so many periods late is counted."""
+"""Delay from which a command counts as late [periods]."""
 
 SLOW, MEMORY = 0.9, 50
-"""Below this share of the planned rate it is told; below half of it over so many commands, the flight ends."""
+"""Share of the planned rate below which a note is made; number of commands over which a rate below half ends the
+flight."""
 
 SAID = 20
-"""So many different texts of the vehicle are told at the end; the recording holds all."""
+"""Largest number of different texts of the vehicle in the notes; the recording has all."""
 
 TOLD = 0.2
-"""Between two reports of progress [s]."""
+"""Time between two reports of progress [s]."""
 
 
 def fly(
@@ -91,19 +92,19 @@ def fly(
     """Flies a plan after its preflight.
 
     Args:
-        plan: What is flown.
-        link: Open; it stays open.
-        recorder: Begun; it is closed at the end.
-        land: Whether the vehicle is asked to land at the end, whatever ended the flight; else it hovers.
+        plan: The plan.
+        link: An open link; it is left open.
+        recorder: A recorder; it is closed at the end.
+        land: Whether the vehicle is asked to land at the end, whatever ended the flight; otherwise it hovers.
         take_off: Whether it is asked to take off first.
-        abort: Asked once a period: what the operator did, or nothing.
-        progress: Called a few times a second. It must return at once.
+        abort: Called once a period; returns what the operator did to end the flight, or an empty string.
+        progress: Called a few times a second; it must return at once.
 
     Returns:
-        How it ended; the vehicle hovers or lands.
+        How the flight ended; by then the vehicle hovers or lands.
 
     Raises:
-        PlanError: The plan cannot be flown: feedback without belief.
+        PlanError: The plan cannot be flown: it has feedback but no belief.
         CardError: Its card is wrong.
     """
     flight = _Flight(plan, link, recorder, abort, progress)
@@ -128,11 +129,11 @@ def fly(
 
 
 class _RefusedError(Exception):
-    """A command that is no number, or beyond full scale: it was not sent."""
+    """A command that is not a number or exceeds full scale; it was not sent."""
 
 
 class _Flight:
-    """What changes during a flight, and the steps that change it."""
+    """The state of a flight, and the steps that change it."""
 
     def __init__(self, plan: Plan, link: Link, recorder: Recorder, abort: Abort, progress: OnStatus | None) -> None:
         self.plan, self.link, self.recorder = plan, link, recorder
@@ -151,8 +152,8 @@ class _Flight:
         self._phase, self._steering = "", False
 
     def performed(self, take_off: bool) -> Ending:
-        """The flight up to what ends it."""
-        for sample in self.link.receive(self.link.now):  # what came while nobody looked
+        """The flight up to its ending."""
+        for sample in self.link.receive(self.link.now):  # what arrived before the flight
             self.watch, _ = observed(self.watch, sample, self.limits)
         self._first = self._last = self.due = self.link.now
         self.watch = replace(self.watch, heard=self.due, received=self.due, suspicion=0.0)
@@ -163,13 +164,13 @@ class _Flight:
         return Ending("completed", "completed")
 
     def left(self, ending: Ending, land: bool) -> bool:
-        """Hover first; then active braking where the vehicle needs it, hover again, landing; and the end of the log."""
+        """Hover, active braking if the vehicle needs it, hover, landing if asked, end of the log; whether it lands."""
         link, recorder = self.link, self.recorder
         self._phase, self._steering = "", False
         self._try(self._send, HOVER)
         recorder.window(self._stamp, False)
         recorder.event(self._stamp, f"end: {ending.text}")
-        if ending.reason not in ("error", "command", "link_lost"):  # what has failed once is not asked again
+        if ending.reason not in ("error", "command", "link_lost"):  # braking must not rely on what has just failed
             self._try(self._brake, coasting_axes(self.tracker))
         for _ in range(max(10, round(HOVERING * self.plan.rate))):
             self._try(self._listen)
@@ -195,7 +196,7 @@ class _Flight:
     # Phases
 
     def _taken_off(self) -> Ending | None:
-        """Take-off: no commands are sent while the vehicle climbs by itself."""
+        """Take-off; no commands are sent while the vehicle climbs by itself."""
         self._enter("take-off")
         self.link.act("take_off")
         floor, rest = None, 0
@@ -214,7 +215,7 @@ class _Flight:
         return None
 
     def _approached(self) -> Ending | None:
-        """To the plan's start, and to rest there; nothing where the vehicle is near."""
+        """Leads the vehicle to rest at the plan's start, unless it is near already."""
         while self.watch.pose is None:
             if (ending := self._wait(self.limits)) is not None:
                 return ending
@@ -247,7 +248,7 @@ class _Flight:
         return None
 
     def _excited(self) -> Ending | None:
-        """The plan."""
+        """Flies the plan."""
         self._enter("plan")
         self._steer_from_here(self.plan.feedback is not None)
         count = math.ceil(self.plan.duration * self.plan.rate - 1e-9)
@@ -270,9 +271,9 @@ class _Flight:
     # Steps
 
     def _wait(self, limits: Limits) -> Ending | None:
-        """To the next instant at which a command is due; takes in what comes until then, and judges."""
+        """Waits for the next instant at which a command is due, takes in the samples until then, and judges."""
         self._planned = self.due = self.due + self.period
-        if (behind := self.link.now - self.due) > 0:  # instants that have passed are left out, never made up for
+        if (behind := self.link.now - self.due) > 0:  # missed instants are skipped, never made up for
             self.due += behind // self.period * self.period
         self._take(self.due)
         now = self.link.now
@@ -305,7 +306,7 @@ class _Flight:
         return None
 
     def _take(self, until: int) -> None:
-        """Receives, records, and takes in."""
+        """Receives samples up to a time [ns], records them, and updates watch and tracking."""
         for sample in self.link.receive(until):
             self.recorder.sample(sample)
             if sample.text and sample.text not in self.notes and len(self.notes) < SAID:
@@ -316,7 +317,7 @@ class _Flight:
                 self.tracking = tracked(self.tracker, self.tracking, since, np.array(self.watch.pose))
 
     def _send(self, command: Sequence[float]) -> None:
-        """Sends and records."""
+        """Sends a command and records it."""
         for axis, value, most in zip(AXES, command, self.most, strict=True):
             if not abs(value) <= most:  # NaN, too
                 raise _RefusedError(f"a command of {value:g} on {axis} was not sent: {most:g} is the largest")
@@ -329,7 +330,7 @@ class _Flight:
             self._asked = self._stamp
 
     def _brake(self, axes: Sequence[Coasting]) -> None:
-        """Slows the axes that coast while poses are fresh."""
+        """Brakes the coasting axes, as long as the poses are fresh."""
         on_the_way = nothing_on_the_way(axes, self.period / 1e9)
         for _ in range(round(BRAKING * self.plan.rate) if axes else 0):
             self._listen()
@@ -342,12 +343,12 @@ class _Flight:
             self._send(command)
 
     def _listen(self) -> None:
-        """One period in which only samples are taken in."""
+        """Takes in the samples of one period, without a command."""
         self.due = max(self.due + self.period, self.link.now)
         self._take(self.due)
 
     def _try(self, step: Callable[..., None], *arguments: Any) -> bool:
-        """A step of the exit: a link that is gone does not keep the others from being tried."""
+        """Tries a step of the exit: if the link fails, the other steps are still tried; whether it succeeded."""
         try:
             step(*arguments)
         except (LinkError, _RefusedError) as error:
@@ -363,14 +364,14 @@ class _Flight:
         self.recorder.event(self._began, f"{phase} begins")
 
     def _since(self) -> float:
-        """Of the phase [s]."""
+        """Time since the phase began [s]."""
         return (self.link.now - self._began) / 1e9
 
     def _speed(self) -> float:
         return math.hypot(*self.watch.velocity[:3])
 
     def _steer_from_here(self, steering: bool) -> None:
-        """The feedback, if there is any, begins where the vehicle is."""
+        """Starts the tracking at the vehicle's pose; `steering`: whether poses update it."""
         assert self.watch.pose is not None
         here = begin(np.array(self.watch.pose))
         self.tracking, self._zero = replace(here, velocity=np.array(self.watch.velocity)), self.watch.stamp

@@ -1,22 +1,23 @@
-"""Braking: slowing a vehicle that coasts when it is told zero, by its measured velocity.
+"""Guard: decides when a flight must end. Pure functions: the watched state of the vehicle, and one verdict on it.
 
-A tilt of zero does not stop a multirotor. Some autopilots hover by themselves then; for the others
-
-    u = -k (v + g sum of u on the way x period) / g          on the axes that coast, heading frame
-
-with g the believed acceleration per command. The sum is the speed that commands which have not acted yet will take
-away; without it the delay would make the vehicle swing. Source: O. J. M. Smith, "Closer control of loops with dead
-time", Chemical Engineering Progress 53 (1957), 217-219.
-
-Guard: what ends a flight. Pure functions: what is known of the vehicle, and one verdict on it.
-
-The fence is kept by braking distance. A vehicle at p with velocity v that is told to stop now comes to rest near
+The fence takes the braking distance into account. A vehicle at p with velocity v that is told to stop now comes to rest
+near
 
     p + v t + v |v| / (2 a)
 
-with t the time until the command acts and a the deceleration that is believed of it. The flight ends when that point
-leaves the box. The velocity is by filtered differences of the measured poses; a pose that cannot be true (markers
-swapped) is left out, and several of them in a row end the flight.
+with t the time until the command acts and a the believed deceleration. The flight ends when that point leaves the box.
+The velocity comes from filtered differences of the measured poses; a pose that cannot be true (markers swapped) is left
+out, and several of them in a row end the flight.
+
+Braking: stops a vehicle that coasts on a command of zero, using its measured velocity.
+
+A tilt of zero does not stop a multirotor. Some autopilots then hover by themselves; for the others
+
+    u = -k (v + g sum of u on the way x period) / g          on the axes that coast, heading frame
+
+with g the believed acceleration per command. The sum is the change of speed by commands that have not acted yet;
+without it the delay would make the vehicle oscillate. Source: O. J. M. Smith, "Closer control of loops with dead time",
+Chemical Engineering Progress 53 (1957), 217-219.
 """
 
 import math
@@ -38,53 +39,54 @@ Code = Literal[
 ]
 
 SHARE = 0.5
-"""Of the acceleration of a full command, on which braking may count: the rest holds against wind and belief."""
+"""Share of the acceleration of a full command that braking may use; the rest is kept for wind and a wrong belief."""
 
 SERVO = 1.0
-"""Damping from which an axis is taken to stop by itself when it is told 0 [1/s]: a velocity loop."""
+"""Damping from which an axis is taken to stop by itself on a command of zero [1/s]: a velocity loop."""
 
 UNKNOWN_DELAY = 0.3
-"""From a command until it acts, where nothing is believed of it [s]."""
+"""Delay of a command without a belief [s]."""
 
 UNKNOWN_TILT = math.radians(10)
+"""Largest tilt if the card gives none [rad]."""
 
 UNKNOWN_DAMPING = 1.5
-"""Of a velocity loop of which nothing is believed [1/s]."""
+"""Damping of a velocity loop without a belief [1/s]."""
 
 SPARE = 120.0
-"""What a flight may last beyond its plan, for the approach [s]."""
+"""How much longer than its plan a flight may last, for the approach [s]."""
 
 FILTER = 0.1
 """Time constant of the guard's velocity [s]."""
 
 JUMP, TURN = 0.2, 0.6
-"""How far a pose may be from where it is expected [m, rad], beyond what the vehicle can do in the meantime."""
+"""Largest deviation of a pose from its prediction [m, rad], beyond what the vehicle can do in the meantime."""
 
 TURN_RATE = 6.0
-"""Faster than any of these vehicles yaws [rad/s]."""
+"""Bound on the yaw rate of the vehicles [rad/s]."""
 
 SUSPECT = 5.0
-"""Of poses that cannot be true, in a row, so many end a flight; each true one between them takes back a tenth."""
+"""Number of impossible poses in a row that ends a flight; each plausible one between them subtracts 0.1."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a flight must keep.
+    """The limits of a flight.
 
     Attributes:
-        lower: Corner of the box [m].
-        upper: The opposite corner [m].
-        speed: Largest along x and y together [m/s].
-        climb: Largest along z [m/s].
-        reaction: From an order to stop until it acts, along x, y, z: delay, lag of a velocity loop, and that of the
-            velocity that is measured here [s].
-        deceleration: Then, along x, y, z [m/s^2]; inf where the lag says all.
+        lower: Lower corner of the box, world x, y, z [m].
+        upper: Upper corner [m].
+        speed: Largest horizontal speed [m/s].
+        climb: Largest vertical speed [m/s].
+        reaction: Time from an order to stop until it acts, along x, y, z: delay, lag of a velocity loop, and lag of
+            the guard's velocity [s].
+        deceleration: Deceleration after that, along x, y, z [m/s^2]; inf if the lag accounts for all of it.
         duration: Longest flight [s].
         pose_age: Longest time without a pose [s].
         frozen: Longest time in which a pose repeats while the vehicle is asked to move [s].
-        battery: Least that is left, 0 to 1.
-        starved: So many late commands end a flight.
-        overdue: So does a single one that is so late [s].
+        battery: Least charge, 0 to 1.
+        starved: Number of late commands that ends a flight.
+        overdue: Delay of a single command that ends a flight [s].
     """
 
     lower: Three
@@ -106,17 +108,17 @@ class Watch:
     """What is known of the vehicle; times by the link's clock [ns].
 
     Attributes:
-        pose: The last pose that is believed: world x, y, z [m] and yaw, unwrapped [rad]; None before the first.
-        velocity: By filtered differences, world [m/s, rad/s].
-        stamp: Of that pose, by the sender's clock [ns].
-        received: When it arrived: a pose that repeats does not count.
-        heard: When the last pose arrived, believed or not, new or not.
-        heard_other: When anything else arrived; None before the first.
+        pose: The last plausible pose: world x, y, z [m] and unwrapped yaw [rad]; None before the first.
+        velocity: From filtered differences, world [m/s, rad/s].
+        stamp: Stamp of `pose` by the sender's clock [ns].
+        received: Arrival of `pose`; repetitions do not count.
+        heard: Arrival of the last pose, plausible or not, new or not.
+        heard_other: Arrival of the last other sample; None before the first.
         raw: The last pose as it came.
-        battery: What is left, 0 to 1; None where nobody says.
-        suspicion: Of poses that cannot be true, see `SUSPECT`.
-        outliers: How many of them there were.
-        behind: So far the stamp of the last pose lies before that of the one that is believed [ns].
+        battery: Charge, 0 to 1; None if unknown.
+        suspicion: Count of impossible poses, see `SUSPECT`.
+        outliers: Total number of impossible poses.
+        behind: How far the stamp of the last pose lies before `stamp` [ns].
     """
 
     pose: Four | None = None
@@ -134,14 +136,14 @@ class Watch:
 
 @dataclass(frozen=True)
 class GuardVerdict:
-    """Why a flight ends."""
+    """Why a flight ends: a code, and a text for the user."""
 
     code: Code
     text: str
 
 
 def limits_of(plan: Plan) -> Limits:
-    """The limits of a plan, with the braking that its belief, or else its card, lets expect.
+    """The limits of a plan, with the braking to be expected from its belief, or else from its card.
 
     Raises:
         CardError: The plan's card is wrong.
@@ -171,12 +173,12 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
     """Takes in a sample.
 
     Args:
-        watch: Before it.
-        sample: Of any stream.
-        limits: Its speeds tell how far a pose can have come.
+        watch: The watch before it.
+        sample: A sample of the stream `pose`, `velocity`, `battery` or `said`; of no other.
+        limits: The limits; their speeds bound how far the vehicle can have moved.
 
     Returns:
-        The watch after it; and whether it holds a new pose that is believed.
+        The watch after it, and whether the sample was a new, plausible pose.
     """
     if sample.stream == "battery":
         return replace(watch, battery=sample.values[0], heard_other=sample.received), False
@@ -201,7 +203,7 @@ def observed(watch: Watch, sample: Sample, limits: Limits) -> tuple[Watch, bool]
 
 
 def _seen(watch: Watch, sample: Sample, here: Four, velocity: Four, suspicion: float) -> Watch:
-    """With a pose that is believed. Written out: it runs at every pose, and `replace` takes three times as long."""
+    """The watch after a plausible pose. Written out: it runs at every pose, and `replace` takes three times as long."""
     received = sample.received
     return Watch(
         here, velocity, sample.stamp, received, received, watch.heard_other, sample.values, watch.battery,
@@ -215,7 +217,7 @@ def _doubted(watch: Watch, sample: Sample) -> Watch:
 
 
 def _pose(values: Sequence[float], before: Four | None) -> Four | None:
-    """x, y, z and unwrapped yaw of x, y, z, and w, x, y, z of a quaternion; None where they are no pose."""
+    """x, y, z and unwrapped yaw from x, y, z and a quaternion w, x, y, z; None if they are not a pose."""
     x, y, z, qw, qx, qy, qz = values
     if not (math.isfinite(x + y + z + qw + qx + qy + qz) and (qw or qx or qy or qz)):
         return None
@@ -226,7 +228,7 @@ def _pose(values: Sequence[float], before: Four | None) -> Four | None:
 
 
 def stop_point(watch: Watch, limits: Limits, now: int) -> Three | None:
-    """Where the vehicle would come to rest if it were told to stop now, world x, y, z [m]; None before a pose."""
+    """Where the vehicle would come to rest if told to stop now, world x, y, z [m]; None before the first pose."""
     if watch.pose is None:
         return None
     age = max(0, now - watch.received) / 1e9
@@ -238,7 +240,7 @@ def stop_point(watch: Watch, limits: Limits, now: int) -> Three | None:
 
 
 def room_left(watch: Watch, limits: Limits, now: int) -> float:
-    """Distance of the vehicle, and of where it would stop, to the nearest wall [m]; negative beyond it."""
+    """Least distance of the vehicle and of its stop point to a wall [m]; negative outside, infinite before a pose."""
     stop = stop_point(watch, limits, now)
     if stop is None or watch.pose is None:
         return math.inf
@@ -250,14 +252,14 @@ def judged(watch: Watch, limits: Limits, now: int, flown: float, moving: float) 
     """Whether a flight must end.
 
     Args:
-        watch: What is known.
-        limits: What must be kept.
-        now: By the link's clock [ns].
-        flown: Since the first command [s].
-        moving: For how long the vehicle has been asked to move without a pause [s].
+        watch: What is known of the vehicle.
+        limits: The limits of the flight.
+        now: Time by the link's clock [ns].
+        flown: Time since the flight began [s].
+        moving: How long the vehicle has been asked to move without a pause [s].
 
     Returns:
-        The gravest reason, or None.
+        The most serious reason to end the flight, or None.
     """
     if (verdict := _of_pose(watch, limits, now, moving)) is not None:
         return verdict
@@ -276,7 +278,7 @@ def judged(watch: Watch, limits: Limits, now: int, flown: float, moving: float) 
 
 
 def _of_pose(watch: Watch, limits: Limits, now: int, moving: float) -> GuardVerdict | None:
-    """What is wrong with the poses."""
+    """The verdict on the poses; None if nothing is wrong with them."""
     age, silent = (now - watch.received) / 1e9, (now - watch.heard) / 1e9
     if silent > limits.pose_age:
         others = watch.heard_other
@@ -296,7 +298,7 @@ def _of_pose(watch: Watch, limits: Limits, now: int, moving: float) -> GuardVerd
 
 
 def _where(watch: Watch, limits: Limits, now: int) -> str:
-    """Which wall, and how the vehicle is to it."""
+    """The wall that is nearest or crossed, with position, velocity and stop point along its axis, in words."""
     stop = stop_point(watch, limits, now)
     assert stop is not None
     assert watch.pose is not None
@@ -315,21 +317,21 @@ def _where(watch: Watch, limits: Limits, now: int) -> str:
 
 
 GAIN = 3.0
-"""Deceleration that is asked for per speed [1/s]."""
+"""Commanded deceleration over speed [1/s]."""
 
 Waiting = tuple[tuple[float, ...], ...]
-"""Of each axis the commands that have been sent and do not act yet, the oldest first."""
+"""For each axis, the commands that were sent and do not act yet, the oldest first."""
 
 
 @dataclass(frozen=True)
 class Coasting:
-    """An axis on which zero does not stop the vehicle.
+    """An axis on which a command of zero does not stop the vehicle.
 
     Attributes:
         place: 0 for x, 1 for y.
-        gain: Believed acceleration per command.
-        largest: Command that braking may use: what the guard's braking distance counts on.
-        delay: Believed, from a command until it acts [s].
+        gain: Believed acceleration per command [m/s^2].
+        largest: Largest command for braking, the one on which the guard's braking distance is based.
+        delay: Believed delay of a command [s].
     """
 
     place: int
@@ -339,9 +341,9 @@ class Coasting:
 
 
 def coasting_axes(tracker: Tracker) -> tuple[Coasting, ...]:
-    """The axes that are braked actively: tilts, unless the belief says that the vehicle `brakes_on_zero`.
+    """The axes that are braked actively: those commanded by tilt, unless the belief has `brakes_on_zero`.
 
-    Without a belief in the gain nothing is braked: the vehicle is sent zero and does what it does.
+    Without a believed gain there are none: the vehicle is only sent zero.
     """
     belief = tracker.plan.belief
     if "gamma" not in belief or belief.get("brakes_on_zero"):
@@ -356,7 +358,7 @@ def coasting_axes(tracker: Tracker) -> tuple[Coasting, ...]:
 
 
 def nothing_on_the_way(axes: Sequence[Coasting], period: float) -> Waiting:
-    """Before the first command, one every `period` [s]."""
+    """The waiting commands before the first, for one command every `period` [s]: all zero."""
     return tuple((0.0,) * max(1, round(axis.delay / period)) for axis in axes)
 
 
@@ -366,14 +368,14 @@ def braking(
     """The command that brakes now.
 
     Args:
-        axes: That coast.
-        waiting: What is on its way.
-        pose: World, measured [m, rad].
-        velocity: World, measured [m/s, rad/s].
-        period: Between commands [s].
+        axes: The coasting axes.
+        waiting: The commands that do not act yet.
+        pose: Measured pose, world [m, rad].
+        velocity: Measured velocity, world [m/s, rad/s].
+        period: Time between commands [s].
 
     Returns:
-        Forward, left, 0, 0; and what is on its way then.
+        Forward, left, 0, 0 in the heading frame; and the commands that do not act yet, including this one.
     """
     c, s = math.cos(pose[3]), math.sin(pose[3])
     heading = (c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0])

@@ -1,7 +1,7 @@
-"""Listening: what a link hears, batch by batch, until something ends it; a peer that goes is waited for.
+"""Listening: receives from a link, batch by batch, until something ends it; a lost peer is waited for.
 
-A live link is read by a thread of its own, so that nothing that the listener does with a sample lets others wait. What
-is simulated or played back passes at a pace. Nothing is sent.
+A live link is read by a thread of its own, so that slow processing of a sample does not delay the next. Simulated links
+and replays are paced. Nothing is sent.
 """
 
 import queue
@@ -16,26 +16,26 @@ from rotorfit.core.log import Sample
 from rotorfit.flying.links.link import Link, wall_clock
 
 PERIOD = 0.05
-"""Time that a batch takes of what is played back, and after which an empty one comes [s]."""
+"""Length of a batch that is simulated or played back, and longest time between two live batches [s]."""
 
 PROMPT = 0.004
-"""Time that a live batch takes [s]: a sample waits no longer."""
+"""Length of a live batch, and so the longest time that a sample waits [s]."""
 
 SILENT = 2.0
-"""Without a pose for so long the peer is gone [s]."""
+"""Time without a pose after which the peer counts as gone [s]."""
 
 RETRY = 1.0
-"""Between two tries to open a link again that broke [s]."""
+"""Time between two attempts to reopen a broken link [s]."""
 
 
 @dataclass(frozen=True)
 class Heard:
-    """A batch.
+    """A batch of samples.
 
     Attributes:
         samples: In the order of arrival.
-        now: By the link's clock [ns].
-        news: Of the peer, one line: that it is gone, that it is back; empty else.
+        now: Time by the link's clock [ns].
+        news: One line if the peer is gone or back; otherwise empty.
     """
 
     samples: tuple[Sample, ...]
@@ -44,21 +44,21 @@ class Heard:
 
 
 class Listening:
-    """Hears a link until it ends.
+    """Iterates over the batches of a link until it ends.
 
     Args:
-        opened: Opens it.
-        patience: How long a peer that went is waited for [s].
-        seconds: How long to listen, by the link's clock [s]; None for as long as it lasts.
-        pace: Of links that are not live: seconds of theirs a second.
-        stopped: Asked between batches: what the operator did, or nothing.
+        opened: Opens the link.
+        patience: How long a lost peer is waited for [s].
+        seconds: How long to listen, by the link's clock [s]; None for no limit.
+        pace: For links that are not live: seconds of their clock per second.
+        stopped: Called between batches; returns what the operator did to stop, or an empty string.
 
     Attributes:
-        ended: Why it ended, one line; empty while it has not.
-        lost: Whether that is the link's or the peer's fault.
+        ended: Why it ended, one line; empty before.
+        lost: Whether it ended because the link or the peer was lost.
 
     Raises:
-        LinkError: It cannot be opened.
+        LinkError: The link cannot be opened.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Listening:
 
     @property
     def live(self) -> bool:
-        """Whether the link's clock is that on the wall."""
+        """Whether the link's clock is the wall clock."""
         return self._link.live
 
     def __iter__(self) -> Iterator[Heard]:
@@ -129,7 +129,7 @@ class Listening:
             thread.join(5.0)
 
     def _run(self, batches: Any, over: threading.Event) -> None:
-        """The thread: reads, and opens the link again where it broke."""
+        """Body of the thread: reads the link, and reopens it if it breaks."""
         link: Link | None = self._link
         broken, since, due = "", 0.0, 0
         while not over.is_set():

@@ -1,4 +1,4 @@
-"""Mission: a plan file, a link by name, a recording: what `rotorfit fly` does, from preflight to the closed log."""
+"""Mission: what `rotorfit fly` does with a plan file, a link and a recording, from preflight to the closed log."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -25,11 +25,11 @@ class Mission:
     """A plan and its preflight, on an open link.
 
     Attributes:
-        plan: What will be flown.
-        link: Open.
-        name: Of the link, as given.
-        ready: What the preflight found.
-        output: Where the recording goes.
+        plan: The plan that will be flown.
+        link: The open link.
+        name: The link, as given by the user.
+        ready: The result of the preflight.
+        output: Path of the recording.
         take_off: Whether the flight begins on the floor.
     """
 
@@ -46,21 +46,21 @@ def mission(
     plan: str | Plan, link: str, output: Path, card: str | Card | None = None, take_off: bool = False, seed: int = 0,
     poses: str = "",
 ) -> Iterator[Mission]:  # fmt: skip
-    """Opens a link for a plan and looks at both; the link is closed at the end.
+    """Opens a link for a plan and makes the preflight checks; closes the link on exit.
 
     Args:
         plan: A plan, or its file.
         link: `NAME` or `NAME:ADDRESS`.
-        output: Of a file that does not exist yet.
-        card: The card that says how the vehicle is set and connected now, its name or file; None for the plan's.
+        output: Path of the recording, a file that does not exist yet.
+        card: The vehicle's settings and connection now, as a card, its name or its file; None for the plan's card.
         take_off: Whether the flight begins on the floor.
-        seed: Of a simulated vehicle.
+        seed: Seed of a simulated vehicle.
         poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
 
     Raises:
-        PlanError, CardError: One of them cannot be used.
+        PlanError, CardError: The plan or the card cannot be used.
         LinkError: The link cannot be opened.
-        LogError: The recording would be written over something.
+        LogError: The file of the recording exists already, or its folder does not.
     """
     named = plan.name if isinstance(plan, Plan) else plan
     plan = plan if isinstance(plan, Plan) else load_plan(plan)
@@ -81,16 +81,18 @@ def flown_mission(
     status: Callable[[], AbstractContextManager[OnStatus | None]],
     beside: Beside | None = None,
 ) -> Flown:
-    """Flies it.
+    """Flies a mission.
 
     Args:
-        wanted: Not refused by its preflight.
+        wanted: A mission that its preflight does not refuse.
         land: Whether the vehicle lands at the end.
-        status: Gives, for as long as the flight lasts, who is told how it goes.
-        beside: A tracker that is told what is sent and received.
+        status: Context manager for the time of the flight; gives the function that receives reports of progress.
+        beside: A tracker that is fed what is sent and received.
 
     Raises:
         LogError: The recording cannot be written.
+        PlanError: The plan cannot be flown: it has feedback but no belief.
+        CardError: The plan's card is wrong.
     """
     plan = wanted.plan
     attached = attached_to(plan, wanted.ready, wanted.name)
@@ -100,7 +102,7 @@ def flown_mission(
 
 
 def attached_to(plan: Plan, ready: Ready, link: str) -> dict[str, str]:
-    """What a recording carries besides its streams: the plan and the card as TOML, and the link's name."""
+    """What a recording has besides its streams: the plan and the card as TOML, and the link as given."""
     import tomli_w
 
     card = tomli_w.dumps(card_as_recorded(plan.card, ready.pose_clock))
@@ -108,7 +110,7 @@ def attached_to(plan: Plan, ready: Ready, link: str) -> dict[str, str]:
 
 
 def check_new(output: Path) -> None:
-    """Refuses, before anything flies, what the recorder would refuse.
+    """Refuses a path that the recorder would refuse, before anything flies.
 
     Raises:
         LogError: The file exists, or its folder does not.
@@ -120,7 +122,7 @@ def check_new(output: Path) -> None:
 
 
 def flown_mapping(flown: Flown, ready: Ready, live: bool) -> dict[str, Any]:
-    """A flight as plain JSON types; without how late commands were where time is simulated."""
+    """A flight as plain JSON types; in simulated time (not `live`) without the lateness of commands."""
     return {
         **asdict(flown),
         **({} if live else {"jitter": None, "late": None}),

@@ -1,6 +1,7 @@
-"""Abort: the operator's way to end a flight: Ctrl-C, the space bar, or a signal that would end the process.
+"""The operator's abort, and real-time scheduling of the flight loop.
 
-Real time: what a process can do so that its loop is not kept waiting, as far as the system lets it.
+The operator ends a flight by Ctrl-C, the space bar, or a signal that would end the process. Real-time scheduling keeps
+the loop from waiting for other work, as far as the system allows it.
 """
 
 import gc
@@ -15,18 +16,18 @@ from pathlib import Path
 from types import FrameType
 
 Abort = Callable[[], str]
-"""Asked once a period: what the operator did, or nothing."""
+"""Called once a period; returns what the operator did to end the flight, or an empty string."""
 
 _SIGNALS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "the terminal was closed"}
 
 
 @contextmanager
 def operator_abort() -> Iterator[Abort]:
-    """Watches keyboard and signals without waiting for them; signals no longer end the process meanwhile.
+    """Watches keyboard and signals without blocking; meanwhile signals do not end the process.
 
     Yields:
-        A function that says what the operator did since the beginning; empty while that is nothing. The space bar
-        counts where the input is a terminal, which is put back into its mode at the end.
+        A function that returns what the operator has done to end the flight, or an empty string. The space bar counts
+        if the input is a terminal, whose mode is restored on exit.
     """
     pressed: list[str] = []
 
@@ -52,7 +53,7 @@ def operator_abort() -> Iterator[Abort]:
 
 @contextmanager
 def _keys() -> Iterator[Callable[[], bytes]]:
-    """A function that reads what was typed, without waiting; nothing where the input is no terminal."""
+    """A function that reads typed keys without blocking; it returns none if the input is not a terminal."""
     if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         yield lambda: b""
         return
@@ -69,21 +70,22 @@ def _keys() -> Iterator[Callable[[], bytes]]:
 
 
 PRIORITY, OTHERS = 20, 10
-"""Of the loop's thread and of the others, which hold the interpreter's lock now and then; above all ordinary work."""
+"""Real-time priority of the loop's thread, and of the others, which hold the interpreter's lock now and then."""
 
 SWITCH = 0.0002
-"""Longest time that another thread may keep the interpreter while the loop waits for it [s]; Python's own is 0.005."""
+"""Longest time that another thread may hold the interpreter while the loop waits for it [s]; Python's default is
+0.005."""
 
 
 @contextmanager
 def hurried(wall_clock: bool) -> Iterator[str]:
-    """No collection of garbage, and real-time priority for all threads, for as long as it lasts.
+    """Disables garbage collection and gives all threads real-time priority, until exit.
 
     Args:
-        wall_clock: Whether anything is to be paced; else nothing is changed.
+        wall_clock: Whether the loop is paced by the wall clock; otherwise nothing is changed.
 
     Yields:
-        What the system did not allow, one sentence; empty where it allowed all.
+        A sentence on what the system did not allow; empty if it allowed all.
     """
     if not wall_clock:
         yield ""
@@ -106,7 +108,7 @@ def hurried(wall_clock: bool) -> Iterator[str]:
 
 
 def _raised(before: dict[int, tuple[int, os.sched_param]]) -> str:
-    """Puts every thread of the process into the real-time class; remembers what they were in."""
+    """Puts every thread of the process into the real-time class, and stores the former class in `before`."""
     allowed = hasattr(os, "SCHED_FIFO") and Path("/proc/self/task").is_dir()
     if allowed:
         own = threading.get_native_id()
@@ -128,7 +130,7 @@ def _raised(before: dict[int, tuple[int, os.sched_param]]) -> str:
 
 
 def _schedule(thread: int, policy: int, parameter: os.sched_param) -> bool:
-    """Whether the system lets the thread be scheduled so."""
+    """Sets the scheduling of a thread; whether the system allows it."""
     try:
         os.sched_setscheduler(thread, policy, parameter)
     except OSError:  # not permitted, or the thread has ended

@@ -1,4 +1,4 @@
-"""Preflight: what must be right before a vehicle moves. Everything that is not is told at once."""
+"""Preflight: the checks before a vehicle moves. All failures are reported together."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -23,27 +23,27 @@ from rotorfit.planning.run_on import run_on
 from rotorfit.simulation.paper_vehicle import noise_free
 
 LISTENING = 1.0
-"""How long poses are looked at [s]."""
+"""How long the link is listened to [s]."""
 
 SLOWEST = 8.0
-"""Fresh poses a second that are needed; a Tello gives ten, of which one may come late."""
+"""Least rate of poses [1/s]; a Tello gives ten, of which one may come late."""
 
 NEAR, TURNED = 0.3, math.radians(20)
-"""A start so far from the plan's is near enough [m, rad]."""
+"""Largest distance [m] and heading error [rad] from the plan's start at which no approach is needed."""
 
 REST = 0.3
-"""Speed below which a vehicle counts as hovering [m/s]."""
+"""Largest speed of a vehicle that counts as hovering [m/s]."""
 
 CHARGE = 0.30
-"""Least that the battery holds before a flight, 0 to 1."""
+"""Least charge of the battery before a flight, 0 to 1."""
 
 ONE_CLOCK = (-0.002, 0.2)
-"""From stamp to arrival of a pose [s]: outside, sender and receiver do not share a clock."""
+"""Plausible times from stamp to arrival of a pose if sender and receiver share a clock [s]."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at: whether it is right, and a text that holds the figure."""
+    """One check: its name, whether it passed, and a text with the measured figure."""
 
     name: str
     ok: bool
@@ -52,13 +52,13 @@ class Check:
 
 @dataclass(frozen=True)
 class Ready:
-    """What a preflight found.
+    """The result of a preflight.
 
     Attributes:
         checks: In the order in which they were made.
-        pose_clock: Column of the recording that times the poses: `header.stamp`, or `log_time` where the sender's
-            clock is not the link's.
-        notes: What a user should know though it stops nothing.
+        pose_clock: Column of the recording that times the poses: `header.stamp`, or `log_time` if the sender's clock
+            is not the link's.
+        notes: What a user should know although it does not prevent the flight.
     """
 
     checks: tuple[Check, ...]
@@ -67,20 +67,20 @@ class Ready:
 
 
 def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool = False) -> Ready:
-    """Listens to a link and looks at a plan.
+    """Listens to a link and checks it and a plan.
 
     Args:
-        plan: What will be flown.
-        link: Open; nothing is sent on it.
-        card: The vehicle's settings now; None where they are those of the plan.
+        plan: The plan that will be flown.
+        link: The open link; nothing is sent on it.
+        card: The vehicle's settings now; None if they are those of the plan.
         take_off: Whether the flight begins on the floor.
 
     Raises:
         LinkError: The link is gone.
         CardError: The plan's card is wrong.
-        PlanError: A number of the plan is one that no flight has.
+        PlanError: The plan has an impossible number.
     """
-    plan_from_mapping(plan_mapping(plan), plan.name)  # one made in memory obeys the same rules
+    plan_from_mapping(plan_mapping(plan), plan.name)  # a plan made in memory is checked as one from a file
     limits, samples, watch = limits_of(plan), [], Watch()
     until = link.now + round(LISTENING * 1e9)
     while (now := link.now) < until:
@@ -103,10 +103,10 @@ def preflight(plan: Plan, link: Link, card: Card | None = None, take_off: bool =
 
 
 def refuse(ready: Ready) -> None:
-    """Raises where anything is not right.
+    """Refuses a flight whose preflight failed.
 
     Raises:
-        LinkError: One line with everything.
+        LinkError: A check failed; one line names all that did.
     """
     wrong = [f"{check.name}: {check.text}" for check in ready.checks if not check.ok]
     if wrong:
@@ -114,7 +114,7 @@ def refuse(ready: Ready) -> None:
 
 
 def from_start(plan: Plan, watch: Watch) -> tuple[float, float]:
-    """Distance to the plan's start [m], and the angle to its heading [rad]."""
+    """Distance to the plan's start [m], and angle to its heading [rad]; infinite before the first pose."""
     if watch.pose is None:
         return math.inf, math.inf
     start = plan.space.start
@@ -122,7 +122,7 @@ def from_start(plan: Plan, watch: Watch) -> tuple[float, float]:
 
 
 def can_approach(plan: Plan) -> bool:
-    """Whether the vehicle can be led to the start: by the plan's feedback, or by what is believed of the vehicle."""
+    """Whether the vehicle can be led to the start: the plan has feedback, or a believed gain and damping."""
     return plan.feedback is not None or "gamma" in plan.belief
 
 
@@ -180,10 +180,10 @@ def _battery(watch: Watch) -> Check:
 
 
 def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
-    """Whether the plan stays in its space: as it was planned, and for the likeliest vehicle under this guard.
+    """Whether the plan stays in its space: as predicted when it was made, and for the likeliest vehicle now.
 
-    The plan may have been edited, so it is flown once more; with vehicles drawn from the belief `rotorfit plan` has
-    done it. Nothing where the plan has no belief.
+    The plan may have been edited, so it is simulated again under this guard; `rotorfit plan` has simulated vehicles
+    drawn from the belief. Without a belief the second check is left out.
     """
     leaving, allowed = plan.predicted.get("leaving", 0.0), plan.predicted.get("allowed", 1.0)
     if leaving > allowed:
@@ -205,14 +205,14 @@ def _rehearsed(plan: Plan, limits: Limits) -> list[Check]:
 
 
 BEHIND = 0.5
-"""Room behind the box that everybody keeps, see docs/flying.md [m]."""
+"""Free space that users must keep around the box, see docs/flying.md [m]."""
 
 
 def _silent(plan: Plan, link: Link) -> list[Check]:
     """How far the vehicle runs on when commands stop, as when this program or its computer dies.
 
-    It must come to rest no further outside of the box than what is kept free there, where a setting of it can see to
-    that. Nothing where the plan has no belief, or nobody knows what the vehicle does.
+    It must come to rest within `BEHIND` of the box if a parameter of the vehicle can ensure that. No check without a
+    belief in the plan, or if the vehicle's behaviour is unknown.
     """
     goes_on, parameter = link.silence.goes_on, link.silence.parameter
     if goes_on is None or "covariance" not in plan.belief:
@@ -230,20 +230,20 @@ def _silent(plan: Plan, link: Link) -> list[Check]:
 
 
 BELIEVABLE = 5.0
-"""Factor between what is believed that a full tilt does and what the card's limit makes one expect."""
+"""Largest factor between the believed effect of a full tilt and the one expected from the card's limit."""
 
 BEYOND = 5.0
-"""Times full scale that signals may ask for: a little is cut, the rest of such a plan would be."""
+"""Largest command of a plan, over full scale: small excess is clipped, but such a plan would mostly be."""
 
 
 def _sense(plan: Plan, limits: Limits) -> Check:
-    """Whether the numbers of the plan fit the room and the vehicle, so that no guard is without effect."""
+    """Whether the numbers of the plan suit the room and the vehicle, so that the guard is effective."""
     wrong = [*_beyond_the_room(plan, limits), *_beyond_the_vehicle(plan)]
     return Check("numbers", not wrong, "; ".join(wrong) or "within what the room and the vehicle allow")
 
 
 def _beyond_the_room(plan: Plan, limits: Limits) -> Iterator[str]:
-    """Speeds at which the vehicle cannot stop in its box, and references outside of it."""
+    """Speed limits from which the vehicle cannot stop within its box, and references outside the box."""
     space = plan.space
     sides = [high - low for low, high in zip(space.lower, space.upper, strict=True)]
     flat = ("speed", space.speed, math.hypot(*sides[:2]), (0, 1))
@@ -275,7 +275,7 @@ def _beyond_the_vehicle(plan: Plan) -> Iterator[str]:
 
 
 def _clock(poses: Sequence[Sample]) -> tuple[str, tuple[str, ...]]:
-    """Which clock times the poses in the recording."""
+    """The column that times the poses in the recording, and a note if it is not their stamp."""
     if not poses:
         return "header.stamp", ()
     least = float(np.min([pose.received - pose.stamp for pose in poses])) / 1e9

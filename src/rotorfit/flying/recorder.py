@@ -1,8 +1,8 @@
-"""Recorder: what a flight sends and receives, written to an MCAP file as it happens.
+"""Recorder: writes what a flight sends and receives to an MCAP file as it happens.
 
-Messages are packed where they arise and written by a thread of the recorder's own, ten times a second: a slow disk does
-not stop the loop, and a process that is killed loses no more than the last tenth of a second. There are no chunks, so
-whatever is on the disk can be read from front to back.
+Messages are packed by the caller and written by a thread of the recorder, ten times a second: a slow disk does not stop
+the loop, and a killed process loses no more than the last tenth of a second. There are no chunks, so whatever is on the
+disk can be read from front to back.
 
 Source: https://mcap.dev/spec for the file, OMG DDSI-RTPS 2.3, 10 (plain CDR, little endian) for the messages.
 """
@@ -26,13 +26,13 @@ from rotorfit.version import __version__
 COMMAND, POSE, VELOCITY, BATTERY, WINDOW = (
     f"/rotorfit/{name}" for name in ("command", "pose", "velocity", "battery", "window")
 )
-"""Topics. `window` is true while the plan is flown: not during the approach, and not once the flight is to end."""
+"""Topics. `window` is true while the plan is flown: not during the approach, and not after the flight has ended."""
 
 PERIOD = 0.1
 """Longest time that a message waits for the disk [s]."""
 
 STALLED = 5.0
-"""A disk that has taken nothing for so long counts as full [s]."""
+"""Time without a successful write after which the disk counts as full [s]."""
 
 _STAMP = "builtin_interfaces/Time stamp\nstring frame_id\n"
 
@@ -42,7 +42,7 @@ _XYZ = "float64 x\nfloat64 y\nfloat64 z\n"
 
 
 def _definition(text: str, **parts: str) -> str:
-    """A message definition with those that it needs behind it, as ROS 2 joins them."""
+    """A message definition followed by those that it needs, joined as in ROS 2."""
     bar = "=" * 80
     return text + "".join(f"{bar}\nMSG: {name.replace('__', '/')}\n{part}" for name, part in parts.items())
 
@@ -77,7 +77,7 @@ _CDR = b"\0\1\0\0"
 
 _TWIST_LAYOUT = struct.Struct(
     "<4siII8s4x6d"
-)  # head, stamp, "heading" with its length, six numbers from a multiple of 8
+)  # encapsulation header, stamp, "heading" with its length, six numbers aligned to 8 bytes
 
 _POSE_LAYOUT = struct.Struct("<4siII6s6x7d")
 
@@ -85,9 +85,9 @@ _NUMBER, _FLAG, _LENGTH = struct.Struct("<4sd"), struct.Struct("<4s?"), struct.S
 
 
 class _Queue:
-    """The stream that the MCAP writer writes to: parts that wait for the thread which takes them to the disk.
+    """The stream that the MCAP writer writes to; its parts wait for the thread that writes them to the disk.
 
-    A deque, because its two ends can be used by two threads without a lock.
+    A deque, because two threads can use its two ends without a lock.
     """
 
     def __init__(self) -> None:
@@ -103,18 +103,18 @@ class _Queue:
         return self._size
 
     def taken(self) -> bytes:
-        """All that waits now."""
+        """Removes and returns all waiting parts."""
         return b"".join([self._parts.popleft() for _ in range(len(self._parts))])
 
 
 class Recorder:
-    """Takes what is sent, received and decided; nothing of it waits for the disk.
+    """Records what is sent, received and decided, without waiting for the disk.
 
     Attributes:
-        path: Of the file.
-        fault: Why the file does not grow any more; empty while it does. What was written stays readable.
-        commands: How many were taken.
-        poses: How many were taken.
+        path: Path of the file.
+        fault: Why the file no longer grows; empty while it does. What was written stays readable.
+        commands: Number of commands recorded.
+        poses: Number of poses recorded.
     """
 
     def __init__(self, file: BinaryIO, path: Path, attached: Mapping[str, str], beside: Beside | None = None) -> None:
@@ -134,7 +134,7 @@ class Recorder:
         self._thread.start()
 
     def command(self, stamp: int, command: Sequence[float]) -> None:
-        """A command as it was sent at `stamp` by the link's clock [ns]."""
+        """Records a command that was sent at `stamp` by the link's clock [ns]."""
         self.commands += 1
         self._add(COMMAND, stamp, _twist(stamp, command))
         if self._beside:
@@ -143,7 +143,7 @@ class Recorder:
                 self.event(stamp, text)
 
     def sample(self, sample: Sample) -> None:
-        """A sample as it was received."""
+        """Records a sample as it was received."""
         if sample.stream == "pose":
             self.poses += 1
             x, y, z, qw, qx, qy, qz = sample.values
@@ -164,16 +164,20 @@ class Recorder:
             self._add(BATTERY, sample.received, _NUMBER.pack(_CDR, sample.values[0]))
 
     def window(self, stamp: int, flown: bool) -> None:
-        """From now on the plan is flown, or not any more [ns]."""
+        """Records whether the plan is flown from `stamp` [ns] on."""
         self._add(WINDOW, stamp, _FLAG.pack(_CDR, flown))
 
     def event(self, stamp: int, text: str) -> None:
-        """Something that happened [ns]."""
+        """Records an event at `stamp` [ns]."""
         data = text.encode() + b"\0"
         self._add(EVENTS, stamp, _LENGTH.pack(_CDR, len(data)) + data)
 
     def told(self, topic: str, stamp: int, mapping: Mapping[str, Any]) -> None:
-        """Plain types as a message of JSON [ns]."""
+        """Records plain types as a JSON message on a topic at `stamp` [ns].
+
+        Raises:
+            ValueError: A number is not finite.
+        """
         if topic not in self._channel:
             schema = self._writer.register_schema(
                 topic.strip("/").replace("/", "."), "jsonschema", b'{"type": "object"}'
@@ -187,7 +191,7 @@ class Recorder:
         return time.monotonic() - self._written > STALLED
 
     def close(self) -> None:
-        """Writes what waits, the summary and the end of the file. A second time it does nothing."""
+        """Writes what waits, the summary and the end of the file; does nothing if called again."""
         if self._closing.is_set():
             return
         self._writer.finish()
@@ -204,7 +208,7 @@ class Recorder:
         self._writer.add_message(self._channel[topic], stamp, data, stamp)
 
     def _run(self) -> None:
-        """The thread: until the end, or until the disk refuses. Its only way to fail is told in `fault`."""
+        """Body of the thread: writes until the end, or until the disk fails, which sets `fault`."""
         try:
             with self._file:
                 last = False
@@ -224,12 +228,12 @@ def record(path: str | Path, attached: Mapping[str, str], beside: Beside | None 
     """Begins a recording.
 
     Args:
-        path: Of a file that does not exist yet.
+        path: Path of a file that does not exist yet.
         attached: Texts that are written first: `plan` and `card` (TOML), `link`.
-        beside: A tracker that is told what is recorded; its alarms become events.
+        beside: A tracker that is fed what is recorded; its alarms become events.
 
     Raises:
-        LogError: The file exists, or cannot be made.
+        LogError: The file exists, or cannot be created.
     """
     path = Path(path)
     try:
@@ -242,11 +246,11 @@ def record(path: str | Path, attached: Mapping[str, str], beside: Beside | None 
 
 
 def card_as_recorded(raw: Mapping[str, Any], pose_clock: str = "header.stamp") -> dict[str, Any]:
-    """A card whose columns are those of a recording: meaning, limits and priors are those of the card given.
+    """A raw card with the columns of a recording, and the meanings, limits and priors of the given card.
 
     Args:
-        raw: Of the card whose commands are flown.
-        pose_clock: `header.stamp`, the sender's clock, or `log_time`, that of arrival.
+        raw: Raw card of the commands that are flown.
+        pose_clock: `header.stamp`, the sender's clock, or `log_time`, the time of arrival.
     """
     parts = {"x": "linear.x", "y": "linear.y", "z": "linear.z", "yaw": "angular.z"}
     kept = {axis: raw["command"][axis] for axis in AXES if axis in raw["command"]}

@@ -1,7 +1,7 @@
-"""Links: what carries commands to a vehicle and its pose back. `links.opening.open_link("NAME:ADDRESS", card) -> Link`.
+"""Links carry commands to a vehicle and its pose back. `links.opening.open_link("NAME:ADDRESS", card) -> Link`.
 
 A link is three methods and a clock. `fly` knows nothing else of a vehicle, so a simulated flight, a replayed log and a
-real drone go through the same code. A new link is a module with `open_link(address, card) -> Link` and one row here.
+real drone run through the same code. A new link is a module with `open_link(address, card) -> Link` and one row here.
 This module imports nothing heavy, so that `rotorfit --help` can read it.
 """
 
@@ -14,15 +14,15 @@ class LinkKind:
     """A kind of link.
 
     Attributes:
-        usage: How it is given after `--link`, for a list.
-        module: That opens it, imported when it is asked for.
-        install: How to get what it needs beyond rotorfit itself.
-        poses: Whether it can give poses alone, by `open_poses(address)`.
-        example: Of one whose address cannot be left out.
-        simulated: Whether its vehicle starts where the address says: see `simulated_at`.
-        listens: Module that follows a vehicle which somebody else flies, by `open_listener(address, card)`; empty where
-            that cannot be.
-        alone: Why it cannot.
+        usage: What follows `--link`, for a list of links.
+        module: Module that opens it, imported on demand.
+        install: How to install what it needs beyond rotorfit itself.
+        poses: Whether it can provide poses alone, by `open_poses(address)`.
+        example: An example, if the address is required; otherwise empty.
+        simulated: Whether its vehicle starts where the address says, see `simulated_at`.
+        listens: Module that follows a vehicle flown by somebody else, by `open_listener(address, card)`; empty if that
+            is impossible.
+        alone: Why it is impossible.
     """
 
     usage: str

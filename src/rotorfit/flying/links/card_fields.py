@@ -1,7 +1,7 @@
-"""What a card says of a live link: which field of which message carries a command, and which fields hold the pose.
+"""A card applied to a live link: which field of which message carries a command, and which fields hold the pose.
 
-A card reads a log: (raw * scale + offset), then the unit. Sending is the inverse, so what a log of the flight would
-hold under that card is what was commanded.
+Reading under a card is (raw * scale + offset), then the unit. Sending is the inverse, so a log of the flight, read
+under that card, holds what was commanded.
 """
 
 import math
@@ -24,7 +24,7 @@ class CommandFields:
 
     Attributes:
         table: Topic or message that holds all of them.
-        channels: Axis to its channel; the channel's source is the field's name alone.
+        channels: Axis to its channel; the channel's source is the name of the field alone.
     """
 
     table: str
@@ -53,10 +53,10 @@ class PoseFields:
 
 
 def command_fields(card: Card) -> CommandFields:
-    """Where a card says that the commands go.
+    """Message and fields of a card's commands.
 
     Raises:
-        LinkError: Commands along the world's axes, of several messages, without a message, or that are constants.
+        LinkError: The commands are along the world's axes, in several messages, in none, or constant.
     """
     if card.command_frame == "world":
         raise LinkError(
@@ -68,10 +68,10 @@ def command_fields(card: Card) -> CommandFields:
 
 
 def pose_fields(card: Card) -> PoseFields:
-    """Where a card says that the pose comes from.
+    """Message and fields of a card's pose, and of its velocity in the heading frame.
 
     Raises:
-        LinkError: A pose of several messages, or without one.
+        LinkError: The pose, or the velocity, is in several messages or in none.
     """
     table, channels = _of_one_table(card.pose, f"card {card.name}, [pose]")
     velocity_table, velocity = "", dict[str, Channel]()
@@ -82,7 +82,7 @@ def pose_fields(card: Card) -> PoseFields:
 
 
 def _of_one_table(channels: Mapping[str, Channel], place: str) -> tuple[str, dict[str, Channel]]:
-    """The one message that the channels name, and the channels with field names alone."""
+    """The message that all channels name, and the channels with the field names alone."""
     tables: dict[str, str] = {}
     fields: dict[str, Channel] = {}
     for axis, channel in channels.items():
@@ -108,7 +108,7 @@ def raw_values(fields: CommandFields, command: Sequence[float]) -> dict[str, flo
         A value for the field of each axis that the card commands.
 
     Raises:
-        LinkError: A command on an axis that the card does not command.
+        LinkError: A command on an axis that the card does not command is not zero.
     """
     values = dict(zip(AXES, command, strict=True))
     astray = [axis for axis, value in values.items() if value and axis not in fields.channels]
@@ -123,14 +123,19 @@ def _raw(channel: Channel, value: float) -> float:
 
 
 def channel_value(channel: Channel, read: Callable[[str], float]) -> float:
-    """The value of a channel, SI, from the raw one that a source has."""
+    """The value of a channel in SI units.
+
+    Args:
+        channel: The channel.
+        read: Name of a source to its raw value.
+    """
     unit = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
     raw = read(channel.source) if isinstance(channel.source, str) else channel.source
     return (raw * channel.scale + channel.offset) * unit
 
 
 def command_values(fields: CommandFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
-    """Forward, left, up, counter-clockwise of one message, after the card's scale; None where one is not finite.
+    """Forward, left, up, counter-clockwise of one message, after the card's scale; None if one is not finite.
 
     Args:
         fields: Where the commands are.
@@ -143,7 +148,7 @@ def command_values(fields: CommandFields, read: Callable[[str], float]) -> tuple
 
 
 def pose_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
-    """x, y, z [m], then the quaternion w, x, y, z, world z up, of one message; None where a number is not finite.
+    """x, y, z [m], then the quaternion w, x, y, z, world z up, of one message; None if one is not finite.
 
     Args:
         fields: Where the pose comes from.
@@ -162,7 +167,12 @@ def pose_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float
 
 
 def velocity_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
-    """Forward, left, up [m/s] and yaw rate [rad/s], NaN where the card has none; None where a speed is not finite."""
+    """Forward, left, up [m/s] and yaw rate [rad/s], NaN if the card has none; None if a speed is not finite.
+
+    Args:
+        fields: Where the velocity comes from.
+        read: Field name to its raw value in the message.
+    """
     values = {axis: channel_value(channel, read) for axis, channel in fields.velocity.items()}
     if not all(math.isfinite(values[axis]) for axis in ("x", "y", "z")):
         return None
@@ -170,7 +180,7 @@ def velocity_values(fields: PoseFields, read: Callable[[str], float]) -> tuple[f
 
 
 def enu_from_ned(position: Sequence[float], quaternion: Sequence[float]) -> tuple[float, ...]:
-    """Position and attitude, north-east-down with a forward-right-down body, to east-north-up with forward-left-up.
+    """Position and attitude from north-east-down, body forward-right-down, to east-north-up, body forward-left-up.
 
     Args:
         position: North, east, down [m].
@@ -179,8 +189,8 @@ def enu_from_ned(position: Sequence[float], quaternion: Sequence[float]) -> tupl
     Returns:
         East, north, up [m], then w, x, y, z.
 
-    Source: q' = p q r with p a half turn about (1, 1, 0) / sqrt(2), which exchanges the worlds, and r one about the
-    body's x axis, which exchanges the bodies.
+    Source: q' = p q r with p a half turn about (1, 1, 0) / sqrt(2), which exchanges the worlds, and r a half turn about
+    the body's x axis, which exchanges the bodies.
     """
     north, east, down = position
     w, x, y, z = quaternion

@@ -1,7 +1,7 @@
 """The window of a card, live: commands count while its conditions hold and the vehicle obeys, as in a log.
 
-A state holds from its message on, and does not hold before the first. Of events the last that opens or closes tells;
-before any the condition holds.
+A condition on a state holds according to its last message, and not before the first. A condition on events holds
+according to the last event that opens or closes it, and before any event.
 """
 
 import math
@@ -15,10 +15,10 @@ from rotorfit.flying.links.card_fields import channel_value
 
 
 class Obedience:
-    """Whether what is heard counts; tells it at first, and when that changes.
+    """Tracks whether the received commands count, and gives a sample of the stream `obeys` whenever that changes.
 
     Args:
-        conditions: Of the card; all must hold.
+        conditions: Conditions of the card by table; all must hold.
 
     Attributes:
         conditions: Table to its conditions.
@@ -31,11 +31,14 @@ class Obedience:
         self._last: bool | None = None
 
     def told(self, obeys: bool, received: int) -> list[Sample]:
-        """Takes what the vehicle, or an order to it, says.
+        """Takes a report of the vehicle, or an order to it.
 
         Args:
-            obeys: Whether it obeys commands.
-            received: When that came [ns].
+            obeys: Whether the vehicle now obeys commands.
+            received: Time of arrival [ns].
+
+        Returns:
+            A sample if the answer has changed, or is the first; otherwise none.
         """
         self._obeys = obeys
         return self._news(received)
@@ -46,7 +49,10 @@ class Obedience:
         Args:
             table: Its topic or name.
             read: Name of a field to its value.
-            received: When it came [ns].
+            received: Time of arrival [ns].
+
+        Returns:
+            A sample if the answer has changed, or is the first; otherwise none.
         """
         for one in self.conditions.get(table, ()):
             value = channel_value(one.channel, lambda source: read(split_source(source)[1]))
@@ -57,11 +63,11 @@ class Obedience:
         return self._news(received) if table in self.conditions else []
 
     def begun(self, received: int) -> list[Sample]:
-        """What is known before the first message: a window is closed, and without one nothing is said."""
+        """The answer before the first message [ns]; no sample if the card has no window."""
         return self._news(received) if self.conditions else []
 
     def _news(self, received: int) -> list[Sample]:
-        """A sample where the answer is another than the last."""
+        """A sample if the answer differs from the last."""
         now = self._obeys and all(self._holds.values())
         if now == self._last:
             return []
@@ -70,10 +76,10 @@ class Obedience:
 
 
 def obedience(card: Card) -> Obedience:
-    """What a card asks of live messages.
+    """The window of a card, for live messages.
 
     Raises:
-        LinkError: A condition that names no message.
+        LinkError: A condition names no message.
     """
     found: dict[str, tuple[Condition, ...]] = {}
     for one in card.window:

@@ -1,6 +1,6 @@
-"""Link: what carries commands to a vehicle and its pose back: three methods and a clock.
+"""Link: carries commands to a vehicle and its pose back; three methods and a clock.
 
-The clock of live links: the time of day when the process started, running evenly since.
+The clock of live links is the time of day at the start of the process, and runs evenly since.
 """
 
 import time
@@ -18,8 +18,8 @@ class Silence:
     """What happens when commands stop coming.
 
     Attributes:
-        goes_on: So long the vehicle may go on as last told [s]; None where nobody knows.
-        parameter: Its setting that says how long; empty where there is none.
+        goes_on: How long the vehicle may keep executing the last command [s]; None if unknown.
+        parameter: The vehicle's parameter that sets this time; empty if there is none.
     """
 
     goes_on: float | None = None
@@ -27,13 +27,13 @@ class Silence:
 
 
 class Link(Protocol):
-    """What carries commands to a vehicle and samples back.
+    """Carries commands to a vehicle and samples back.
 
     Attributes:
         now: The link's clock [ns]: the wall clock of a live link, simulated time of a simulated one.
         live: Whether `now` is the wall clock, so that the flight is paced by it and something real may move.
-        fail_safe: What the vehicle does by itself when the link is lost, for people, one or two sentences.
-        silence: How long it goes on as last told before that.
+        fail_safe: What the vehicle does by itself when the link is lost, for the user, one or two sentences.
+        silence: How long it keeps executing the last command before that.
     """
 
     @property
@@ -53,7 +53,7 @@ class Link(Protocol):
 
     @property
     def silence(self) -> Silence:
-        """How long it goes on as last told before that."""
+        """How long it keeps executing the last command before that."""
         ...
 
     def send(self, command: Sequence[float]) -> None:
@@ -64,7 +64,7 @@ class Link(Protocol):
         """
 
     def receive(self, until: int) -> list[Sample]:
-        """Waits until the clock shows `until` [ns] and returns what has come since the last call, in order.
+        """Waits until the clock shows `until` [ns] and returns what has arrived since the last call, in order.
 
         Raises:
             LinkError: The link is gone.
@@ -74,7 +74,7 @@ class Link(Protocol):
         """Asks the vehicle to take off or land, or closes the link; returns at once.
 
         Raises:
-            LinkError: The link is gone, or cannot do that.
+            LinkError: The link is gone, or does not support the action.
         """
 
 
@@ -82,10 +82,10 @@ _START = time.time_ns() - time.monotonic_ns()
 
 
 def wall_clock() -> int:
-    """Time [ns] since 1970 that never jumps: corrections of the computer's clock during a flight do not reach it."""
+    """Time since 1970 [ns] that never jumps: corrections of the computer's clock after the start do not affect it."""
     return _START + time.monotonic_ns()
 
 
 def seconds_until(instant: int) -> float:
-    """How long until the wall clock shows an instant [s]; 0 when it has passed."""
+    """Time until the wall clock shows `instant` [ns], in seconds; 0 if it has passed."""
     return max(0.0, (instant - wall_clock()) / 1e9)

@@ -51,21 +51,21 @@ SYSTEM, COMPONENT = 245, 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 SECOND = 1_000_000_000
 
 PATIENCE, SILENCE = 10 * SECOND, 3 * SECOND
-"""How long a first heartbeat may take, and how long the next ones (1 Hz) may stay away [ns]."""
+"""How long the first heartbeat may take, and how long later ones (1 Hz) may be missing [ns]."""
 
 STREAMED, STREAM_PERIOD = int(1.2 * SECOND), SECOND // 20
-"""How long setpoints are sent before the mode is asked for, and how often those that nobody obeys yet [ns]."""
+"""How long setpoints are sent before the mode is requested, and the period of those that are not obeyed yet [ns]."""
 
 TRIES = 5
 
 SYNC_PERIOD = SECOND // 5
-"""Between two questions for the autopilot's clock [ns]."""
+"""Time between two requests for the autopilot's clock [ns]."""
 
 EXPLAINING = SECOND // 2
-"""How long an autopilot that refuses a step may take to say why [ns]."""
+"""How long to wait for the reason after the autopilot has refused a step [ns]."""
 
 TEXTS = 5
-"""So many of its last texts explain a refusal."""
+"""Number of its last texts that explain a refusal."""
 
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE", "LOCAL_POSITION_NED", "ODOMETRY")
 
@@ -78,7 +78,7 @@ def open_link(address: str, card: Card) -> "MavlinkLink":
         card: What the velocities mean; the built-in one is `mavlink`.
 
     Raises:
-        LinkError: No such port, no heartbeat, an autopilot that is neither PX4 nor ArduPilot, another card.
+        LinkError: No such port, no heartbeat, neither PX4 nor ArduPilot, or a card that does not fit.
         ModuleNotFoundError: No pymavlink.
     """
     link = MavlinkLink(connect(address), mavlink_commands(card))
@@ -136,18 +136,18 @@ class MavlinkLink:
 
     @property
     def silence(self) -> Silence:
-        """How long it goes on as last told before that: as it is set, or else by default."""
+        """How long it keeps executing the last command before that: by its parameter, or else by default."""
         known = self._autopilot
         return Silence(self._goes_on or known.goes_on, known.parameter) if known else Silence()
 
     def greet(self, address: str = "") -> None:
-        """Waits for a heartbeat, then asks for the messages that it needs.
+        """Waits for a heartbeat, then requests the messages that are needed.
 
         Args:
-            address: Where it listens, as of `open_link`.
+            address: Where it listens, as for `open_link`.
 
         Raises:
-            LinkError: None came, or from an autopilot that is neither PX4 nor ArduPilot.
+            LinkError: No heartbeat came, or the autopilot is neither PX4 nor ArduPilot.
         """
         deadline = wall_clock() + PATIENCE
         while self._autopilot is None and not self._trouble and wall_clock() < deadline:
@@ -164,7 +164,7 @@ class MavlinkLink:
             self._command(MESSAGE_INTERVAL, (message, 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def send(self, command: Sequence[float]) -> None:
-        """Sends a velocity; see `links.Link`. The first one in the air asks for the flight mode, too."""
+        """Sends a velocity; see `links.Link`. The first one in the air also requests the flight mode."""
         self._check()
         if self._commands is None:
             raise LinkError("mavlink: the link was opened for poses only")
@@ -221,7 +221,7 @@ class MavlinkLink:
             raise LinkError(self._trouble)
 
     def _take(self, message: Any, received: int) -> None:
-        """One message of whoever talks; only the autopilot counts."""
+        """Takes one message of any sender; only the autopilot's count."""
         kind = message.get_type()
         source = (message.get_srcSystem(), message.get_srcComponent())
         if kind == "HEARTBEAT" and self._autopilot is None and message.autopilot != 8:  # 8: no autopilot, but a camera
@@ -264,7 +264,7 @@ class MavlinkLink:
             self._trouble = f"mavlink: autopilot {kind} (MAV_AUTOPILOT) is neither PX4 nor ArduPilot"
 
     def _watch_mode(self, mode: tuple[int, ...]) -> None:
-        """Follows the flight mode; whoever takes the vehicle out of ours, a pilot or a fail-safe, keeps it."""
+        """Follows the flight mode; if a pilot or a fail-safe takes the vehicle out of ours, it is not taken back."""
         if self._climbing and self._known.name == "PX4" and mode == PX4_LOITER and not self._steps:
             self._climbing = False
         ours = self._in_our_mode = mode[:1] == self._known.mode[:1]
@@ -280,7 +280,7 @@ class MavlinkLink:
         self._repeat()
 
     def _engage(self, now: int) -> None:
-        """Asks for the flight mode once the vehicle is in the air, once a second and not for ever."""
+        """Requests the flight mode once the vehicle is in the air, once a second, for a limited time."""
         if self._climbing or self._on_ground or self._in_our_mode or self._steps or now - self._asked < SECOND:
             return
         self._engagements += 1
@@ -290,7 +290,7 @@ class MavlinkLink:
             self._ask("mode")
 
     def _repeat(self) -> None:
-        """Sends the first step, or again."""
+        """Sends the first step, or repeats it."""
         self._asked, self._tries = wall_clock(), self._tries + 1
         self._command(*command_parameters(self._steps[0], self._known))
 
@@ -304,7 +304,7 @@ class MavlinkLink:
             raise LinkError(f"mavlink: cannot send ({error}); the link is lost") from error
 
     def _heard_all(self) -> bool:
-        """Takes every message that is there; whether there was one."""
+        """Takes every waiting message; whether there was one."""
         took = False
         try:
             while (message := self._connection.recv_msg()) is not None:
@@ -331,12 +331,12 @@ class MavlinkLink:
         self._refused = wall_clock(), f"mavlink: {self._known.name} did not {step}: {why}"
 
     def _explained(self, refused: int, text: str) -> str:
-        """A refusal in the autopilot's own words, as far as it has said any."""
+        """A refusal, with the autopilot's own texts if there are any."""
         words = dict.fromkeys(said for at, said in self._said if at > refused - PATIENCE)
         return f"{text}; it says: {'; '.join(words)}" if words else f"{text}; its own messages say why (ground station)"
 
     def _keep_alive(self) -> None:
-        """Our heartbeat and a question for their clock once a second, and a step again that nobody answered."""
+        """Sends our heartbeat and a clock request once a second, and repeats a step that was not answered."""
         now = wall_clock()
         if self._autopilot is not None and now - self._beaten >= SECOND:
             self._beaten = now
@@ -363,12 +363,12 @@ class MavlinkLink:
 
 
 def _refuse_if_taken(address: str) -> None:
-    """Refuses a UDP port that another program listens to: pymavlink would share it, and each would hear a part.
+    """Refuses a UDP port that another program listens on: pymavlink would share it, and each would get a part.
 
     Raises:
-        LinkError: It does.
-        OSError: No such host.
-        ValueError: No port.
+        LinkError: Another program listens on it.
+        OSError: There is no such host.
+        ValueError: The address has no port.
     """
     kind, _, place = address.partition(":")
     if kind not in ("udp", "udpin"):

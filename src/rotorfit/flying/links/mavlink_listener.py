@@ -1,11 +1,11 @@
-"""MAVLink, listening: an autopilot's poses, and the velocities that somebody else asks of it. Nothing is commanded.
+"""MAVLink, listening: an autopilot's poses, and the velocities that somebody else commands. Nothing is commanded here.
 
-What leaves, because without it nothing would come: a heartbeat once a second, TIMESYNC (the autopilot's clock), and
-MAV_CMD_SET_MESSAGE_INTERVAL for attitude, position, the target that the autopilot follows, and whether it flies.
+The link sends only what it needs to receive anything: a heartbeat once a second, TIMESYNC (for the autopilot's clock),
+and MAV_CMD_SET_MESSAGE_INTERVAL for attitude, position, the target that the autopilot follows, and whether it flies.
 
-Commands are heard in two ways. SET_POSITION_TARGET_LOCAL_NED of another system, where a router forwards it to us, is
-what was sent. Until one has come, POSITION_TARGET_LOCAL_NED counts: the autopilot's own echo of what it follows, which
-PX4 has already smoothed and limited.
+Commands come from two sources. SET_POSITION_TARGET_LOCAL_NED of another system, if a router forwards it to us, is what
+was sent. Until one has arrived, POSITION_TARGET_LOCAL_NED counts: the autopilot's own report of its target, which PX4
+has already smoothed and limited.
 
 Source: MAVLink common message set, mavlink.io/en/messages/common.html.
 """
@@ -34,18 +34,18 @@ WORLD, TURNED = (1, 7), (8, 9, 12)
 (BODY_NED, BODY_OFFSET_NED, BODY_FRD)."""
 
 NO_VELOCITY, NO_YAW_RATE = 0b11_1000, 0b1000_0000_0000
-"""Bits of the type mask: velocities, yaw rate are to be ignored."""
+"""Bits of the type mask: ignore the velocities, ignore the yaw rate."""
 
 
 def open_listener(address: str, card: Card) -> "MavlinkListener":
     """Waits for an autopilot that somebody else flies.
 
     Args:
-        address: As of the link `mavlink`.
+        address: As for the link `mavlink`.
         card: What the velocities mean; the built-in one is `mavlink`.
 
     Raises:
-        LinkError: As of the link `mavlink`.
+        LinkError: As for the link `mavlink`.
         ModuleNotFoundError: No pymavlink.
     """
     stream = bool(address) and not address.startswith("udp")
@@ -74,10 +74,10 @@ class MavlinkListener(MavlinkLink):
         super().act(action)
 
     def receive(self, until: int) -> list[Sample]:
-        """What has come since the last call; see `links.Link`.
+        """What has arrived since the last call; see `links.Link`.
 
         Raises:
-            LinkError: The connection broke. Over UDP none can: a vehicle that is silent may come back.
+            LinkError: The connection broke. That cannot happen over UDP: a silent vehicle may come back.
         """
         samples = super().receive(until)
         if self._stream and self._known_since and wall_clock() - self._heard > SILENCE:
@@ -105,7 +105,7 @@ class MavlinkListener(MavlinkLink):
         return super()._heard_all()
 
     def _take(self, message: Any, received: int) -> None:
-        """One message of whoever talks: the autopilot, or who commands it."""
+        """Takes one message, of the autopilot or of whoever commands it."""
         kind, silent_since = message.get_type(), self._known_since
         super()._take(message, received)
         if kind == "HEARTBEAT" and silent_since and self._heard == received and received - silent_since > SILENCE:
@@ -125,7 +125,7 @@ class MavlinkListener(MavlinkLink):
             self._inbox += self._command_heard(message, stamp, received)
 
     def _tell_obedience(self, received: int) -> None:
-        """Whether the vehicle obeys what is heard: in the air, and in the mode for what others send."""
+        """Updates whether the vehicle obeys the received commands: in the air, in the mode for external commands."""
         obeys = self._landed in (0, IN_AIR) and (self._in_our_mode or not self._forwarded)
         self._inbox += self._window.told(obeys, received)
 
@@ -133,7 +133,7 @@ class MavlinkListener(MavlinkLink):
         return self._autopilot is not None and (message.get_srcSystem(), message.get_srcComponent()) == self._target
 
     def _command_heard(self, message: Any, stamp: int, received: int) -> list[Sample]:
-        """The command in a setpoint; none that asks for no velocity, or along the world before the heading is known."""
+        """The command in a setpoint; none if it has no velocity, or one in the world before the heading is known."""
         if message.type_mask & NO_VELOCITY == NO_VELOCITY:
             return []
         vx, vy, rate = message.vx, message.vy, 0.0 if message.type_mask & NO_YAW_RATE else message.yaw_rate

@@ -1,4 +1,4 @@
-"""What goes over MAVLink, apart from how: setpoints, commands, poses and clocks. No socket, no pymavlink.
+"""The contents of MAVLink messages: setpoints, commands, poses and clocks. No socket, no pymavlink.
 
 Source: MAVLink common message set, mavlink.io/en/messages/common.html (names and numbers); PX4 user guide, "Offboard
 Mode"; ArduPilot developer guide, "Copter Commands in Guided Mode".
@@ -38,7 +38,7 @@ STREAMS = {32: 50.0, 31: 50.0, 1: 4.0, 245: 2.0}
 """Message to the rate asked for: LOCAL_POSITION_NED, ATTITUDE_QUATERNION, SYS_STATUS, EXTENDED_SYS_STATE [Hz]."""
 
 TAKE_OFF_HEIGHT = 1.5
-"""Of ArduPilot, which must be told [m]."""
+"""Take-off height, which ArduPilot requires [m]."""
 
 ATTITUDES_KEPT, POSITIONS_KEPT = 50, 50
 
@@ -48,14 +48,14 @@ class AutopilotProtocol:
     """How an autopilot is flown from outside.
 
     Attributes:
-        name: For people.
+        name: Name for the user.
         mode: Its `custom_mode` under our commands, as `mode_of` reads it, and for MAV_CMD_DO_SET_MODE.
-        mode_name: For people.
-        steps: What a take-off takes, in order; names of `command_parameters`.
-        streams: Whether setpoints must come before the mode is entered.
+        mode_name: Name of the mode for the user.
+        steps: Steps of a take-off, in order; names of `command_parameters`.
+        streams: Whether setpoints must be sent before the mode is entered.
         fail_safe: What it does when commands stop.
-        goes_on: How long it goes on as last told before that, unless its parameter says otherwise [s].
-        parameter: That one.
+        goes_on: How long it keeps executing the last command before that, by default [s].
+        parameter: Parameter that sets this time.
     """
 
     name: str
@@ -110,10 +110,10 @@ def mode_of(autopilot: AutopilotProtocol, custom_mode: int) -> tuple[int, ...]:
 
 
 def mavlink_commands(card: Card) -> CommandFields:
-    """Which velocities a card's axes are.
+    """The velocity fields of a card's commands.
 
     Raises:
-        LinkError: Other messages or fields, or commands that are not velocities in SI.
+        LinkError: The card names other messages or fields, or its commands are not velocities in SI units.
     """
     fields = command_fields(card)
     if fields.table != SETPOINT or not {channel.source for channel in fields.channels.values()} <= set(FIELDS):
@@ -129,7 +129,7 @@ def setpoint(fields: CommandFields, command: Sequence[float], boot_ms: int, targ
 
     Args:
         fields: Where the commands go.
-        command: In the unit of the card.
+        command: The command, in the unit of the card's commands.
         boot_ms: Our own time since start [ms].
         target: System and component of the autopilot.
     """
@@ -158,25 +158,25 @@ def command_parameters(step: str, autopilot: AutopilotProtocol) -> tuple[int, tu
 
 
 FASTEST_DRIFT = 0.5e-3
-"""Of one clock against another [s/s]: twice what was seen of an autopilot in software."""
+"""Largest drift of one clock against another [s/s]: twice that of a simulated autopilot."""
 
 REMEMBERED, LIKE_THE_BEST = 30_000_000_000, 1_000_000
-"""How long exchanges count, and how much longer than the shortest round trip one may take [ns]."""
+"""How long an exchange counts, and how much longer than the shortest its round trip may be [ns]."""
 
 ENOUGH, LONG_ENOUGH = 5, 3_000_000_000
-"""Exchanges, and time between first and last [ns], that tell the drift."""
+"""Least number of exchanges, and time between first and last [ns], for an estimate of the drift."""
 
 STEP = 2_000_000
-"""What exchanges may differ by, besides half of their round trip and the drift, before a clock has stepped [ns]."""
+"""Difference of exchanges, beyond half their round trip and the drift, from which a clock has stepped [ns]."""
 
 
 class SenderClock:
-    """Moves the sender's stamps (time since its start) to our clock, and follows where the two drift apart.
+    """Converts the sender's stamps (time since its start) to our clock, and follows the drift between the two.
 
-    An exchange by TIMESYNC is right to half of its round trip. Of those of the last half minute the quick ones count: a
-    straight line through them, or while they are few, the one that can be wrong by least now. One that cannot be true
-    together with them is a step: from there everything begins anew. Before the first exchange the message that was
-    least delayed tells, which is right to that delay.
+    A TIMESYNC exchange is accurate to half its round trip. The quick ones of the last half minute count: a straight
+    line through them or, while they are few, the one with the smallest possible error now. One that contradicts them
+    means that the clock has stepped, and estimation starts anew. Before the first exchange the least delayed message
+    sets the offset, which is accurate to its delay.
     """
 
     def __init__(self) -> None:
@@ -184,7 +184,7 @@ class SenderClock:
         self._exchanges: deque[tuple[int, int, int]] = deque()  # middle by our clock, round trip, offset
 
     def ours(self, theirs: int, received: int) -> int:
-        """A stamp of the sender on our clock [ns], never later than when it arrived."""
+        """A stamp of the sender on our clock [ns], never later than its arrival."""
         if self._exchanges:
             return min(theirs + self._offset(received), received)
         offset = received - theirs
@@ -195,10 +195,15 @@ class SenderClock:
         return theirs + offset
 
     def exchanged(self, sent: int, theirs: int, received: int) -> int:
-        """Takes an answer to TIMESYNC: when we asked, what their clock showed, when the answer came [ns].
+        """Takes an answer to TIMESYNC.
+
+        Args:
+            sent: When we asked, by our clock [ns].
+            theirs: What the sender's clock showed [ns].
+            received: When the answer arrived, by our clock [ns].
 
         Returns:
-            By how much their clock has stepped since the one before [ns]; 0 where it has not.
+            By how much the sender's clock has stepped since the exchange before [ns]; 0 if it has not.
         """
         trip, middle = received - sent, (sent + received) // 2
         if trip < 0:
@@ -217,7 +222,7 @@ class SenderClock:
         return step
 
     def _offset(self, now: int) -> int:
-        """What is added to the sender's stamps now [ns]."""
+        """The offset to add to the sender's stamps at a time [ns]."""
         best = min(trip for _, trip, _ in self._exchanges)
         quick = [one for one in self._exchanges if one[1] <= best + LIKE_THE_BEST]
         if len(quick) < ENOUGH or quick[-1][0] - quick[0][0] < LONG_ENOUGH:
@@ -228,9 +233,9 @@ class SenderClock:
 
 
 class Poses:
-    """Puts positions and attitudes of one sender together: the attitude is interpolated to the position's instant.
+    """Combines positions and attitudes of one sender into poses; the attitude is interpolated to the position's time.
 
-    A position waits for the next attitude: with the last one instead, the yaw would be late by half its period.
+    A position waits for the next attitude: with the last one instead, the yaw would lag by half its period.
     """
 
     def __init__(self) -> None:
@@ -241,11 +246,11 @@ class Poses:
 
     @property
     def clock(self) -> SenderClock:
-        """Of the sender's stamps."""
+        """The clock that converts the sender's stamps."""
         return self._clock
 
     def take(self, message: Any, received: int) -> list[Sample]:
-        """Poses and velocities that a message completes; ODOMETRY, where it comes, replaces the other two."""
+        """Poses and velocities that a message completes; ODOMETRY, if it is received, replaces the other messages."""
         kind = message.get_type()
         if kind == "ODOMETRY":
             return self._odometry(message, received)
@@ -320,7 +325,7 @@ def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float,
 
 
 def between(first: Sequence[float], second: Sequence[float], share: float) -> tuple[float, ...]:
-    """Quaternion on the shorter way from one to another, normalised; exact enough for the few degrees between two."""
+    """Normalised linear interpolation of two quaternions, the short way; accurate for the few degrees between them."""
     sign = 1.0 if sum(a * b for a, b in zip(first, second, strict=True)) >= 0 else -1.0
     mixed = [(1 - share) * a + share * sign * b for a, b in zip(first, second, strict=True)]
     size = math.hypot(*mixed)
@@ -328,24 +333,24 @@ def between(first: Sequence[float], second: Sequence[float], share: float) -> tu
 
 
 def battery(message: Any) -> float | None:
-    """What is left, 0 to 1, by SYS_STATUS or BATTERY_STATUS; None where the autopilot does not know (-1)."""
+    """Charge, 0 to 1, from SYS_STATUS or BATTERY_STATUS; None if the autopilot does not know it (-1)."""
     return message.battery_remaining / 100 if message.battery_remaining >= 0 else None
 
 
 WARNING = 4
-"""MAV_SEVERITY_WARNING: what is as grave, or graver, is told."""
+"""MAV_SEVERITY_WARNING: texts of this severity, or a graver one, are passed on."""
 
 _WHOLE = 50  # characters of a STATUSTEXT; a longer text comes in parts
 
 
 class SpokenTexts:
-    """Puts the parts of STATUSTEXT together."""
+    """Joins the parts of STATUSTEXT messages."""
 
     def __init__(self) -> None:
         self._parts: dict[int, str] = {}
 
     def take(self, message: Any) -> str:
-        """The text that a message completes, where it is at least a warning; else nothing."""
+        """The text that a message completes, if it is at least a warning; otherwise empty."""
         number, text = getattr(message, "id", 0), str(message.text).partition("\0")[0]
         whole = self._parts.pop(number, "") + text
         if number and len(text) == _WHOLE:

@@ -1,4 +1,4 @@
-"""Opens a link by name, and the poses of another one beside it."""
+"""Opens a link by name, optionally with the poses of another link."""
 
 import re
 from collections.abc import Iterator
@@ -17,12 +17,12 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
     """Opens a link.
 
     Args:
-        text: `NAME`, `NAME:ADDRESS` or `NAME,OPTION=VALUE`; what an address is, each link says.
-        card: Meaning and unit of the commands; for links that carry named messages, also which.
+        text: `NAME`, `NAME:ADDRESS` or `NAME,OPTION=VALUE`; each link defines its addresses.
+        card: Meaning and unit of the commands; for links with named messages, also their names.
         poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
 
     Raises:
-        LinkError: No such link, something to install is missing, or nobody answers.
+        LinkError: There is no such link, a package is missing, or nobody answers.
     """
     name, address = _known(text)
     with _told_to_install(name):
@@ -38,16 +38,16 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
 
 
 def open_listener(text: str, card: Card) -> Link:
-    """Opens a link that only listens, to the vehicle and to whoever commands it: its `send` refuses.
+    """Opens a link that only listens to the vehicle and to whoever commands it; its `send` refuses.
 
-    Among its samples are commands of others: forward, left, up, counter-clockwise after the card's scale.
+    Its samples include the commands of others: forward, left, up, counter-clockwise after the card's scale.
 
     Args:
         text: As for `open_link`.
         card: Meaning of the commands and of the poses.
 
     Raises:
-        LinkError: No such link, one that cannot be shared, something to install is missing, or nobody is heard.
+        LinkError: There is no such link, it cannot be shared, a package is missing, or nothing is received.
     """
     check_listens(text)
     name, address = split(text)
@@ -57,10 +57,10 @@ def open_listener(text: str, card: Card) -> Link:
 
 
 def check_listens(text: str) -> None:
-    """Refuses a link that is none, or that cannot be shared with who commands it.
+    """Refuses a link that does not exist, or cannot be shared with whoever commands the vehicle.
 
     Raises:
-        LinkError: It is one of them.
+        LinkError: The link is one of these.
     """
     name, _ = _known(text)
     if not LINKS[name].listens:
@@ -68,13 +68,13 @@ def check_listens(text: str) -> None:
 
 
 def simulated_at(text: str, start: Four, seed: int = 0, flying: bool = True) -> str:
-    """The link with the place, the seed and the state of its simulated vehicle; any other link as it is.
+    """The link with start, seed and state of its simulated vehicle as options; any other link unchanged.
 
     Args:
-        text: As for `open_link`; what it says itself stays.
-        start: x, y, z [m] and yaw [rad].
-        seed: Of wind, noise and radio.
-        flying: Whether the vehicle is in the air already.
+        text: As for `open_link`; its own options take precedence.
+        start: World x, y, z [m] and yaw [rad].
+        seed: Seed of wind, noise and radio.
+        flying: Whether the vehicle is already in the air.
     """
     name, _ = split(text)
     if name not in LINKS or not LINKS[name].simulated:
@@ -90,7 +90,7 @@ def split(text: str) -> tuple[str, str]:
 
 
 def _known(text: str) -> tuple[str, str]:
-    """Name and address of a link that there is."""
+    """Name and address of a link; refuses one that does not exist, or lacks a required address."""
     name, address = split(text)
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
@@ -101,7 +101,7 @@ def _known(text: str) -> tuple[str, str]:
 
 @contextmanager
 def _told_to_install(name: str) -> Iterator[None]:
-    """A package that is missing is one line that says how to get it."""
+    """Turns a missing package into a `LinkError` of one line that says how to install it."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Two links as one: commands by the first, poses by the second, for vehicles that do not know where they are."""
+"""Two links as one: commands over the first, poses over the second, for vehicles that do not know their position."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -17,7 +17,7 @@ def join(commands: Link, text: str) -> Link:
         text: `NAME:ADDRESS` of the other: the topic of `ros1` and `ros2`, the port of `mavlink`.
 
     Raises:
-        LinkError: No such link, it cannot be opened, or the first is simulated. The first link is left open.
+        LinkError: There is no such link, it cannot be opened, or the first is simulated. The first link is left open.
         ModuleNotFoundError: A package that the other needs is missing.
     """
     name, _, address = text.partition(":")
@@ -31,7 +31,7 @@ def join(commands: Link, text: str) -> Link:
 
 
 class Joined:
-    """Commands by one link, poses by another; implements `links.Link`. Both run on the wall clock of this process."""
+    """Commands over one link, poses over another; implements `Link`. Both use the wall clock of this process."""
 
     def __init__(self, commands: Link, poses: Link) -> None:
         self.live = True
@@ -45,7 +45,7 @@ class Joined:
         return self._commands.now
 
     def send(self, command: Sequence[float]) -> None:
-        """Sends by the first link."""
+        """Sends over the first link."""
         self._commands.send(command)
 
     def receive(self, until: int) -> list[Sample]:
@@ -55,7 +55,7 @@ class Joined:
         return sorted(poses + rest, key=lambda sample: sample.received)
 
     def act(self, action: Action) -> None:
-        """Acts by the first link; closes both."""
+        """Acts over the first link; `close` closes both."""
         try:
             self._commands.act(action)
         finally:

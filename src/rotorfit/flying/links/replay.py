@@ -1,4 +1,4 @@
-"""A log played back as a link: poses come as recorded, commands lead nowhere. For rehearsing what reads and guards.
+"""A log played back as a link: poses come as recorded, commands have no effect. For rehearsing reading and guarding.
 
 Time is that of the log and passes as fast as it is read. The end of the log is a lost link.
 """
@@ -20,7 +20,7 @@ from rotorfit.flights.stamps import stamps_of
 from rotorfit.flying.links.link import Action, Silence
 
 BEGIN = 1_577_836_800 * 10**9
-"""Stamp of second 0 of a flight that is listened to: 2020-01-01 [ns]."""
+"""Stamp of second 0 of a replayed flight that is listened to: 2020-01-01 [ns]."""
 
 
 def open_link(address: str, card: Card) -> "ReplayLink":
@@ -28,12 +28,12 @@ def open_link(address: str, card: Card) -> "ReplayLink":
 
     Args:
         address: Path of the log.
-        card: Reads the log where it carries no card of its own and no built-in one fits.
+        card: Used to read the log if it carries no card of its own and no built-in one fits.
 
     Raises:
-        LinkError: No poses.
+        LinkError: The log has no poses.
         LogError: The log cannot be read.
-        CardError: A column is not there.
+        CardError: A column is missing.
     """
     log = read(address)
     try:
@@ -52,7 +52,7 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
 
     Args:
         address: Path of the log.
-        card: Reads the log.
+        card: The card of the log.
 
     Raises:
         LogError, CardError, FlightError: The log holds no flight.
@@ -77,7 +77,7 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
 
 
 class ReplayLink:
-    """A vehicle that does again what it did; implements `links.Link`."""
+    """A recorded vehicle; implements `links.Link`."""
 
     live = False
     fail_safe, silence = "A log is played back: no vehicle moves.", Silence(0.0)
@@ -90,7 +90,7 @@ class ReplayLink:
         """Nobody listens; see `links.Link`."""
 
     def receive(self, until: int) -> list[Sample]:
-        """The poses up to an instant of the log; see `links.Link`."""
+        """The samples up to an instant of the log; see `links.Link`."""
         if self._next == len(self._samples):
             raise LinkOverError(f"replay: {self._name} is over")
         first = self._next
@@ -125,7 +125,7 @@ def _poses(log: Log, card: Card) -> list[Sample]:
 
 
 def _arrivals(log: Log, card: Card, stamps: Indices) -> Indices:
-    """When each pose was recorded, where the log says so and the two clocks may be one; else its own stamp."""
+    """When each pose was recorded, if the log has that time and the clocks may be one; otherwise its own stamp [ns]."""
     table = log.tables.get(str(card.pose_time.source).partition(":")[0])
     arrived = None if table is None else table.columns.get("log_time")
     return stamps if arrived is None else np.asarray(arrived[: len(stamps)], np.int64)

@@ -49,7 +49,7 @@ def open_link(address: str, card: Card) -> "Ros1Link":
         card: Names the topics and fields.
 
     Raises:
-        LinkError: No master, no driver that listens, no pose topic, a card that fits neither.
+        LinkError: No master, no driver that listens, no pose topic, or a card that fits neither.
         ModuleNotFoundError: No rospy.
     """
     if address:
@@ -73,10 +73,10 @@ def open_poses(address: str) -> "Ros1Link":
 
 
 def open_listener(address: str, card: Card) -> "Ros1Link":
-    """Hears poses, and the commands that somebody else sends.
+    """Listens to poses, and to the commands that somebody else sends.
 
     Args:
-        address: Must be empty, as of `open_link`.
+        address: Must be empty, as for `open_link`.
         card: Names the topics and fields.
 
     Raises:
@@ -180,7 +180,7 @@ class Ros1Link:
         return self._rospy.Subscriber(topic, message, callback, queue_size=100, tcp_nodelay=True)
 
     def _watching(self) -> Iterator[Any]:
-        """Subscriptions for the card's window; none where nobody publishes what the card can do without."""
+        """Subscriptions for the card's window; optional conditions that nobody publishes are left out."""
         for topic, conditions in self._window.conditions.items():
             known = dict(self._rospy.get_published_topics())
             if topic not in known and all(one.optional for one in conditions):
@@ -238,11 +238,11 @@ def _stamp(message: Any) -> int:
 
 
 def node() -> Any:
-    """rospy with this process as a node.
+    """The module rospy, with this process as a node.
 
     Raises:
-        LinkError: No master.
-        ModuleNotFoundError: No rospy.
+        LinkError: There is no master.
+        ModuleNotFoundError: rospy is not installed.
     """
     rospy = _rospy()
     master = os.environ.get("ROS_MASTER_URI", "")
@@ -259,7 +259,7 @@ def node() -> Any:
 
 
 def _rospy() -> Any:
-    """The module rospy; Debian's is found from a virtual environment, too.
+    """The module rospy; Debian's is also found from a virtual environment.
 
     Raises:
         ModuleNotFoundError: It is not installed.
@@ -284,7 +284,7 @@ def message_class(kind: str) -> Any:
 
 
 def _check_alone(rospy: Any, topic: str) -> None:
-    """Raises `LinkError` where another node sends on the topic of the commands."""
+    """Raises `LinkError` if another node publishes on the topic of the commands."""
     publishers = dict(importlib.import_module("rosgraph").Master(rospy.get_name()).getSystemState()[0])
     if others := sorted(set(publishers.get(rospy.resolve_name(topic), ())) - {rospy.get_name()}):
         raise LinkError(
@@ -293,10 +293,10 @@ def _check_alone(rospy: Any, topic: str) -> None:
 
 
 def _topic_type(rospy: Any, topic: str) -> str:
-    """Type of a topic that somebody publishes, waiting a while for it.
+    """Type of a published topic; waits a while for it.
 
     Raises:
-        LinkError: Nobody publishes it; the topics that look like poses are named.
+        LinkError: Nobody publishes it; the message names the topics that look like poses.
     """
     deadline = time.monotonic() + PATIENCE
     while True:

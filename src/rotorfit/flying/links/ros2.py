@@ -37,7 +37,7 @@ from rotorfit.flying.links.ros_messages import (
 _SECOND = 1_000_000_000
 
 HEARD = 50
-"""Commands of others that wait while nobody looks: they come in bursts over a radio."""
+"""Depth of the queue for the commands of others: they come in bursts over a radio."""
 
 
 def open_link(address: str, card: Card) -> "Ros2Link":
@@ -48,7 +48,7 @@ def open_link(address: str, card: Card) -> "Ros2Link":
         card: Names the topics and fields.
 
     Raises:
-        LinkError: No driver that listens, no pose topic, a card that fits neither.
+        LinkError: No driver that listens, no pose topic, or a card that fits neither.
         ModuleNotFoundError: No rclpy.
     """
     if address:
@@ -67,10 +67,10 @@ def open_poses(address: str) -> "Ros2Link":
 
 
 def open_listener(address: str, card: Card) -> "Ros2Link":
-    """Hears poses, and the commands that somebody else sends.
+    """Listens to poses, and to the commands that somebody else sends.
 
     Args:
-        address: Must be empty, as of `open_link`.
+        address: Must be empty, as for `open_link`.
         card: Names the topics and fields.
 
     Raises:
@@ -156,7 +156,7 @@ class Ros2Link:
     def _subscribe(self) -> None:
         kind = message_class(self._topic_type(self._poses.table))
         check_pose(kind(), self._poses)
-        # best effort hears reliable publishers, too, and a pose that was lost must not be sent again late
+        # best effort also receives from reliable publishers, and a lost pose must not be sent again late
         quality = importlib.import_module("rclpy.qos").qos_profile_sensor_data
         self._node.create_subscription(kind, self._poses.table, self._on_pose, quality)
         if self._poses.velocity and self._poses.velocity_table != self._poses.table:

@@ -1,4 +1,4 @@
-"""What both versions of ROS share: topics and fields from the card, take-off and landing, messages filled and read."""
+"""Common to both versions of ROS: topics and fields of the card, take-off and landing, filling and reading messages."""
 
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -115,12 +115,12 @@ def fill(message: Any, fields: CommandFields, command: Sequence[float]) -> Any:
 
 
 def pose_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
-    """The pose in a message, and the velocity beside it where the card names it there; none that is not finite.
+    """The pose in a message, and the velocity if the card names it in the same one; only finite ones.
 
     Args:
-        message: As it has come.
-        fields: What the card names.
-        stamp_of: Message to the stamp of its header [ns]; 0 where the sender left it out.
+        message: The message as received.
+        fields: The fields that the card names.
+        stamp_of: Message to the stamp of its header [ns]; 0 if the sender left it out.
     """
     received = wall_clock()
     stamp = stamp_of(message) if fields.stamped else 0
@@ -131,7 +131,7 @@ def pose_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any], int
 
 
 def velocity_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
-    """The velocity in a message; none that is not finite. Arguments as of `pose_samples`."""
+    """The velocity in a message, if it is finite. Arguments as for `pose_samples`."""
     received = wall_clock()
     stamp = stamp_of(message) if hasattr(message, "header") else 0
     values = velocity_values(fields, lambda name: float(attrgetter(name)(message)))
@@ -139,7 +139,7 @@ def velocity_samples(message: Any, fields: PoseFields, stamp_of: Callable[[Any],
 
 
 def command_samples(message: Any, fields: CommandFields, stamp_of: Callable[[Any], int]) -> list[Sample]:
-    """The command in a message that somebody else sent; none that is not finite. Arguments as of `pose_samples`."""
+    """The command in a message that somebody else sent, if it is finite. Arguments as for `pose_samples`."""
     received = wall_clock()
     stamp = stamp_of(message) if is_stamped(fields) else 0
     values = command_values(fields, lambda name: float(attrgetter(name)(message)))
@@ -147,25 +147,25 @@ def command_samples(message: Any, fields: CommandFields, stamp_of: Callable[[Any
 
 
 def action_samples(action: str, obedience: Obedience) -> list[Sample]:
-    """What somebody's order to take off or to land means: from a landing on, commands are not obeyed."""
+    """The effect of somebody's order to take off or land: after an order to land, commands are not obeyed."""
     return obedience.told(action == "take_off", wall_clock())
 
 
 def window_samples(message: Any, topic: str, obedience: Obedience) -> list[Sample]:
-    """What a message says of the card's window."""
+    """The effect of a message on the card's window."""
     return obedience.heard(topic, lambda name: float(attrgetter(name)(message)), wall_clock())
 
 
 def check_window(message: Any, topic: str, obedience: Obedience) -> None:
-    """Refuses a type of message that does not have the window's fields, or not as numbers.
+    """Refuses a message type without the fields of the card's window, or with text in them.
 
     Args:
-        message: An empty one of the type that the topic has.
-        topic: Its name.
-        obedience: What the card asks of it.
+        message: An empty message of the topic's type.
+        topic: Name of the topic.
+        obedience: The card's window.
 
     Raises:
-        LinkError: A field that is not there, or is text.
+        LinkError: A field is missing, or is text.
     """
     for one in obedience.conditions[topic]:
         name = split_source(one.channel.source)[1]
@@ -176,14 +176,14 @@ def check_window(message: Any, topic: str, obedience: Obedience) -> None:
 
 
 def check_pose(message: Any, fields: PoseFields) -> None:
-    """Refuses a type of message that does not have the card's fields.
+    """Refuses a message type without the fields of the card's pose.
 
     Args:
-        message: An empty one of the type that the topic has.
-        fields: What the card names.
+        message: An empty message of the topic's type.
+        fields: The fields that the card names.
 
     Raises:
-        LinkError: A field that is not there.
+        LinkError: A field is missing.
     """
     for channel in fields.channels.values():
         try:

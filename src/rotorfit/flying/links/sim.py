@@ -1,11 +1,11 @@
-"""The virtual flight room as a link, in simulated time: `receive` lets it pass.
+"""The virtual flight room as a link, in simulated time, which `receive` advances.
 
 sim                        a Bebop 2 in still air
 sim,wind=2                 the same in wind
 sim:VEHICLE                a built-in vehicle, or a file of one
 sim:VEHICLE,wind=2,gusts=0.3   mean wind along the world's x, and standard deviation of gusts [m/s]
 sim,mass=1.3@40            heavier by 0.3 from second 40 on: WHAT=VALUE@SECOND, names of `simulation.change.Change`
-sim,start=0/0/1.5/0,seed=3,flying=no   where the vehicle is, x/y/z/yaw [m, rad]; of wind, noise and radio; on the floor
+sim,start=0/0/1.5/0,seed=3,flying=no   start x/y/z/yaw [m, rad]; seed of wind, noise and radio; on the floor
 """
 
 import math
@@ -32,7 +32,7 @@ EPOCH = 1_577_836_800 * 10**9
 
 
 DEFAULTS = {"start": "0/0/1.5/0", "seed": "0", "flying": "yes"}
-"""Where the vehicle is, what its wind and noise are drawn from, and whether it is in the air already."""
+"""Start of the vehicle, seed of its wind, noise and radio, and whether it is already in the air."""
 
 
 def open_link(address: str, card: Card) -> "SimLink":
@@ -41,11 +41,11 @@ def open_link(address: str, card: Card) -> "SimLink":
     Args:
         address: `VEHICLE,wind=MEAN,gusts=SIGMA,WHAT=VALUE@SECOND,start=X/Y/Z/YAW,seed=N,flying=no`; each may be left
             out, and the first of two counts; changes all count.
-        card: Of the plan; its commands must mean what the vehicle takes them for.
+        card: The plan's card; its commands must have the meaning that the vehicle gives them.
 
     Raises:
-        LinkError: An option that nobody knows, or a card whose commands mean something else to this vehicle.
-        VehicleError: No such vehicle.
+        LinkError: An option is unknown, or the card's commands have another meaning than the vehicle's.
+        VehicleError: There is no such vehicle.
     """
     return room_of(address, card, "the plan's card", "plan with --card sim:{}")
 
@@ -54,13 +54,13 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
     """Opens the virtual flight room.
 
     Args:
-        address: As of `open_link`.
-        card: Its commands must mean what the vehicle takes them for.
-        whose: What to call the card,
-        remedy: and what to try, with the vehicle in place of `{}`, where they do not.
+        address: As for `open_link`.
+        card: Its commands must have the meaning that the vehicle gives them.
+        whose: What to call the card in the error message.
+        remedy: What to try, with `{}` for the vehicle, in the error message.
 
     Raises:
-        LinkError, VehicleError: As of `open_link`.
+        LinkError, VehicleError: As for `open_link`.
     """
     from rotorfit.simulation.flight_room import Conditions, FlightRoom
     from rotorfit.simulation.vehicle import load_vehicle
@@ -78,7 +78,7 @@ def room_of(address: str, card: Card, whose: str, remedy: str) -> "SimLink":
 
 
 def _scene(options: Sequence[str]) -> tuple[Four, int, bool]:
-    """Place, seed and whether the vehicle flies, from their options."""
+    """Start, seed, and whether the vehicle is flying, from their options."""
     scene = DEFAULTS | {key: text for key, _, text in (option.partition("=") for option in reversed(options))}
     try:
         x, y, z, yaw = (float(part) for part in scene["start"].split("/"))

@@ -1,7 +1,7 @@
-"""The virtual flight room with somebody who flies: what `rotorfit track --link sim` listens to.
+"""The virtual flight room with a simulated pilot: what `rotorfit track --link sim` listens to.
 
-The simulated pilot flies three sines on every axis around the start, by feedback in its place, again and again; there
-is no vehicle and no other pilot. The address is that of the link `sim`.
+The pilot flies rounds of three sines on every axis around the start, and holds the place by feedback; no real vehicle
+is involved. The address is that of the link `sim`.
 """
 
 from collections.abc import Sequence
@@ -21,25 +21,26 @@ from rotorfit.planning.plan_control import begin, instants, largest_command, obe
 NAME = "the simulated pilot flies three sines on every axis, again and again"
 
 RATE, ROUND, RAMP = 50.0, 60.0, 2.0
-"""Commands a second; length of a round and of its ramps [s]."""
+"""Command rate [1/s]; length of a round and of its ramps [s]."""
 
 FREQUENCIES, SHARE = (1.0, 2.2, 3.7), (0.12, 0.12, 0.2, 0.2)
-"""Of the sines of x, the other axes a little faster [rad/s]; and their size, of x, y, z, yaw, of the full command."""
+"""Frequencies of the sines of x, the other axes a little faster [rad/s]; amplitudes on x, y, z, yaw, as shares of the
+full command."""
 
 BOX = 3.0
-"""Half width of the room [m]; the plan is not checked against it, the feedback keeps the vehicle in place."""
+"""Half width of the room [m]; the plan is not checked against it, since the feedback keeps the vehicle in place."""
 
 
 def open_listener(address: str, card: Card) -> "PilotedRoom":
     """Opens the virtual flight room with a simulated pilot.
 
     Args:
-        address: As of the link `sim`.
-        card: Its commands must mean what the vehicle takes them for.
+        address: As for the link `sim`.
+        card: Its commands must have the meaning that the vehicle gives them.
 
     Raises:
-        LinkError: As of the link `sim`; or the card does not say what a command reaches.
-        VehicleError: No such vehicle.
+        LinkError: As for the link `sim`; or the card does not say what a command reaches.
+        VehicleError: There is no such vehicle.
     """
     room = sim.room_of(address, card, "the card given", "leave --card out, or name its vehicle: --link sim:VEHICLE")
     try:
@@ -78,7 +79,7 @@ class PilotedRoom:
         raise LinkError("sim: a listener sends nothing")
 
     def receive(self, until: int) -> list[Sample]:
-        """Lets simulated time pass; what the sensors say, and what the pilot sends."""
+        """Advances simulated time; returns the samples of the sensors and the commands of the pilot."""
         out: list[Sample] = []
         while self._due <= until:
             out += self._seen(self._room.receive(self._due))
@@ -111,7 +112,7 @@ class PilotedRoom:
 
 
 def _plan(card: Card, seconds: float) -> Plan:
-    """What the simulated pilot flies, a round [s]."""
+    """The plan of the simulated pilot for a round of `seconds` [s]."""
     belief = {key: value for key, value in belief_mapping(belief_from_card(card)).items() if key != "covariance"}
     space = Space((-BOX, -BOX, 0.0), (BOX, BOX, BOX), (0.0, 0.0, BOX / 2, 0.0), BOX, BOX)
     axes = tuple(axis for axis in AXES if axis in card.command)
@@ -120,7 +121,7 @@ def _plan(card: Card, seconds: float) -> Plan:
 
 
 def _signal(card: Card, axis: str) -> Sines:
-    """Of frequencies that no other axis has, so that none looks like another."""
+    """The sines of an axis, at frequencies that no other axis has, so that the axes can be told apart."""
     number = AXES.index(axis)
     size = SHARE[number] * largest_command(card, axis)
     frequency = tuple((one + 0.3 * number) * 2 * np.pi / ROUND * round(ROUND / (2 * np.pi)) for one in FREQUENCIES)

@@ -31,12 +31,12 @@ STICKS = ("a", "b", "c", "d")
 FULL_STICK = 100
 
 SILENCE = 1.0
-"""The state comes at 10 Hz; so long without it and the link is lost [s]."""
+"""Time without a state packet, which comes at 10 Hz, after which the link is lost [s]."""
 
 PATIENCE, TRIES = 1.0, 5
 
 LANDS = 15.0
-"""So long after the last command a Tello lands, and may fly on before [s]."""
+"""Time after the last command after which a Tello lands; until then it may keep flying [s]."""
 
 FAIL_SAFE = (
     "A Tello lands 15 s after the last command (Tello SDK 2.0). Nothing says that its sticks return to zero before: "
@@ -52,7 +52,7 @@ def open_link(address: str, card: Card) -> "TelloLink":
         card: What the sticks and the state packet mean; the built-in one is `tello`.
 
     Raises:
-        LinkError: Nobody answers, the port of the state is taken, or a card that is not of a Tello.
+        LinkError: Nobody answers, the port of the state is taken, or the card is not that of a Tello.
     """
     host, _, port = address.partition(":")
     if port and not port.isdigit():
@@ -87,12 +87,12 @@ class TelloLink:
         return wall_clock()
 
     def greet(self) -> None:
-        """SDK mode, and the downward camera looks for mission pads at 20 Hz.
+        """Enters SDK mode, and enables the detection of mission pads by the downward camera, at 20 Hz.
 
-        A Tello that is no EDU refuses the pads; it flies all the same, without a position.
+        A Tello other than the EDU refuses the detection; it flies all the same, without a position.
 
         Raises:
-            LinkError: No answer to `command`, or no state.
+            LinkError: There is no answer to `command`, or no state.
         """
         if not self._ask("command"):
             self._close()
@@ -111,7 +111,7 @@ class TelloLink:
         self._say(stick_text(self._commands, command))
 
     def receive(self, until: int) -> list[Sample]:
-        """What has come since the last call; see `links.Link`."""
+        """What has arrived since the last call; see `links.Link`."""
         while self._open:
             ready, _, _ = select.select((self._talk, self._state), (), (), seconds_until(until))
             if not ready:
@@ -140,7 +140,7 @@ class TelloLink:
             raise LinkError(f"tello: cannot send to {self._drone[0]}: {error.strerror}; join its network") from error
 
     def _ask(self, text: str) -> bool:
-        """Says something until there is an answer; whether that is `ok`."""
+        """Repeats a command until there is an answer; whether that is `ok`."""
         for _ in range(TRIES):
             self._replies.clear()
             self._say(text)
@@ -157,7 +157,7 @@ class TelloLink:
         """Reads one packet."""
         try:
             packet, sender = one.recvfrom(2048)
-        except OSError:  # the answer to an earlier packet that nobody took: silence will tell
+        except OSError:  # an earlier packet was not accepted: silence will show whether the link is lost
             return
         if sender[0] != self._drone[0]:
             return
@@ -175,10 +175,10 @@ class TelloLink:
 
 
 def tello_commands(card: Card) -> CommandFields:
-    """Which sticks a card's axes are.
+    """The sticks of a card's axes.
 
     Raises:
-        LinkError: The card names something else than `rc:a` to `rc:d`.
+        LinkError: The card names a field other than `rc:a` to `rc:d`.
     """
     fields = command_fields(card)
     if fields.table != "rc" or not {channel.source for channel in fields.channels.values()} <= set(STICKS):
@@ -190,7 +190,7 @@ def stick_text(fields: CommandFields, command: Sequence[float]) -> str:
     """The `rc` command for forward, left, up, counter-clockwise in the unit of the card: whole numbers in -100..100.
 
     Raises:
-        LinkError: Beyond full stick.
+        LinkError: The command exceeds full stick.
     """
     raw = raw_values(fields, command)
     sticks = [round(raw.get(stick, 0.0)) for stick in STICKS]
@@ -200,10 +200,10 @@ def stick_text(fields: CommandFields, command: Sequence[float]) -> str:
 
 
 def state_from_text(text: str) -> dict[str, float]:
-    """Fields of a state packet, `mpry` as `mpry[0]` to `mpry[2]`; what is not a number is left out.
+    """Fields of a state packet, `mpry` as `mpry[0]` to `mpry[2]`; fields that are not numbers are left out.
 
     Returns:
-        Empty for anything that is not a state packet.
+        Name to value; empty if the text is not a state packet.
     """
     state: dict[str, float] = {}
     for part in text.split(";"):
@@ -225,7 +225,7 @@ def _number(text: str) -> float:
 
 
 def samples(state: Mapping[str, float], poses: PoseFields, received: int) -> list[Sample]:
-    """Battery, and the pose while a mission pad is seen. A Tello stamps nothing: the stamp is the time of arrival."""
+    """Battery, and the pose while a mission pad is seen. A Tello sends no stamps: the stamp is the time of arrival."""
     found = [Sample("battery", received, received, (state["bat"] / 100,))]
     if state.get("mid", -1.0) > 0:
         pose = pose_values(poses, lambda name: state.get(name, math.nan))
