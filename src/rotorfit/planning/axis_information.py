@@ -1,19 +1,17 @@
-"""What the commands of one axis tell about input, damping and delay: a quadratic form of the command.
+"""Information of the commands of one axis about input, damping and delay: a quadratic form of the command.
 
 The model is linear in its commands, and so is every sensitivity: that of coefficient i is H_i u, already whitened by
-the estimator's own filter, with the trim and the velocity of the start projected out of it. The Fisher information is
+the estimator's own filter, with the trim and the start velocity projected out. The Fisher information is
 
     M_ij = (H_i u)' (H_j u) = u' Q_ij u
 
 so that the matrices Q_ij, built once, give the information of any command on the grid, and its gradient, at the cost
-of a few products of matrix and vector.
+of a few matrix-vector products.
 
 Source: L. Ljung, System Identification, 2nd ed. (1999), section 13.2; the nuisances by the Schur complement.
 
-The motion of one axis under held, delayed commands, from rest and in still air: where a signal leads.
-
-Between two switching times the command is constant and the motion is known in closed form, as in `response`; here for
-planning, without sensitivities.
+Also the motion of one axis under held, delayed commands, from rest and in still air. Between two switching times the
+command is constant and the motion is known in closed form, as in `dynamics.response`, here without sensitivities.
 """
 
 from dataclasses import dataclass, replace
@@ -30,11 +28,12 @@ from rotorfit.estimation.likelihood.likelihood import response, whiten
 from rotorfit.estimation.likelihood.parameters import Point
 
 EARLY = 1e-6
-"""Levels change so much early [s]: a command loop that ticks at these times takes the new level however they round."""
+"""Advance of level changes [s], so that a command loop that ticks at these times takes the new level despite rounding.
+"""
 
 
 class AxisBelief(NamedTuple):
-    """What is believed of one axis: v' = gain u(t - delay) - damping v."""
+    """Belief about one axis: v' = gain u(t - delay) - damping v."""
 
     gain: float
     damping: float
@@ -48,9 +47,9 @@ def transitions(damping: float, dt: Array) -> tuple[Array, Array, Array]:
 
 
 def held_states(dynamics: AxisBelief, command: Array, length: Array) -> tuple[Array, Array]:
-    """Position and velocity at the ends of N held commands of some lengths [s], the start first: twice (N + 1,).
+    """Position and velocity at the ends of N held commands with given lengths [s], including the start: two (N + 1,).
 
-    The delay only shifts the motion and does not enter.
+    The delay only shifts the motion and is ignored.
     """
     f, k, h = transitions(dynamics.damping, length)
     a = dynamics.gain * command
@@ -62,7 +61,7 @@ def held_states(dynamics: AxisBelief, command: Array, length: Array) -> tuple[Ar
 
 
 def extremes(dynamics: AxisBelief, command: Array, step: float) -> tuple[float, float, float]:
-    """Lowest and highest position and largest speed of commands held for a step each, between the steps too.
+    """Lowest and highest position and largest speed under commands held for `step` each, also between the steps.
 
     Source: the closed form of eq. (4); the velocity turns at most once in a step.
     """
@@ -87,19 +86,19 @@ def motion_at(dynamics: AxisBelief, signal: Steps, t: Array) -> tuple[Array, Arr
 def against_feedback(
     signal: Steps, axis: str, dynamics: AxisBelief, feedback: Feedback, end: float, step: float
 ) -> Steps:
-    """A signal that leads through the same motion although a feedback holds the vehicle at the start.
+    """A signal that produces the same motion although a feedback holds the vehicle at the start.
 
-    The feedback asks for -(K p + D v) / g; the signal is given the same of the believed motion, held over each step, on
-    top. What the feedback then corrects is only what wind, trim and wrong beliefs add: it tracks the designed motion,
-    and takes nothing from what the design tells.
+    The feedback demands -(K p + D v) / g; the opposite for the believed motion, held over each step, is added to the
+    signal. The feedback then corrects only what wind, trim and wrong beliefs add: it tracks the designed motion and
+    takes nothing from the information of the design.
 
     Args:
-        signal: Of the commands.
+        signal: The commands.
         axis: Its axis.
-        dynamics: As believed; the feedback's own belief in g must be the same.
-        feedback: That acts on the axis, with no position reference there.
-        end: Of the signal [s].
-        step: How long each level holds [s]; the signal's own levels must change at its multiples.
+        dynamics: Belief about the axis; the feedback must believe in the same g.
+        feedback: Feedback that acts on the axis, without a position reference there.
+        end: End of the signal [s].
+        step: How long each level is held [s]; the signal's own levels must change at its multiples.
     """
     a = AXES.index(axis)
     time = step * np.arange(int(end / step + 1e-9), dtype=np.float64)
@@ -116,9 +115,9 @@ class AxisInformation:
     """The information about (input / g, log b, tau) as a quadratic form of N commands held for one step each.
 
     Attributes:
-        dynamics: Where it was taken.
-        step: How long a command holds [s].
-        duration: Of the flight, of which the commands are the first N steps [s].
+        dynamics: Coefficients at which it was computed.
+        step: How long a command is held [s].
+        duration: Duration of the flight, whose first N steps are the commands [s].
         form: Q_ij, symmetric in i and j and in the commands, shape (3, 3, N, N).
     """
 
@@ -128,16 +127,16 @@ class AxisInformation:
     form: Array
 
     def products(self, command: Array) -> Array:
-        """Q_ij u, shape (3, 3, N), of a command of shape (N,)."""
+        """Q_ij u, shape (3, 3, N), for a command of shape (N,)."""
         upper = {(i, j): self.form[i, j] @ command for i in range(3) for j in range(i, 3)}
         return np.array([[upper[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
     def information(self, command: Array) -> Array:
-        """M, shape (3, 3), of a command of shape (N,)."""
+        """M, shape (3, 3), for a command of shape (N,)."""
         return self.products(command) @ command
 
     def behind(self, window: Array) -> "AxisInformation":
-        """The same of levels whose commands are these levels convolved with a window of W steps: N - W + 1 levels."""
+        """The same for levels whose commands are these levels convolved with a window of W steps: N - W + 1 levels."""
         N, W = self.form.shape[-1], window.size
         smear = np.zeros((N, N - W + 1))
         for i, weight in enumerate(window):
@@ -145,7 +144,7 @@ class AxisInformation:
         return replace(self, form=smear.T @ self.form @ smear)
 
     def errors(self, command: Array) -> Array:
-        """Predicted standard errors of input and damping (shares of themselves) and delay [s], shape (3,)."""
+        """Predicted standard errors of input and damping (relative) and delay [s], shape (3,)."""
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.information(command)))))
 
 
@@ -155,13 +154,12 @@ def axis_information(
     """Builds the form from the response to one pulse at a time, exact for held commands and averaged poses.
 
     Args:
-        dynamics: At which the sensitivities are taken; the damping must be positive.
-        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in `point.Point`.
-        duration: Of the flight, from its first command to its last pose [s].
-        step: How long a command holds [s].
-        pose_rate: Fresh poses a second, so the mocap's rate less its stale share [1/s].
-
-    Source: paper, eq. (4) with a delay; `response` and `disturbance` for the sensitivities and the filter.
+        dynamics: Coefficients at which the sensitivities are evaluated; the damping must be positive.
+        levels: log of q, r, alpha, kappa of the disturbance, shape (4,), as in
+            `estimation.likelihood.parameters.Point`.
+        duration: Duration of the flight, from its first command to its last pose [s].
+        step: How long a command is held [s].
+        pose_rate: Rate of fresh poses, the mocap's rate without its stale share [Hz].
     """
     rec = _empty_record(duration, step, pose_rate)
     N, B, start = rec.command_time.size - 1, rec.count.size, rec.starts[0]
@@ -173,7 +171,7 @@ def axis_information(
     for k in range(N):
         pulse = np.zeros((N + 1, 1))
         pulse[k] = 1.0
-        since = start - np.minimum(rec.command_time[k : k + 2] + delay, start)  # of its ends, before scoring starts
+        since = start - np.minimum(rec.command_time[k : k + 2] + delay, start)  # for its ends, before scoring starts
         velocity = gain / damping * float(np.diff(np.exp(-damping * since))[0])
         _, sensitivity = response(replace(rec, command=pulse), point, 0, np.array([[velocity]]))
         columns[:, k : 3 * N : N] = sensitivity[:, :3]
@@ -187,7 +185,7 @@ def axis_information(
 
 
 def _empty_record(duration: float, step: float, pose_rate: float) -> Record:
-    """A flight of one axis before it is flown: regular poses, cut and averaged as `record` does, no commands yet."""
+    """A record of one axis before the flight: regular poses, cut and averaged as in `record`, without commands."""
     low, high = DELAY_RANGE[1], duration + DELAY_RANGE[0]
     t = np.arange(int(np.ceil(low * pose_rate - 1e-9)), int(np.floor(high * pose_rate + 1e-9)) + 1) / pose_rate
     _, block = np.unique(np.floor((t - t[0]) * BLOCK_RATE + 1e-6), return_inverse=True)

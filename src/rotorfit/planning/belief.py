@@ -1,6 +1,6 @@
-"""Belief: what is thought of a vehicle, its air and its room before a flight, and how far it may be off.
+"""Belief: expected properties of a vehicle, its air and its room before a flight, with their uncertainty.
 
-From a card and its limits, from a model file, or from a published set; and to and from the plain types of a plan.
+From a card and its limits, from a model file, or from a published set; converted to and from the plain types of a plan.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,29 +21,29 @@ from rotorfit.simulation.published import PUBLISHED, vehicle_of
 DAMPING: Mapping[str, tuple[float, float]] = {
     "tilt": (0.40, 0.27), "vertical_speed": (2.9, 0.8), "velocity": (2.0, 1.0), "yaw_rate": (3.2, 1.4)
 }  # fmt: skip
-"""Mean and standard deviation of the damping by what a command asks for [1/s].
+"""Mean and standard deviation of the damping for each meaning of a command [1/s].
 
-Source: mean and spread of the published sets for tilt, vertical speed and yaw rate; of a velocity loop it is an
-assumption, a time constant of half a second give or take a factor of 1.6.
+Source: mean and spread of the published sets for tilt, vertical speed and yaw rate; for a velocity loop it is an
+assumption, a time constant of half a second within a factor of 1.6.
 """
 
 DELAY = (0.15, 0.10)
 """Mean and standard deviation of the delay [s]. Source: 0.15 to 0.20 s on Bebop 2 flights, 0.26 s published for one."""
 
 GAIN_SHARE = 0.15
-"""Standard deviation of what a full command reaches, as a share of what the card's limits make one expect."""
+"""Relative standard deviation of the response to a full command about the expectation from the card's limits."""
 
 PUBLISHED_SHARE = 0.20
-"""Standard deviation of published coefficients as a share: the sets of one drone differ by as much."""
+"""Relative standard deviation of published coefficients: the sets of one vehicle differ by as much."""
 
 UNKNOWN_SHARE = (0.5, 0.7)
-"""The same of input and damping where nothing is known; what a model says of them is never believed to be vaguer."""
+"""Relative standard deviations of input and damping where nothing is known; a model's are never taken to be larger."""
 
 TRIM = (0.05, 0.05, 0.03, 0.02)
 """Standard deviation of the trim [m/s^2; rad/s^2 for yaw]: a tilt of 0.3 degrees is 0.05 m/s^2."""
 
 QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
-"""Where no flight has told of noise and wind."""
+"""Note where no flight has revealed noise and wind."""
 
 NAMES = tuple(f"{axis}.{name}" for axis in AXES for name in COEFFICIENTS)
 """Order of the twelve coefficients in a covariance."""
@@ -51,17 +51,17 @@ NAMES = tuple(f"{axis}.{name}" for axis in AXES for name in COEFFICIENTS)
 
 @dataclass(frozen=True)
 class Belief:
-    """What is thought of a vehicle.
+    """Belief about a vehicle.
 
     Attributes:
         truth: The likeliest vehicle, air and room.
-        covariance: Of input, damping and delay of x, y, z, yaw in turn, shape (12, 12). 0 between different axes: what
+        covariance: Covariance of input, damping and delay of x, y, z, yaw in turn, shape (12, 12). 0 between axes: what
             a fit finds there is small.
         trim_sigma: Standard deviation of the trim about that of the likeliest [m/s^2; rad/s^2 for yaw].
-        levels: Axis to the four levels of its disturbance as the likelihood has them (`disturbance.LEVELS`), for the
-            axes of a model; of the others they follow from the wind of `truth`.
-        source: Where it comes from, for people.
-        notes: What had to be assumed, one line each.
+        levels: Axis to the four levels of its disturbance as in the likelihood (`disturbance.LEVELS`), for the axes of
+            a model; for the others they follow from the wind of `truth`.
+        source: Origin, for people.
+        notes: Assumptions, one line each.
     """
 
     truth: Truth
@@ -83,7 +83,7 @@ def coefficients_of(truth: Truth) -> Array:
 
 
 def with_coefficients(truth: Truth, values: Array) -> Truth:
-    """The same air and room around another vehicle, from twelve coefficients in that order."""
+    """Another vehicle in the same air and room, from twelve coefficients in that order."""
     table = values.reshape(4, 3)
     return replace(
         truth,
@@ -93,11 +93,11 @@ def with_coefficients(truth: Truth, values: Array) -> Truth:
 
 
 def belief_from_card(card: Card) -> Belief:
-    """What the limits and priors of a card make one expect of its vehicle.
+    """The belief about a vehicle from the limits and priors of its card.
 
-    A full tilt accelerates by g tan(tilt), a full speed or rate is reached in the end. The damping is that of published
+    A full tilt accelerates by g tan(tilt), a full speed or rate is eventually reached. The damping is that of published
     sets, the delay that of a Bebop 2. Where the card has no limit but names a vehicle with published sets, their mean
-    and spread are taken. Where it has a prior of a coefficient, that holds.
+    and spread are used. A prior of a coefficient in the card takes precedence.
 
     Raises:
         PlanError: The card does not say what a command reaches, and its vehicle is not known.
@@ -107,14 +107,14 @@ def belief_from_card(card: Card) -> Belief:
 
 
 def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief:
-    """A belief from input, damping, delay, their covariance and a note of each axis."""
+    """A belief from input, damping and delay of each axis, their covariance and a note."""
     truth = with_coefficients(Truth(), np.concatenate([mean for mean, _, _ in parts]))
     notes = tuple(note for _, _, note in parts if note)
     return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), TRIM, {}, source, notes)
 
 
 def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
-    """Input, damping, delay of one axis, their covariance (3, 3), and what had to be assumed."""
+    """Input, damping, delay of one axis, their covariance (3, 3), and a note on assumptions."""
     if axis not in card.command:
         return np.array([1.0, 1.0, DELAY[0]]), np.diag([0.01, 0.01, DELAY[1] ** 2]), ""
     meaning, prior, note = meaning_of(card, axis), card.prior.get(axis, {}), ""
@@ -141,16 +141,16 @@ def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
 
 
 def _stable(vehicle: str, axis: str) -> Array:
-    """Input and damping of an axis in a vehicle's published sets in fractions, the damping positive, shape (S, 2)."""
+    """Input and damping of an axis in a vehicle's published sets in fractions with positive damping, shape (S, 2)."""
     a = 2 * AXES.index(axis)
     pairs = [one.gamma[a : a + 2] for one in PUBLISHED if one.vehicle == vehicle and one.command == "fraction"]
     return np.array([pair for pair in pairs if pair[1] is not None and pair[1] > 0], float)
 
 
 def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> tuple[Array, Array]:
-    """Input, damping, delay and their covariance from what a full command reaches.
+    """Input, damping, delay and their covariance from the response to a full command.
 
-    That is an acceleration for a tilt, and else a speed: input over damping, so that the two go up and down together.
+    That response is an acceleration for a tilt, else a speed: input over damping, so that the two vary together.
     """
     if meaning.asked == "tilt":
         return np.array([reach, damping, DELAY[0]]), np.diag([(reach * GAIN_SHARE) ** 2, spread**2, DELAY[1] ** 2])
@@ -162,10 +162,10 @@ def _product(reach: float, meaning: Meaning, damping: float, spread: float) -> t
 
 
 def belief_from_published(name: str) -> Belief:
-    """A published set, each coefficient known to a fifth, the delay as of a Bebop 2.
+    """The belief from a published set, each coefficient known to a fifth, with the delay of a Bebop 2 if it has none.
 
     Raises:
-        PlanError: No such set, one that is not complete, or one with an axis that runs away.
+        PlanError: There is no such set, it is incomplete, or an axis is unstable.
     """
     known = {one.name: one for one in PUBLISHED}
     if name not in known:
@@ -182,17 +182,17 @@ def belief_from_published(name: str) -> Belief:
 
 
 def belief_from_model(model: Model, where: str) -> Belief:
-    """What a fitted model says of its vehicle, its air and its room; what it does not know is as the card has it.
+    """The belief about a vehicle, its air and its room from a fitted model, completed by the model's card.
 
-    The likelihood's own point with its covariance, the levels of its disturbance, the spread of the trims of its
-    flights. Nothing is believed to be vaguer than `UNKNOWN_SHARE`.
+    It uses the likelihood's own estimates with their covariance, the levels of the disturbance, and the spread of the
+    trims over the flights. No uncertainty exceeds `UNKNOWN_SHARE`.
 
     Args:
         model: From a fit by the likelihood.
-        where: Its file, for the text.
+        where: Its file, for messages.
 
     Raises:
-        PlanError: No axis has numbers, and the card has no limits.
+        PlanError: No axis has numbers, and the card has no limits; or an axis is unstable.
     """
     from rotorfit.dynamics.disturbance import LEVELS  # on use: it brings numba
 
@@ -223,9 +223,9 @@ def belief_from_model(model: Model, where: str) -> Belief:
 
 
 def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
-    """What is believed of the axes that a model does not know: the card's expectation, where it has any.
+    """The belief about the axes that a model does not know: the card's expectation, if it has any.
 
-    Notes are of these axes only: what the card would have made one expect of the others no longer counts.
+    The notes concern these axes only, since the card's expectation of the others no longer matters.
     """
     parts = []
     for axis in AXES:
@@ -244,7 +244,7 @@ def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
 
 
 def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
-    """The covariances of a model in that of what it does not know, bounded by `UNKNOWN_SHARE`."""
+    """The covariance with the blocks of the axes that a model knows, bounded by `UNKNOWN_SHARE`."""
     out = covariance.copy()
     for a, axis in enumerate(AXES):
         law = first_order(model, axis) if model.axes[axis].predictor else None
@@ -260,7 +260,7 @@ def _known_covariance(model: Model, values: Array, covariance: Array) -> Array:
 def _wind(levels: Sequence[float], damping: float) -> tuple[float, float]:
     """Standard deviation [m/s^2] and correlation time [s] of the wind whose response through drag has these levels.
 
-    Of the two poles of the disturbance the one nearer to the vehicle's damping is taken for that, the other is 1 / T.
+    The pole of the disturbance nearer to the vehicle's damping is attributed to the drag; the other is 1 / T.
     """
     power, _, total, overlap = levels
     half = total / 2 * np.sqrt(1 - overlap)
@@ -271,7 +271,7 @@ def _wind(levels: Sequence[float], damping: float) -> tuple[float, float]:
 
 
 def levels_of(belief: Belief, truth: Truth, axis: str) -> Array:
-    """The four levels of an axis' disturbance as the likelihood has them, for a vehicle that is believed possible."""
+    """The four levels of an axis's disturbance as in the likelihood, for a possible vehicle; shape (4,)."""
     if axis in belief.levels:
         return np.array(belief.levels[axis])
     a = AXES.index(axis)
@@ -283,18 +283,18 @@ def levels_of(belief: Belief, truth: Truth, axis: str) -> Array:
 
 
 def sample_vehicles(belief: Belief, count: int, seed: int) -> list[Truth]:
-    """Vehicles that are believed possible.
+    """Draws possible vehicles from the belief.
 
-    Coefficients are log-normal with the mean, the standard deviations and, of their logarithms, the correlations of the
-    belief, so that none changes its sign; the trim is normal.
+    Coefficients are log-normal with the mean and the standard deviations of the belief, and its correlations for their
+    logarithms, so that none changes its sign; the trim is normal.
     """
     rng = np.random.default_rng(seed)
     mean, sd = belief.coefficients, np.sqrt(np.diag(belief.covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.nan_to_num(belief.covariance / np.outer(sd, sd))
         spread = np.where(mean != 0, np.sqrt(np.log1p((sd / mean) ** 2)), 0.0)
-    np.fill_diagonal(correlation, 1 + 1e-9)  # where sd is 0 nothing comes of it; singular ones become just definite
-    # Cholesky's factor moves little when the covariance does, so that a plan read from its file has the same vehicles
+    np.fill_diagonal(correlation, 1 + 1e-9)  # no effect where sd is 0; singular matrices become just definite
+    # Cholesky's factor is continuous in the covariance, so a plan read from its file has the same vehicles
     normal = rng.standard_normal((count, 12)) @ np.linalg.cholesky(correlation).T
     values = mean * np.exp(spread * normal - spread**2 / 2)
     trims = np.array(belief.truth.trim) + np.array(belief.trim_sigma) * rng.standard_normal((count, 4))
@@ -326,7 +326,7 @@ def belief_from_mapping(raw: Mapping[str, Any], where: str) -> Belief:
     """The inverse of `belief_mapping`.
 
     Raises:
-        PlanError: Something is missing, of another size, or what no vehicle can be.
+        PlanError: A value is missing, of the wrong size, or impossible.
     """
     try:
         numbers = {name: _four(raw[name]) for name in ("delay", "trim", "wind_sigma", "wind_time", "mocap_noise")}
@@ -350,7 +350,7 @@ def belief_from_mapping(raw: Mapping[str, Any], where: str) -> Belief:
 
 
 def _blocks(parts: Sequence[Array]) -> Array:
-    """The blocks of the axes on the diagonal, shape (12, 12)."""
+    """A block-diagonal matrix of the axes' blocks, shape (12, 12)."""
     out = np.zeros((12, 12))
     for a, part in enumerate(parts):
         out[3 * a : 3 * a + 3, 3 * a : 3 * a + 3] = part
@@ -358,7 +358,11 @@ def _blocks(parts: Sequence[Array]) -> Array:
 
 
 def _checked(belief: Belief) -> Belief:
-    """Refuses what cannot be planned for."""
+    """Refuses a belief for which no flight can be planned.
+
+    Raises:
+        PlanError: A damping that is not positive, or an invalid covariance.
+    """
     for axis, damping in zip(AXES, belief.truth.gamma[1::2], strict=True):
         if not damping > 0:
             raise PlanError(

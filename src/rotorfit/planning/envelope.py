@@ -1,7 +1,7 @@
-"""Envelope: where a plan is expected to lead, how fast, and whether it stays in its space when the belief is off.
+"""Envelope: the expected path and speeds of a plan, and whether it stays in its space if the belief is off.
 
-The plan is flown by the likeliest vehicle in still air, and by vehicles drawn from the belief, each with a trim and a
-wind of its own; its feedback believes in the likeliest all the while.
+The plan is flown by the likeliest vehicle in still air, and by vehicles drawn from the belief, each with its own trim
+and wind; the feedback believes in the likeliest in all cases.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,37 +20,36 @@ from rotorfit.planning.signals import scaled
 from rotorfit.simulation.paper_vehicle import Truth, noise_free
 
 DRAWS = 50
-"""Vehicles drawn."""
+"""Number of vehicles drawn."""
 
 ALLOWED = 0.05
-"""Share of them that may leave the space or break a speed limit."""
+"""Share of them that may leave the space or exceed a speed limit."""
 
 FINENESS = 0.02
-"""The largest amplitude is found to this share of itself."""
+"""Relative precision of the largest amplitude."""
 
 LIMITS = ("x", "y", "z", "speed", "climb")
-"""What a flight can violate: a side of the box, the speed along x and y, the speed along z."""
+"""Limits that a flight can violate: a side of the box, the horizontal speed, the vertical speed."""
 
 _GRID = 0.1  # s between the points of the predicted path
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """Predicted motion. N times, D draws.
+    """Predicted motion at N times, from D draws.
 
     Attributes:
         time: From the start of the plan, shape (N,) [s].
         nominal: Path of the likeliest vehicle in still air, shape (N, 4) [m, rad].
-        low: 2.5 % of the draws are below, at each time alone, shape (N, 4).
-        high: 2.5 % are above.
-        extent: The same for the least and the greatest value of a whole flight: 2.5 % reach further down, 2.5 % further
-            up, shape (2, 4).
-        speed: Greatest speed along x and y, along z, and rate of yaw of the nominal flight, shape (3,) [m/s, rad/s].
-        speed_high: That of 95 % of the draws is not greater, shape (3,).
+        low: 2.5 % quantile of the draws at each time, shape (N, 4).
+        high: 97.5 % quantile of the draws at each time, shape (N, 4).
+        extent: 2.5 % quantile of the minimum and 97.5 % quantile of the maximum over a whole flight, shape (2, 4).
+        speed: Largest horizontal speed, vertical speed and yaw rate of the nominal flight, shape (3,) [m/s, rad/s].
+        speed_high: 95 % quantile of the same over the draws, shape (3,).
         outside: Share of the draws that violate each of `LIMITS`, shape (5,).
-        hasty: Share of the draws whose speed along x, or y, is above the limit over the root of 2, shape (2,).
-        leaving: Share of the draws that violate any.
-        saturated: Share of the commands, over all draws, that full scale bounds on some axis.
+        hasty: Share of the draws whose speed along x, or y, exceeds the limit over the root of 2, shape (2,).
+        leaving: Share of the draws that violate any limit.
+        saturated: Share of the commands, over all draws, that are clipped at full scale on some axis.
         draws: D.
     """
 
@@ -69,20 +68,20 @@ class Envelope:
 
     @property
     def fits(self) -> bool:
-        """Whether no more draws than are allowed leave the space."""
+        """Whether at most the allowed share of the draws leaves the space."""
         return self.leaving <= ALLOWED
 
 
 def predicted_path(
     plan: Plan, belief: Belief, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
 ) -> Envelope:
-    """Where the plan leads.
+    """Predicts the motion of a plan.
 
     Args:
-        plan: What would be flown.
-        belief: Of the vehicle, its air and its room.
+        plan: The plan.
+        belief: Belief about the vehicle, its air and its room.
         draws: Vehicles besides the likeliest, at least 1.
-        seed: Of the draws and their wind.
+        seed: Seed of the draws and their wind.
         progress: Called with a fraction and a text; raising in it cancels.
     """
     vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
@@ -109,7 +108,7 @@ def predicted_path(
 
 
 def _one(tracker: Tracker, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
-    """One flight: path (N, 4), greatest speeds (3,), violated limits and haste (7,), share of bounded commands."""
+    """One flight: path (N, 4), largest speeds (3,), violated limits and haste (7,), share of clipped commands."""
     plan, space = tracker.plan, tracker.plan.space
     flight = fly_plan(tracker, truth, seed)
     pose, velocity = path(plan, flight), flight.velocity
@@ -125,7 +124,7 @@ def _one(tracker: Tracker, truth: Truth, seed: int, time: Array) -> tuple[Array,
 
 
 def with_amplitudes(plan: Plan, factors: Mapping[str, float]) -> Plan:
-    """The plan with the signals of each axis times a factor."""
+    """The plan with the signals of each axis multiplied by a factor."""
     signals = (replace(each, signal=scaled(each.signal, factors[each.axis])) for each in plan.excitations)
     return replace(plan, excitations=tuple(signals))
 
@@ -135,20 +134,20 @@ def largest_amplitudes(
 ) -> dict[str, float]:
     """The largest factors on the signals with which the plan stays in its space, axis by axis, by bisection.
 
-    Each axis shrinks only where it violates a limit itself: x and y the sides of the box along them and the speed, z
-    its side and the climb. What then still leaves, as where the heading turns, shrinks all together.
+    An axis shrinks only where it violates a limit itself: x and y the sides of the box along them and the speed, z its
+    side and the climb rate. If the plan still leaves, as where the heading turns, all axes shrink together.
 
     Args:
-        plan: At the amplitude that is 1.
-        belief: Of the vehicle, its air and its room.
-        upper: Largest factor that is looked at.
-        draws: As `predicted_path` has them; the same vehicles and winds are flown with every factor. The search
-            looks at half of them first.
-        seed: As there.
+        plan: The plan at factor 1.
+        belief: Belief about the vehicle, its air and its room.
+        upper: Largest factor considered.
+        draws: As for `predicted_path`; the same vehicles and winds are flown with every factor. The search first uses
+            half of them.
+        seed: As for `predicted_path`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        Axis to factor, right to 2 % of itself; all 0 where even the hover leaves.
+        Axis to factor, accurate to 2 %; all 0 where even the hover leaves.
     """
     axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
     low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
@@ -183,7 +182,7 @@ def largest_amplitudes(
 
 
 def _guilty(axis: str, axes: Sequence[str], foreseen: Envelope) -> bool:
-    """Whether an axis violates a limit itself; x and y that are flown together share the speed in equal parts."""
+    """Whether an axis itself violates a limit; x and y flown together share the speed limit equally."""
     outside = dict(zip(LIMITS, foreseen.outside, strict=True))
     if axis == "yaw":
         return False
@@ -212,9 +211,9 @@ def largest_amplitude(
     progress: Progress | None = None,
     axes: Sequence[str] = AXES,
 ) -> float:
-    """The largest factor on the signals of some axes alike with which the plan stays in its space.
+    """The largest common factor on the signals of some axes with which the plan stays in its space; 0 if none does.
 
-    The other arguments and the search are as above.
+    The other arguments and the search are as for `largest_amplitudes`.
     """
 
     def stays(factor: float, step: int) -> bool:
@@ -229,7 +228,7 @@ def largest_amplitude(
         return 0.0
     low, high = 0.0, upper
     for step in range(1, _STEPS):
-        middle = max((low + high) / 2, 0.8 * high)  # most often little has to be taken off
+        middle = max((low + high) / 2, 0.8 * high)  # usually only little has to be taken off
         low, high = (middle, high) if stays(middle, step) else (low, middle)
         if low and high - low <= FINENESS * low:
             break
@@ -242,15 +241,15 @@ def refuse_if_outside(
     """Refuses a plan that leaves its space under the uncertainty of the belief.
 
     Args:
-        plan: What would be flown.
-        belief: Of the vehicle, its air and its room.
+        plan: The plan.
+        belief: Belief about the vehicle, its air and its room.
         envelope: Its prediction.
-        amplitude: Which the plan has now.
-        draws: Of the search for the amplitude that fits.
-        seed: Of it.
+        amplitude: The plan's present amplitude.
+        draws: Draws in the search for the amplitude that fits.
+        seed: Seed of that search.
 
     Raises:
-        PlanError: With the largest amplitude that fits.
+        PlanError: It leaves; the message gives the largest amplitude that fits.
     """
     if envelope.fits:
         return
@@ -268,6 +267,6 @@ def refuse_if_outside(
 
 
 def _floored(value: float) -> str:
-    """Two significant digits, never more than the value, so that what is offered does fit."""
+    """Two significant digits, never more than the value, so that the suggested amplitude fits."""
     grain = 10.0 ** (np.floor(np.log10(value)) - 1)
     return f"{np.floor(value / grain + 1e-9) * grain:.2g}"

@@ -1,4 +1,4 @@
-"""The next-best flight after a model: which axes are worst known beside what is wanted, and what shrinks that most."""
+"""The next-best flight after a model: the axes known worst compared with the target, and the design that helps most."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ from rotorfit.planning.precision import inverse_of, predicted_errors
 Table = Mapping[str, Mapping[str, float]]
 
 WANTED = (0.02, 0.05, 0.005)
-"""Standard errors that are wanted: of input and damping as shares, of the delay [s]. A judgement: a controller that is
-designed for a phase margin of 45 degrees feels none of them."""
+"""Target standard errors: of input and damping (relative), of the delay [s]. A judgement: a controller designed for a
+phase margin of 45 degrees is insensitive to them."""
 
 TRIED = ("multisine", "chirp", "optimal")
-"""Designs that are compared where the user names none: those without hard steps, see `planning.HARD`."""
+"""Designs that are compared if the user names none: those without hard steps, see `plan_flight.HARD`."""
 
 
 @dataclass(frozen=True)
 class NextFlight:
-    """A proposal.
+    """A proposed flight.
 
     Attributes:
         plan: The flight.
-        before: Axis to coefficient to standard error as the model has it; of what it does not know, as believed.
+        before: Axis to coefficient to standard error in the model; where it has none, in the belief.
         after: The same with the flight added.
-        wanted: What is wanted.
-        tried: Design to what it leaves: the root mean square of error over wanted, over the flown axes.
+        wanted: The target standard errors.
+        tried: Design to its result: the root mean square of error over target, over the flown axes.
         reason: Why these axes, one sentence.
     """
 
@@ -59,21 +59,21 @@ def next_flight(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> NextFlight:
-    """Proposes the flight that shrinks most what is worst known beside what is wanted.
+    """Proposes the flight that most reduces the standard errors that are largest compared with their targets.
 
-    Of x with y, z and yaw it takes the group with the largest error over wanted; of the designs the one that leaves
-    least; and no more of the duration than is needed to reach what is wanted.
+    Among x with y, z and yaw it takes the group with the largest ratio of error to target; among the designs the one
+    with the best result; and no more of the duration than the targets need.
 
     Args:
-        card: Of the model.
+        card: Card of the model.
         space: Fence and limits.
         belief: From the model.
-        duration: At most [s].
-        design: Named by the user; None compares `TRIED`.
-        axes: Named by the user; None chooses.
-        amplitude: As `plan_flight` has it.
-        open_loop: As there.
-        seed: As there.
+        duration: Largest duration [s].
+        design: Requested by the user; None compares `TRIED`.
+        axes: Requested by the user; None chooses.
+        amplitude: As for `plan_flight`.
+        open_loop: As for `plan_flight`.
+        seed: As for `plan_flight`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
@@ -117,20 +117,20 @@ def next_flight(
 
 
 def wanted_errors(belief: Belief) -> Array:
-    """Standard errors that are wanted of the twelve coefficients, shape (12,)."""
+    """Target standard errors of the twelve coefficients, shape (12,)."""
     scale = np.abs(belief.coefficients.reshape(4, 3)) * np.array([*WANTED[:2], 0.0])
     scale[:, 2] = WANTED[2]
     return np.asarray(scale.ravel())
 
 
 def worst_group(ratio: Array, commanded: Sequence[str]) -> tuple[str, ...]:
-    """Of x with y, z and yaw, as far as commanded, the axes with the largest ratio of error to wanted, ratio (12,)."""
+    """Among x with y, z and yaw, if commanded, the axes with the largest ratio of error to target, ratio (12,)."""
     groups = [group for each in TOGETHER if (group := tuple(axis for axis in each if axis in commanded))]
     return max(groups, key=lambda group: max(ratio[3 * AXES.index(axis) + i] for axis in group for i in range(3)))
 
 
 def errors_after(plan: Plan, belief: Belief) -> Array:
-    """Standard errors of the twelve coefficients with the flight added to what is believed, shape (12,)."""
+    """Standard errors of the twelve coefficients with the flight added to the belief, shape (12,)."""
     known = inverse_of(belief.covariance)
     out = predicted_errors([plan], belief, seed=plan.seed, before=known)
     return np.array([out.stderr[axis][name] for axis in AXES for name in COEFFICIENTS])
@@ -142,7 +142,7 @@ def _left(errors: Array, wanted: Array, axes: Sequence[str]) -> float:
 
 
 def _enough(plan: Plan, belief: Belief, wanted: Array, axes: Sequence[str]) -> float:
-    """The duration that reaches what is wanted on all axes, in steps of 10 s, as information grows with time [s]."""
+    """Duration that reaches the targets on all axes, in steps of 10 s, as information grows with time [s]."""
     rows = (errors_after(plan, belief) / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
     needed = 10 * np.ceil(plan.duration * float(rows.max()) ** 2 / 10)
     return float(np.clip(needed, max(2 * SHORTEST, 20.0), plan.duration)) if plan.duration > 20 else plan.duration

@@ -1,17 +1,16 @@
-"""The commands of one axis that tell its coefficients best, within a room: optimal experiment design.
+"""Commands of one axis that are most informative about its coefficients within a room: optimal experiment design.
 
-Over levels c held for one step each, and commands u that are these levels behind a window,
+Over levels c held for one step each, and commands u that are these levels convolved with a window,
 
     maximise   J(M(u)),  M_ij = u' Q_ij u,  u = window * c        (`axis_information`)
     such that  |c| <= command, lower <= p <= upper, |v| <= speed at every step, from rest at 0 to rest at 0
 
-with p, v the motion that c would lead to by the believed dynamics. That of u is a weighted mean of it over the window,
-so it stays inside, too. The window keeps out what is fast: a vehicle with inner loops follows hard steps less than its
-model does. M is a convex quadratic form of u, so J rises towards the corners
-of the convex set of flights that stay inside. A linear programme finds the best corner by the gradient of J; a line
-search on the way to it, on the exact J, can only climb; where no corner is better to first order, the climb ends. That
-is a local optimum, of which there are many: several signals start the climb, then parts of the best are disturbed and
-the climb repeated.
+with p, v the motion under c by the believed dynamics. The motion under u is a weighted mean of it over the window, so
+it stays inside, too. The window removes fast content: a vehicle with inner loops follows hard steps less than its model
+does. M is a convex quadratic form of u, so J rises towards the corners of the convex set of flights that stay inside.
+A linear programme finds the best corner by the gradient of J; a line search towards it, on the exact J, can only climb;
+the climb ends where no corner is better to first order. That is one of many local optima: several signals start the
+climb, then parts of the best are perturbed and the climb is repeated.
 
 Source: G. C. Goodwin, R. L. Payne, Dynamic System Identification (1977), ch. 6; L. Ljung, System Identification, 2nd
 ed. (1999), ch. 13; M. Frank, P. Wolfe, Naval Research Logistics Quarterly 3 (1956), pp. 95-110, for the climb; I. R.
@@ -44,8 +43,8 @@ from rotorfit.planning.belief import Belief, levels_of
 Criterion = Literal["d", "a"]
 
 TARGETS = np.array([0.05, 0.10, 0.03])
-"""Standard errors of input and damping (shares) and delay [s] that criterion A counts as equally bad: the limits below
-which the benchmarks call an axis well excited. D does not depend on them."""
+"""Standard errors of input and damping (relative) and delay [s] that criterion A counts as equally bad: the limits
+below which the benchmarks call an axis well excited. D does not depend on them."""
 
 LONGEST = 60.0
 """Longest flight that is designed in one piece [s]; a longer one chains equal pieces, which start and end at rest."""
@@ -54,21 +53,21 @@ SHORTEST = 4.0
 """Shortest flight that is designed [s]."""
 
 STARTS, ROUNDS = 9, 27
-"""Signals that start the climb, and disturbances of the best afterwards."""
+"""Number of signals that start the climb, and of perturbations of the best afterwards."""
 
 SETTLED = 1e-6
 """A climb ends where the linear programme promises less than this share of the standard errors."""
 
 SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 121)])
-"""Shares of the way to a corner that the line search looks at."""
+"""Shares of the way to a corner that the line search tries."""
 
 LONGEST_CLIMB = 100
-"""Steps of a climb; 5 to 20 are usual."""
+"""Largest number of steps of a climb; 5 to 20 are usual."""
 
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What one axis must stay within.
+    """Limits for the motion and commands of one axis.
 
     Attributes:
         command: Largest size of the command, in its unit.
@@ -85,17 +84,17 @@ class AxisLimits:
 
 @dataclass(frozen=True)
 class OptimalSignal:
-    """An optimal design of one axis.
+    """An optimal design for one axis.
 
     Attributes:
         signal: The commands, in their unit; 0 at the end.
-        criterion: What was optimised: `d` or `a`.
+        criterion: Criterion that was optimised: `d` or `a`.
         score: -log of the mean standard error, in units of `TARGETS`: geometric mean for D, root mean square for A.
-        gap: How much of the score the last linear programme still promised: 0 at a local optimum.
-        history: Score after each step of the climb that led to the best, rising.
-        scores: Local optima that were found, in the order in which they were found.
-        errors: Predicted standard errors of input and damping (shares) and delay [s], disturbance levels known.
-        pieces: So many equal pieces are chained.
+        gap: Improvement of the score that the last linear programme still promised: 0 at a local optimum.
+        history: Score after each step of the climb that led to the best, increasing.
+        scores: Local optima found, in order.
+        errors: Predicted standard errors of input and damping (relative) and delay [s], with disturbance levels known.
+        pieces: Number of equal pieces that are chained.
     """
 
     signal: Steps
@@ -125,21 +124,24 @@ def optimal_signal(
     """Designs the commands of one axis.
 
     Args:
-        dynamics: Input, damping and delay as believed; the damping positive.
-        levels: log of q, r, alpha, kappa of the disturbance as believed, shape (4,), as in `point.Point`.
-        limits: What the motion by the believed dynamics must stay within, without wind. Shrink them by what wind and
-            doubt about the dynamics may add.
-        duration: Of the signal [s]; the vehicle is at rest again one delay after its end, at the latest.
+        dynamics: Believed input, damping and delay; the damping positive.
+        levels: log of the believed q, r, alpha, kappa of the disturbance, shape (4,), as in
+            `estimation.likelihood.parameters.Point`.
+        limits: Limits for the motion by the believed dynamics, without wind. Reduce them by the effect of wind and of
+            uncertain dynamics.
+        duration: Duration of the signal [s]; the vehicle is at rest again at most one delay after its end.
         criterion: `d` for the smallest volume of the confidence ellipsoid of input, damping and delay, `a` for the
             smallest sum of their variances in units of `TARGETS`.
-        seed: Of starts and disturbances. Different seeds give different signals of nearly the same score.
-        progress: Told the share of the climbs that is done; raising in it cancels.
-        step: How long a command holds at least [s].
-        smooth: Width of the Hann window that the levels pass [s]: what is faster than 2 pi over it loses more than half
-            of its amplitude, what is twice as fast nearly all. Up to a step: none, the commands are hard steps.
-        pose_rate: Fresh poses a second [1/s].
-        known: Information about (input / g, log b, tau) that earlier flights have given, shape (3, 3).
+        seed: Seed of starts and perturbations. Different seeds give different signals of nearly the same score.
+        progress: Receives the share of the climbs that is done; raising in it cancels.
+        step: Shortest time for which a command is held [s].
+        smooth: Width of the Hann window applied to the levels [s]: content faster than 2 pi over it loses more than
+            half of its amplitude, content twice as fast nearly all. Up to one step: none, the commands are hard steps.
+        pose_rate: Rate of fresh poses [Hz].
+        known: Information about (input / g, log b, tau) from earlier flights, shape (3, 3).
 
+    Raises:
+        PlanError: Limits without room, a flight that is too short, or a failed linear programme.
     Raises:
         PlanError: Limits without room, or a flight that is too short.
     """
@@ -179,23 +181,23 @@ def optimal_excitations(
 ) -> tuple[AxisExcitation, ...]:
     """Designs several axes that are flown together, ready for a plan without a ramp.
 
-    Each axis has a seed of its own, so that their commands differ. On an axis with feedback the signal also holds what
-    keeps the feedback from undoing the motion (`held_motion.against_feedback`).
+    Each axis has its own seed, so that the commands differ. On an axis with feedback the signal also compensates the
+    feedback, which would otherwise undo the motion (`axis_information.against_feedback`).
 
     Args:
-        belief: Of the vehicle, its air and its room.
+        belief: Belief about the vehicle, its air and its room.
         room: Axis to its limits.
-        start: Of the signals in the plan [s].
-        duration: Of the signals [s].
-        feedback: Of the plan; it must believe in the same input gains.
-        criterion: As `optimal_signal` has it.
-        seed: Of the searches.
+        start: Start of the signals in the plan [s].
+        duration: Duration of the signals [s].
+        feedback: Feedback of the plan; it must believe in the same input gains.
+        criterion: As for `optimal_signal`.
+        seed: Seed of the searches.
         progress: Called with a fraction and a text; raising in it cancels.
         smooth: Axis to the width of its window [s], see `optimal_signal`; None for hard steps.
-        step: How long a command holds at least, a multiple of the period of the plan's commands [s].
+        step: Shortest time for which a command is held, a multiple of the period of the plan's commands [s].
 
     Raises:
-        PlanError: Limits without room, or a duration that is too short.
+        PlanError: As `optimal_signal`.
     """
     truth, out = belief.truth, []
     for place, (axis, limits) in enumerate(room.items()):
@@ -234,7 +236,7 @@ def _check(dynamics: tuple[float, float, float], limits: AxisLimits, duration: f
 
 @dataclass(frozen=True)
 class _Climb:
-    """Where a climb ended: the levels, before their window."""
+    """Result of a climb, with the levels before their window."""
 
     command: Array
     gap: float
@@ -243,7 +245,7 @@ class _Climb:
 
 @dataclass(frozen=True)
 class _Problem:
-    """One piece of a flight: what its levels tell behind their window, and what they must keep to."""
+    """One piece of a flight: the information of its windowed levels, and their limits."""
 
     form: AxisInformation
     limits: AxisLimits
@@ -257,7 +259,7 @@ class _Problem:
         return int(self.form.form.shape[-1])
 
     def score(self, information: Array) -> float:
-        """-log of the mean standard error in units of `TARGETS`; -inf where something cannot be known."""
+        """-log of the mean standard error in units of `TARGETS`; -inf where the information is singular."""
         scaled = (information + self.prior) * np.outer(TARGETS, TARGETS)
         sign, log_determinant = np.linalg.slogdet(scaled)
         if sign <= 0:
@@ -276,9 +278,9 @@ class _Problem:
 
     @functools.cached_property
     def motion(self) -> tuple[Any, Array]:
-        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, the positions and the speeds after each of them.
+        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, and the positions and speeds after each of them.
 
-        Each in units of its limit, which the solver takes better than SI.
+        Each is in units of its limit, which suits the solver better than SI.
         """
         from scipy.sparse import csc_array, eye_array, hstack, vstack
 
@@ -292,11 +294,15 @@ class _Problem:
         position = hstack([-h * push / room * one, one - before, -k * fastest / room * before])
         speed = hstack([-k * push / fastest * one, 0 * one, one - f * before])
         bounds = np.repeat([[-1.0, 1.0], [limits.lower / room, limits.upper / room], [-1.0, 1.0]], N, axis=0)
-        bounds[[2 * N - 1, 3 * N - 1]] = 0.0  # at rest where it began
+        bounds[[2 * N - 1, 3 * N - 1]] = 0.0  # at rest at the start position
         return csc_array(vstack([position, speed])), bounds
 
     def corner(self, direction: Array) -> Array:
-        """The flight inside the limits that goes furthest in a direction of its commands, shape (N,)."""
+        """The flight inside the limits that maximises the projection of its commands on a direction, shape (N,).
+
+        Raises:
+            PlanError: The linear programme failed.
+        """
         from scipy.optimize import linprog
 
         equations, bounds = self.motion
@@ -311,7 +317,7 @@ class _Problem:
         raise PlanError(f"the linear programme of the optimal design failed ({found.message}): change the limits")
 
     def climb(self, command: Array) -> _Climb:
-        """From a flight inside the limits to a local optimum; the score never falls."""
+        """Climbs from a flight inside the limits to a local optimum; the score never falls."""
         history: list[float] = []
         products, gap = self.form.products(command), np.inf
         for _ in range(LONGEST_CLIMB):
@@ -331,7 +337,7 @@ class _Problem:
         return _Climb(command, gap, tuple(history))
 
     def inside(self, level: Array) -> Array:
-        """The commands, a little smaller where the motion between the steps, or rounding, leaves the limits."""
+        """The commands, slightly reduced where the motion between the steps, or rounding, exceeds the limits."""
         limits, command = self.limits, np.convolve(level, self.window)
         low, high, speed = extremes(self.form.dynamics, command, self.form.step)
         reach = (np.abs(command).max() / limits.command, low / limits.lower, high / limits.upper, speed / limits.speed)
@@ -339,14 +345,14 @@ class _Problem:
 
 
 def _window(width: float, step: float) -> Array:
-    """Hann's window, of sum 1, on the steps; a single 1 where it is no wider than one."""
+    """Hann window with sum 1, sampled at the steps; a single 1 where it is no wider than one step."""
     count = max(1, round(width / step))
     window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2
     return np.asarray(window / window.sum())
 
 
 def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | None) -> tuple[_Climb, tuple[float, ...]]:
-    """Climbs from several signals, then again and again from the best with a part of it disturbed."""
+    """Climbs from several signals, then repeatedly from the best with a part of it perturbed."""
     climbs = []
     best: _Climb | None = None
     for i in range(STARTS + ROUNDS):
@@ -362,7 +368,7 @@ def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | No
 
 
 def _start(problem: _Problem, rng: np.random.Generator, i: int) -> Array:
-    """In turn: square waves of any period, random walks, binary noise."""
+    """A start direction; in turn square waves of any period, random walks, binary noise."""
     if i % 3 == 0:
         period = np.exp(rng.uniform(np.log(0.5), np.log(12.0)))
         t = problem.form.step * np.arange(problem.n)
@@ -373,7 +379,7 @@ def _start(problem: _Problem, rng: np.random.Generator, i: int) -> Array:
 
 
 def _disturbed(problem: _Problem, command: Array, rng: np.random.Generator) -> Array:
-    """The gradient at a flight, with a random walk added over a stretch of a thirtieth to a quarter of it."""
+    """The gradient at a flight, with a random walk added over a thirtieth to a quarter of its length."""
     products = problem.form.products(command)
     gradient = np.einsum("ij,ijk->k", problem.slope(products @ command), products)
     length = int(rng.integers(problem.n // 30 + 1, problem.n // 4 + 2))
@@ -384,7 +390,7 @@ def _disturbed(problem: _Problem, command: Array, rng: np.random.Generator) -> A
 
 
 def _chained(command: Array, step: float, period: float, pieces: int) -> Steps:
-    """Equal pieces one after the other; a level that repeats the one before is left out."""
+    """Chains equal pieces; a level equal to the previous one is left out."""
     level = np.append(command, 0.0)
     kept = np.flatnonzero(np.diff(level, prepend=0.0))
     time = np.concatenate([piece * period + step * kept for piece in range(pieces)])

@@ -1,10 +1,10 @@
-"""What a plan commands at an instant: its signals with their ramps, and the feedback on the measured pose.
+"""The command of a plan at an instant: its signals with their ramps, and the feedback on the measured pose.
 
     u = signals + (K (r - p) + D (r' - v) + r'' + b r') / g        on the axes of the feedback
 
 with p the last measured pose, v its filtered differences, r the reference, and g, b the believed input and damping of
-the vehicle, all in the heading frame. Full scale bounds the sum. `fly` runs these functions on a link; the flights that
-planning predicts run the same law (`paper_vehicle.Controller`).
+the vehicle, all in the heading frame. The sum is clipped at full scale. `fly` runs these functions on a link; the
+predicted flights run the same law (`paper_vehicle.Controller`).
 """
 
 import math
@@ -22,11 +22,11 @@ from rotorfit.files.cards import card_from_mapping
 
 @dataclass(frozen=True)
 class Tracker:
-    """A plan with what its feedback needs to know, ready to be flown.
+    """A plan with the parameters of its feedback, ready to be flown.
 
     Attributes:
-        plan: What is flown.
-        gamma: Believed input and damping of x, y, z, yaw in turn, shape (8,), as the paper's.
+        plan: The plan.
+        gamma: Believed input and damping of x, y, z, yaw in turn, shape (8,), as in the paper.
         full_scale: Largest command of each axis, shape (4,) [unit of the card's command].
     """
 
@@ -37,15 +37,15 @@ class Tracker:
 
 @dataclass(frozen=True)
 class Tracking:
-    """What the feedback remembers from one pose to the next.
+    """State of the feedback from one pose to the next.
 
     Attributes:
-        origin: Where the plan began: x, y, z, yaw, shape (4,) [m, rad]. The reference is relative to it: its x and y
-            are forward and left of the heading there.
-        time: Of the last pose, from the start of the plan [s].
-        pose: The last pose, world, yaw unwrapped, shape (4,).
-        velocity: By its filtered differences, world, shape (4,) [m/s, rad/s].
-        saturated: Commands so far that full scale has bounded on some axis.
+        origin: Pose at the start of the plan: x, y, z, yaw, shape (4,) [m, rad]. The reference is relative to it: its x
+            and y are forward and left of the heading there.
+        time: Time of the last pose, from the start of the plan [s].
+        pose: The last pose, world, yaw unwrapped, shape (4,) [m, rad].
+        velocity: Filtered differences of the poses, world, shape (4,) [m/s, rad/s].
+        saturated: Number of commands so far that were clipped at full scale on some axis.
     """
 
     origin: Array
@@ -56,11 +56,11 @@ class Tracking:
 
 
 def tracker_of(plan: Plan) -> Tracker:
-    """A plan ready to be flown, by its own card and belief.
+    """Prepares a plan for flying, with its own card and belief.
 
     Raises:
-        PlanError: The plan has no belief in gamma, and feedback.
-        CardError: Its card is wrong.
+        PlanError: The plan has feedback but no believed gamma.
+        CardError: Its card is invalid.
     """
     gamma = plan.belief.get("gamma")
     if gamma is None and plan.feedback:
@@ -79,29 +79,33 @@ def full_scale(card: Card, axis: str) -> float:
 
 
 UNLIMITED = {"tilt": math.pi / 3, "velocity": 30.0, "vertical_speed": 30.0, "yaw_rate": 2 * math.pi}
-"""Largest command where the card has no limit, SI: beyond what any of these vehicles takes."""
+"""Largest command where the card has no limit, SI: more than any such vehicle accepts."""
 
 
 def largest_command(card: Card, axis: str) -> float:
-    """The same as `full_scale`, finite for every card: what is never sent more of."""
+    """`full_scale` bounded to a finite value: no larger command is ever sent."""
     scale = full_scale(card, axis)
     return scale if math.isfinite(scale) else UNLIMITED[meaning_of(card, axis).asked or "velocity"]
 
 
 def begin(pose: Array) -> Tracking:
-    """The start of a plan at a pose, shape (4,), at rest."""
+    """The state at the start of a plan, at a pose of shape (4,), at rest.
+
+    Raises:
+        ValueError: The pose has another shape.
+    """
     if pose.shape != (4,):
         raise ValueError("a pose is x, y, z, yaw")
     return Tracking(pose.copy(), 0.0, pose.copy(), np.zeros(4))
 
 
 def observed(tracker: Tracker, state: Tracking, t: float, pose: Array) -> Tracking:
-    """Takes in a measured pose.
+    """Updates the state with a measured pose.
 
     Args:
-        tracker: What is flown.
-        state: Before it.
-        t: When it was measured, from the start of the plan [s]; one that is not later than the last is left out.
+        tracker: The plan.
+        state: State before the pose.
+        t: Time of measurement, from the start of the plan [s]; a pose that is not later than the last is ignored.
         pose: World x, y, z, yaw, shape (4,); yaw may be wrapped.
     """
     since = t - state.time
@@ -116,11 +120,11 @@ def observed(tracker: Tracker, state: Tracking, t: float, pose: Array) -> Tracki
 
 @dataclass(frozen=True)
 class Instant:
-    """What a plan wants at one instant, each of shape (4,).
+    """Setpoints of a plan at one instant, each of shape (4,).
 
     Attributes:
-        command: Of the signals, heading frame [unit of the card's command].
-        reference: Position, velocity and acceleration of the reference, as `reference_at`.
+        command: Command of the signals, heading frame [unit of the card's command].
+        reference: Position, velocity and acceleration of the reference, as from `reference_at`.
     """
 
     command: Array
@@ -128,28 +132,28 @@ class Instant:
 
 
 def instants(plan: Plan, t: Array) -> list[Instant]:
-    """What a plan wants at times from its start, shape (N,) [s], all worked out at once: a loop has no time to."""
+    """Setpoints of a plan at times from its start, shape (N,) [s], computed in advance for a real-time loop."""
     position, velocity, acceleration = reference_at(plan, t)
     told = zip(position, velocity, acceleration, strict=True)
     return [Instant(row, three) for row, three in zip(command_at(plan, t), told, strict=True)]
 
 
 def steered(tracker: Tracker, state: Tracking, t: float) -> tuple[Tracking, Array]:
-    """The command of an instant.
+    """The command at an instant.
 
     Args:
-        tracker: What is flown.
-        state: After the last pose.
+        tracker: The plan.
+        state: State after the last pose.
         t: From the start of the plan [s].
 
     Returns:
-        The state, in which a command that full scale bounds is counted; and the command, shape (4,).
+        The state, with a clipped command counted; and the command, shape (4,).
     """
     return obeyed(tracker, state, instants(tracker.plan, np.array([t]))[0])
 
 
 def obeyed(tracker: Tracker, state: Tracking, instant: Instant) -> tuple[Tracking, Array]:
-    """As `steered`, of an instant that was worked out before."""
+    """As `steered`, for an instant computed in advance."""
     wanted = instant.command
     if tracker.plan.feedback:
         wanted = wanted + demanded(tracker, state, instant) / tracker.gamma[::2]
@@ -159,7 +163,7 @@ def obeyed(tracker: Tracker, state: Tracking, instant: Instant) -> tuple[Trackin
 
 
 def demanded(tracker: Tracker, state: Tracking, instant: Instant) -> Array:
-    """Acceleration that the feedback asks for, heading frame, 0 where it does not act, shape (4,)."""
+    """Acceleration demanded by the feedback, heading frame, 0 where it does not act, shape (4,) [m/s^2, rad/s^2]."""
     feedback = tracker.plan.feedback
     if feedback is None:
         return np.zeros(4)
@@ -174,11 +178,11 @@ def demanded(tracker: Tracker, state: Tracking, instant: Instant) -> Array:
 
 
 def step(tracker: Tracker, state: Tracking, t: float, pose: Array) -> tuple[Tracking, Array]:
-    """`observed` and `steered` in one, where each command has a pose of its own."""
+    """`observed` followed by `steered`, for a loop in which each command has its own pose."""
     return steered(tracker, observed(tracker, state, t, pose), t)
 
 
 def _turned(four: Array, angle: float) -> Array:
-    """x and y turned counter-clockwise by an angle; z and yaw as they are."""
+    """x and y rotated counter-clockwise by an angle; z and yaw unchanged."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])

@@ -1,4 +1,4 @@
-"""Planning: card, space, design, axes, duration and belief -> Plan that stays in its space, with what it will tell."""
+"""Planning: card, space, design, axes, duration and belief -> Plan that stays in its space, with its predictions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from rotorfit.planning.precision import Precision, excited_axes, predicted_error
 from rotorfit.planning.signals import DESIGNS, crest_factor, designed, ident_reference, paper_sines, scaled
 
 RATE, RAMP, QUIET = 50.0, 2.0, 1.0
-"""Commands a second; how long signals grow and fade [s]; hover before and after them [s]."""
+"""Command rate [Hz]; ramp of the signals [s]; hover before and after them [s]."""
 
 SHORTEST = 10.0
 """Shortest plan [s]: the estimator needs 0.7 s at its ends, ramps and hover take 6 s."""
@@ -35,18 +35,18 @@ SHARE_OF_SCALE = 0.8
 """Largest command of a signal, as a share of full scale: the rest is left for the feedback."""
 
 LARGEST = (3.0, 3.0, 3.0, 4.0)
-"""Largest acceleration that a signal asks for [m/s^2, rad/s^2]: a tilt of 17 degrees, where its tangent is still 3 %
-from linear."""
+"""Largest acceleration demanded by a signal [m/s^2, rad/s^2]: a tilt of 17 degrees, where the tangent is still within
+3 % of linear."""
 
 FAST, FASTEST, SLOWEST = 0.7, 5.0, 2.5
-"""The band ends at 0.7 over the delay, and between these bounds [rad/s].
+"""The band ends at 0.7 over the delay, within these bounds [rad/s].
 
-Faster signals would tell more of the model's vehicle, but the wrong thing of a real one: what the model calls a delay
-is in part an attitude loop, which follows slow commands whole and fast ones no longer.
+Faster signals would carry more information about the model's vehicle, but mislead for a real one: what the model calls
+a delay is in part an attitude loop, which follows slow commands fully but not fast ones.
 """
 
 HARD = ("doublets", "3211", "prbs")
-"""Designs of hard steps, whose harmonics lie above any band."""
+"""Designs with hard steps, whose harmonics exceed any band."""
 
 HARD_NOTE = (
     "hard steps: a vehicle whose tilt or speed lags behind its command follows their fast part less, and the "
@@ -64,22 +64,22 @@ Source: jrsbenevides/drone_dev, config/bebopParameters.yaml, KpFL and KdFL of it
 """
 
 RESERVE = 0.85
-"""Share of the space that an optimal design uses at the likeliest vehicle: the rest is for the doubt about it."""
+"""Share of the space that an optimal design uses with the likeliest vehicle: the rest allows for its uncertainty."""
 
 YAW_REACH, YAW_RATE = np.pi / 2, 1.5
-"""How far and how fast an optimal design turns [rad, rad/s]."""
+"""Largest angle and rate of an optimal design on yaw [rad, rad/s]."""
 
 OPTIMAL: Mapping[str, Literal["d", "a"]] = {"optimal": "d", "optimal_a": "a"}
-"""Designs that are searched for, and by which criterion, see `optimal`."""
+"""Designs found by a search, with their criterion, see `optimal`."""
 
 DRIFT_SHARE = 0.25
-"""A hover that drifts by more of the way to the nearest wall is centred by feedback, while it is excited, too."""
+"""Share of the way to the nearest wall above which a drifting hover is centred by feedback, even while excited."""
 
 TELLING = 0.3
-"""Drift of an open loop that is worth a note [m]."""
+"""Drift of an open loop above which it is noted [m]."""
 
 TOGETHER = (("x", "y"), ("z",), ("yaw",))
-"""What the paper flies together. Source: paper, section 4."""
+"""Axes that the paper flies together. Source: paper, section 4."""
 
 
 def plan_flight(
@@ -97,28 +97,28 @@ def plan_flight(
 ) -> Plan:
     """Plans one flight.
 
-    The signals are as large as full scale and the space allow: 19 of 20 vehicles that are believed possible stay
-    inside. Where a hover would drift by more than a quarter of the way to a wall there is a soft centring feedback, by
-    the belief, the space and the duration alone; axes that are not flown are held.
+    The signals are as large as full scale and the space allow: 19 of 20 possible vehicles stay inside. Where a hover
+    would drift by more than a quarter of the way to a wall, a soft centring feedback is added; this depends on the
+    belief, the space and the duration alone. Axes that are not flown are held.
 
     Args:
-        card: Of the vehicle: meaning and limits of its commands.
+        card: Card of the vehicle: meaning and limits of its commands.
         space: Fence, limits and start.
-        design: One of `excitation.DESIGNS`.
-        axes: That are excited, together.
-        duration: Of the whole plan [s].
-        belief: Of the vehicle, its air and its room.
-        amplitude: Factor on the full amplitude of the design, of all axes; None for as large as fits, at most 1.
+        design: One of `signals.DESIGNS`.
+        axes: Axes that are excited, together.
+        duration: Duration of the whole plan [s].
+        belief: Belief about the vehicle, its air and its room.
+        amplitude: Factor on the full amplitude of the design, for all axes; None for as large as fits, at most 1.
         open_loop: No feedback at all.
-        seed: Of sequences, and of the vehicles and winds of the prediction.
+        seed: Seed of sequences, and of the vehicles and winds of the prediction.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
         The plan with its prediction.
 
     Raises:
-        PlanError: A design, axis, duration or amplitude that cannot be flown; with an amplitude, one that leaves the
-            space; without, no amplitude that stays.
+        PlanError: A design, axis, duration or amplitude that cannot be flown; with a given amplitude, a plan that
+            leaves the space; without, no amplitude that stays inside.
     """
     _check_request(card, space, design, axes, duration, amplitude)
     if open_loop and design == "ident":
@@ -134,7 +134,7 @@ def plan_flight(
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What is asked of `plan_flight`."""
+    """Arguments of `plan_flight`."""
 
     card: Card
     space: Space
@@ -155,9 +155,9 @@ class _Choice:
 
 
 def _loop(wanted: _Wanted, open_loop: bool) -> tuple[Feedback | None, list[str]]:
-    """The feedback, and what is said of it.
+    """The feedback, and the notes on it.
 
-    Neither the signals nor the seed of the plan have a say, so that the same wish always gets the same loop.
+    It depends neither on the signals nor on the seed of the plan, so that equal requests always get the same loop.
     """
     if wanted.design == "ident":
         return replace(IDENT, axes=tuple(wanted.card.command)), []
@@ -175,10 +175,10 @@ def _loop(wanted: _Wanted, open_loop: bool) -> tuple[Feedback | None, list[str]]
 
 
 def _drift(wanted: _Wanted, bare: Feedback | None) -> tuple[str, float, float]:
-    """How far a hover of 95 % of the vehicles drifts where nothing centres it.
+    """Drift of a hover, for 95 % of the vehicles, on the axes that nothing centres.
 
     Returns:
-        The axis on which that is most of the way to the nearest wall, how far [m], and its share of that way.
+        The axis on which it is the largest share of the way to the nearest wall, the drift [m], and that share.
     """
     hover = Plan(
         "hover", wanted.design, wanted.card.raw, RATE, wanted.duration, RAMP, (), bare, wanted.space,
@@ -194,7 +194,7 @@ def _drift(wanted: _Wanted, bare: Feedback | None) -> tuple[str, float, float]:
 
 
 def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -> _Choice:
-    """The plan with a loop, at the amplitude that is asked for or at the largest that fits."""
+    """The plan with a loop, at the requested amplitude or at the largest that fits."""
     belief, length = wanted.belief, wanted.duration - 2 * QUIET
     plan = Plan(
         f"{wanted.design} on {', '.join(wanted.axes)}", wanted.design, wanted.card.raw, RATE, wanted.duration,
@@ -221,7 +221,7 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
 
 
 def _limits(wanted: _Wanted, hover: Envelope) -> dict[str, AxisLimits]:
-    """What the optimal design of each axis may use: the space less what a hover drifts in it, less a reserve."""
+    """Limits for the optimal design of each axis: the space without the drift of a hover, less a reserve."""
     out, space = {}, wanted.space
     for axis in wanted.axes:
         a = AXES.index(axis)
@@ -239,7 +239,7 @@ def _limits(wanted: _Wanted, hover: Envelope) -> dict[str, AxisLimits]:
 def _check_request(
     card: Card, space: Space, design: str, axes: Sequence[str], duration: float, amplitude: float | None
 ) -> None:
-    """Refuses what cannot be flown whatever is believed."""
+    """Refuses requests that cannot be flown under any belief."""
     if design not in DESIGNS:
         raise PlanError(f"no design {design!r}; designs are {', '.join(DESIGNS)}")
     if card.command_frame != "heading":
@@ -271,7 +271,7 @@ def _classic(wanted: _Wanted, length: float) -> tuple[AxisExcitation, ...]:
 
 
 def _within_scale(signal: Signal, scale: float) -> Signal:
-    """The paper's yaw adds up to 1.2 of full scale: such sums are made to fit."""
+    """Scales sums of sines to full scale: the paper's yaw adds up to 1.2."""
     peak = float(np.sum(np.abs(getattr(signal, "amplitude", 0.0))))
     return scaled(signal, min(1.0, scale / peak))
 
@@ -289,17 +289,17 @@ def _ident(axes: Sequence[str], length: float) -> tuple[AxisExcitation, ...]:
 
 
 def full_amplitude(card: Card, belief: Belief, axis: str) -> float:
-    """Largest command that a signal of an axis takes [unit of the card's command]."""
+    """Largest command of an axis's signal [unit of the card's command]."""
     a = AXES.index(axis)
     return float(min(SHARE_OF_SCALE * full_scale(card, axis), LARGEST[a] / abs(belief.truth.gamma[2 * a])))
 
 
 def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[float, float]:
-    """Lowest and highest frequency worth exciting on an axis [rad/s].
+    """Lowest and highest useful frequency on an axis [rad/s].
 
-    The delay is told by what is fast, up to `fastest`. The damping is told by what is as slow
-    as it, but slow content costs room and speed, and the whole signal would have to shrink for it: the band begins
-    where a sine of the full amplitude fills a quarter of the way to the nearest wall, or reaches the speed limit.
+    Fast content, up to `fastest`, determines the delay. Content as slow as the damping determines the damping, but it
+    needs space and speed, for which the whole signal would have to shrink: the band begins where a sine of full
+    amplitude covers a quarter of the way to the nearest wall, or reaches the speed limit.
     """
     a = AXES.index(axis)
     gain, damping = abs(belief.truth.gamma[2 * a]), belief.truth.gamma[2 * a + 1]
@@ -309,19 +309,23 @@ def band_of(belief: Belief, space: Space, axis: str, amplitude: float) -> tuple[
     else:
         reach = min(space.start[a] - space.lower[a], space.upper[a] - space.start[a])
         speed = space.climb if axis == "z" else space.speed
-    size = gain * amplitude / (reach / 4)  # w sqrt(w^2 + b^2), where a quarter is filled
+    size = gain * amplitude / (reach / 4)  # w sqrt(w^2 + b^2), where a quarter is covered
     fills = np.sqrt((np.sqrt(damping**4 + 4 * size**2) - damping**2) / 2)
     races = np.sqrt(max((gain * amplitude / speed) ** 2 - damping**2, 0.0))
     return float(min(max(fills, races, damping / 2), high / 3)), high
 
 
 def fastest(belief: Belief, axis: str) -> float:
-    """Highest frequency that signals of an axis hold much of [rad/s]."""
+    """Highest frequency with substantial content in an axis's signals [rad/s]."""
     return float(np.clip(FAST / max(belief.truth.delay[AXES.index(axis)], 1e-3), SLOWEST, FASTEST))
 
 
 def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Progress | None) -> Plan:
-    """The plan with its prediction, and why it is as it is."""
+    """The plan with its prediction and notes.
+
+    Raises:
+        PlanError: No amplitude stays inside.
+    """
     if min(chosen.factors.values()) <= 0:
         raise PlanError(
             f"plan {chosen.plan.name}: no amplitude stays inside for 19 of 20 vehicles that are believed possible, "
@@ -339,7 +343,7 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
 def predicted(
     plan: Plan, belief: Belief, factors: Mapping[str, float], notes: Sequence[str], progress: Progress | None = None
 ) -> Plan:
-    """The plan with what it is expected to tell and where it leads.
+    """The plan with its expected standard errors and path.
 
     Raises:
         PlanError: It leaves its space.
@@ -353,7 +357,7 @@ def predicted(
 def prediction_mapping(
     plan: Plan, envelope: Envelope, precision: Precision, factors: Mapping[str, float], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """What planning expects, in the plain types of a plan."""
+    """The predictions of planning, in the plain types of a plan."""
     axes = excited_axes(plan)
     crest = {each.axis: _plain(crest_factor(each.signal, each.duration)) for each in plan.excitations}
     return {
@@ -386,7 +390,7 @@ def plan_flights(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[Plan]:
-    """The same as separate flights: x with y, z, yaw, as the paper; arguments as `plan_flight`."""
+    """Plans separate flights: x with y, z, yaw, as in the paper; arguments as for `plan_flight`."""
     groups = [group for each in TOGETHER if (group := tuple(axis for axis in each if axis in axes))]
     return [
         plan_flight(

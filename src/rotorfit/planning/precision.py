@@ -1,12 +1,12 @@
-"""Precision: how well a plan will let each coefficient be known, before it is flown.
+"""Precision: the standard errors expected from a plan before it is flown.
 
-The plan is flown by vehicles that are believed possible, with their wind and noise, its feedback on the measured pose
-included; the information that the likelihood has in each flight at the very vehicle that flew it, inverted, is the
-covariance that an efficient estimator reaches (Cramer-Rao). Trim and start velocities are unknown, as in a fit. So are
-the levels of the disturbance; that costs nothing to first order, because the information of coefficients and levels is
-block diagonal. Flights of one vehicle differ by more than that; what is said is of the vehicle, as in a fit.
+The plan is flown by possible vehicles, with their wind and noise, including the feedback on the measured pose; the
+information of the likelihood in each flight, at the vehicle that flew it, is inverted to the covariance that an
+efficient estimator reaches (Cramer-Rao). Trim and start velocities are unknown, as in a fit. So are the levels of the
+disturbance; that costs nothing to first order, because the information of coefficients and levels is block diagonal.
+Flights of one vehicle differ by more than that; the errors are widened to those of the vehicle, as in a fit.
 
-Rehearsal: a plan flown by the paper's vehicle, in a room that is believed possible.
+Rehearsal: a plan flown by the paper's vehicle, in a room that agrees with the belief.
 """
 
 import functools
@@ -26,16 +26,16 @@ from rotorfit.planning.belief import NAMES, Belief, levels_of, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.simulation.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, as_log, simulate_flight
 
-COARSE = 0.02  # s, longest step of the integration: with it a path of 60 s is right to a tenth of a millimetre
+COARSE = 0.02  # s, longest step of the integration: a path of 60 s is then accurate to a tenth of a millimetre
 
 
 def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
-    """Flies a plan, its feedback and full scale included.
+    """Flies a plan, including its feedback and full scale.
 
     Args:
-        tracker: The plan, and what its feedback believes.
-        truth: What is flown; commands come at the rate of the plan.
-        seed: Of wind and noise.
+        tracker: The plan, with what its feedback believes.
+        truth: The vehicle; commands are sent at the rate of the plan.
+        seed: Seed of wind and noise.
 
     Returns:
         The flight, from rest at `paper_vehicle.HOVER_HEIGHT` above the origin, with the heading of the plan's start.
@@ -56,7 +56,7 @@ def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
 
 
 def recorded_flight(flight: SimulatedFlight) -> Flight:
-    """The flight as the estimator gets it, from its log."""
+    """The flight as the estimator receives it, from its log."""
     return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
 
 
@@ -67,7 +67,7 @@ def path(plan: Plan, flight: SimulatedFlight) -> Array:
 
 
 def excited_axes(plan: Plan) -> tuple[str, ...]:
-    """The axes that have a signal of their own."""
+    """Axes with a signal of their own."""
     return tuple(axis for axis in AXES if any(each.axis == axis for each in plan.excitations))
 
 
@@ -82,15 +82,16 @@ DRAWS = 6
 
 @dataclass(frozen=True)
 class Precision:
-    """What is known after the flights, as expected before them.
+    """Expected knowledge after some flights.
 
     Attributes:
-        axes: Those that are excited, or were known before.
+        axes: Axes that are excited, or were known before.
         stderr: Axis to coefficient to standard error: the root of the variance, averaged over the likeliest vehicle and
-            draws of the belief. Of a coefficient whose variance is not finite on some draw, infinite.
+            draws of the belief; infinite if the variance is not finite for some draw.
         nominal: The same for the likeliest vehicle alone.
-        covariance: Of the twelve coefficients at the likeliest vehicle, shape (12, 12); infinite where none is known.
-        draws: Over how many vehicles `stderr` is averaged.
+        covariance: Covariance of the twelve coefficients at the likeliest vehicle, shape (12, 12); infinite on the
+            diagonal where nothing is known.
+        draws: Number of vehicles over which `stderr` is averaged.
     """
 
     axes: tuple[str, ...]
@@ -110,16 +111,16 @@ def predicted_errors(
     *,
     of_vehicle: bool = True,
 ) -> Precision:
-    """Standard errors that a fit of all these flights together is expected to state.
+    """Standard errors that a joint fit of all these flights is expected to report.
 
     Args:
         plans: One flight each.
-        belief: Of the vehicle, its air and its room.
+        belief: Belief about the vehicle, its air and its room.
         draws: Vehicles besides the likeliest.
-        seed: Of the draws, the wind and the noise.
+        seed: Seed of the draws, the wind and the noise.
         before: Information from earlier flights, shape (12, 12).
         progress: Called with a fraction and a text; raising in it cancels.
-        of_vehicle: Of the vehicle on whatever flight; else what these flights would give, were they all that counts.
+        of_vehicle: Whether the errors hold for the vehicle on any flight; else for these flights alone.
     """
     wider = vehicle_widening() if of_vehicle else np.ones(len(NAMES))
     vehicles = [belief.truth, *sample_vehicles(belief, draws, seed)]
@@ -144,9 +145,9 @@ def predicted_errors(
 
 
 def vehicle_widening() -> Array:
-    """How many times the standard error of one flight that of the vehicle is, by the spread between flights, (12,).
+    """Ratio of the standard error for the vehicle to that of one flight, due to the spread between flights, (12,).
 
-    As a fit of one flight widens its intervals before a second one tells how flights differ.
+    A fit of one flight widens its intervals likewise, until a second flight shows how flights differ.
     """
     from rotorfit.estimation.judgement.random_effects import random_effects
     from rotorfit.estimation.judgement.spread_prior import spread_scale
@@ -170,9 +171,9 @@ def inverse_of(information: Array) -> Array:
 
 
 def information(plan: Plan, truth: Truth, belief: Belief, seed: int) -> Array:
-    """Information about input, damping and delay of x, y, z, yaw that one flight of a vehicle has, shape (12, 12).
+    """Information about input, damping and delay of x, y, z, yaw in one flight of a vehicle, shape (12, 12).
 
-    Rows of axes without a signal of their own are 0: what their feedback shakes tells little, and is not counted on.
+    Rows of axes without a signal of their own are 0: the little that their feedback excites is ignored.
     """
     return information_of(recorded_flight(fly_plan(tracker_of(plan), truth, seed)), truth, belief, excited_axes(plan))
 
@@ -180,7 +181,7 @@ def information(plan: Plan, truth: Truth, belief: Belief, seed: int) -> Array:
 def information_of(flight: Flight, truth: Truth, belief: Belief, axes: Sequence[str]) -> Array:
     """Information about the coefficients of some axes in a recorded flight, at the vehicle that flew it, (12, 12).
 
-    As in a fit, x and y are taken together where the heading turns.
+    As in a fit, x and y are combined where the heading turns.
     """
     from rotorfit.estimation.likelihood.blocks import record
 
@@ -199,7 +200,7 @@ def information_of(flight: Flight, truth: Truth, belief: Belief, axes: Sequence[
 
 
 def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequence[str]) -> Array:
-    """Information of the axes of a group, all else unknown, in the order axis by axis, shape (3 K, 3 K)."""
+    """Information of the axes of a group, all else unknown, ordered axis by axis, shape (3 K, 3 K)."""
     from rotorfit.estimation.likelihood.axis_estimate import free_of
     from rotorfit.estimation.likelihood.blocks import record
     from rotorfit.estimation.likelihood.likelihood import inverted, score
@@ -216,12 +217,13 @@ def _group_information(flight: Flight, truth: Truth, belief: Belief, group: Sequ
         np.zeros((rec.starts.size, K)), np.log(levels),
     )  # fmt: skip
     at_rest, start = score([rec], point), slice(point.n - point.start.size, point.n)
-    # The damping is told by the speed at the start, too: by a quarter more where a flight begins fast. The position is
-    # linear in that speed, so one step finds it.
+    # The start speed carries information about the damping, too: a quarter more where a flight begins fast. The
+    # position
+    # is linear in that speed, so one step finds it.
     speed = np.asarray(np.linalg.solve(at_rest.information[start, start], at_rest.gradient[start]), float)
     point = replace(point, start=speed.reshape(point.start.shape))
     full = score([rec], point).information[: point.n, : point.n]
     covariance = inverted(full, free_of([rec], [True] * K)[: point.n])[: 3 * K, : 3 * K]
-    scale = np.concatenate([np.ones(K), gamma[:, 1], np.ones(K)])  # the likelihood has the logarithm of the damping
+    scale = np.concatenate([np.ones(K), gamma[:, 1], np.ones(K)])  # the likelihood uses the logarithm of the damping
     order = np.arange(3 * K).reshape(3, K).T.ravel()
     return np.asarray(np.linalg.inv(covariance * np.outer(scale, scale))[np.ix_(order, order)])

@@ -1,6 +1,6 @@
-"""What a plan is expected to tell, as rows of text: the terminal and the picture show the same.
+"""The expected results of a plan as rows of text, shared by the terminal and the picture.
 
-The picture of a plan: its commands, its path in the room, its speeds, and what it is expected to tell.
+Also the picture of a plan: its commands, its path in the room, its speeds, and its expected results.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UNITS = ("", " [1/s]", " [s]")
-"""Of the coefficients; the input has that of its command."""
+"""Units of the coefficients; the input has that of its command."""
 
 EXPECTED_HEADS = tuple(f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True))
 
@@ -35,7 +35,7 @@ _Z95 = 1.96
 
 
 def expected_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
-    """Axis, and what is believed of its coefficients with half of the 95 % interval after the flight."""
+    """Axis, and its believed coefficients with half the 95 % interval after the flight."""
     for axis, errors in plan.predicted["stderr"].items():
         a, belief = AXES.index(axis), plan.belief
         values = (*belief["gamma"][2 * a : 2 * a + 2], belief["delay"][a])
@@ -43,16 +43,16 @@ def expected_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
 
 
 def _plus_minus(value: float, half: float) -> str:
-    """A value with half of its interval, two digits of that."""
+    """A value with half its interval, rounded to two digits of the latter."""
     decimals = max(0, min(6, 1 - math.floor(math.log10(half)))) if 0 < half < math.inf else 3
     return f"{value:.{decimals}f} +- {half:.{decimals}f}"
 
 
 PICTURE_MARK = b"rotorfit plan"
-"""What the first bytes of a picture hold, in small letters."""
+"""Bytes near the start of a picture file, in lower case."""
 
 COLOURS = {"x": "#0b57b7", "y": "#b4470b", "z": "#1a7f37", "yaw": "#6f42c1"}
-"""Of the axes."""
+"""Colours of the axes."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 8, "font.family": "sans-serif",
@@ -68,7 +68,8 @@ def write_picture(plan: Plan, path: Path) -> None:
     """Draws the plan as PNG; the same plan gives the same bytes.
 
     Raises:
-        PlanError: It has no belief.
+        PlanError: It has no valid belief.
+        OSError: The file cannot be written.
     """
     import matplotlib as mpl
 
@@ -81,7 +82,7 @@ def write_picture(plan: Plan, path: Path) -> None:
 
 
 def picture(plan: Plan, envelope: Envelope) -> Figure:
-    """The figure."""
+    """The figure of a plan and its envelope."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 7.2), layout="constrained")
@@ -121,7 +122,7 @@ def _over_time(panel: Axes, duration: float) -> None:
 
 
 def _motion(panel: Axes, envelope: Envelope, axes: tuple[str, ...]) -> None:
-    """Expected position of the excited axes from the start, with the band of 95 %."""
+    """Expected position of the excited axes relative to the start, with the 95 % band."""
     for axis in axes:
         a = AXES.index(axis)
         begin = envelope.nominal[0, a]
@@ -135,7 +136,7 @@ def _motion(panel: Axes, envelope: Envelope, axes: tuple[str, ...]) -> None:
 
 
 def _table(panel: Axes, plan: Plan) -> None:
-    """What will be known."""
+    """Table of the coefficients after the flight."""
     from matplotlib.transforms import Bbox
 
     panel.axis("off")
@@ -163,7 +164,7 @@ def _table(panel: Axes, plan: Plan) -> None:
 
 
 def _speeds(panel: Axes, plan: Plan) -> None:
-    """Greatest speeds beside their limits."""
+    """Largest speeds beside their limits."""
     nominal, high = plan.predicted["speed"], plan.predicted["speed_high"]
     names = ("horizontal", "vertical", "yaw")
     place = np.arange(3)

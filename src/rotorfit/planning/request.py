@@ -1,6 +1,6 @@
-"""Request: what a user asks of `plan`, in the words of the command line -> plans, and why.
+"""Request: options of `plan` as on the command line -> plans, with their reasons.
 
-Space: from what a user says of a room to the fence of a plan.
+Also conversion of a user's description of a room to the fence of a plan.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,18 +23,18 @@ from rotorfit.planning.plan_flight import TOGETHER, plan_flight, plan_flights
 from rotorfit.simulation.vehicle import load_vehicle
 
 ROOM = "6x4x3"
-"""Where nothing is said: the size of a small motion-capture laboratory [m]."""
+"""Default room: the size of a small motion-capture laboratory [m]."""
 
 MARGIN, FLOOR = 0.3, 0.5
 """Distance of the fence from walls and ceiling, and from the floor [m]: half of a Bebop 2 with its guards is 0.2 m, and
-below half a metre it flies on the air that the floor throws back."""
+below half a metre it flies in ground effect."""
 
 SPEED, CLIMB = 1.5, 1.0
-"""Largest speed along x and y together, and along z [m/s]."""
+"""Largest horizontal speed, x and y combined, and largest vertical speed [m/s]."""
 
 
 def space_of_room(text: str, speed: float = SPEED, climb: float = CLIMB) -> Space:
-    """The fence in a room `6x4x3` whose floor's middle is the origin: start in the middle, heading along x.
+    """The fence in a room `6x4x3` with the origin at the middle of its floor: start in the middle, heading along x.
 
     Raises:
         PlanError: Not three sizes, or no space left between the margins.
@@ -77,26 +77,26 @@ def _space(
 
 
 DESIGN = "multisine"
-"""Where the user names none: gentle, and never far from the best of the designs with a fixed form."""
+"""Default design: gentle, and never far from the best of the designs with a fixed form."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked.
+    """A request for plans.
 
     Attributes:
         card: A card, its name or its file; None with `after`.
         after: A model whose next flight is wanted, or its file; None with `card`.
-        design: A name of `excitation.DESIGNS`; None for the default, or after a model for the one that tells most.
-        room: Size of the room, `6x4x3`; None for that, or with `box`.
+        design: A name of `signals.DESIGNS`; None for the default, or after a model for the most informative one.
+        room: Size of the room, `6x4x3`; None for the default, or with `box`.
         box: The fence, `x0,y0,z0,x1,y1,z1`; None with `room`.
-        axes: To excite; None for all that the card commands, or after a model for those that are worst known.
-        separate: Separate flights of x with y, z, yaw.
+        axes: Axes to excite; None for all that the card commands, or after a model for those known worst.
+        separate: Whether to plan separate flights of x with y, z, yaw.
         open_loop: No feedback.
-        duration: Of each flight, at most [s].
+        duration: Largest duration of each flight [s].
         amplitude: Factor on the full amplitude; None for what fits.
-        speed: Largest along x and y [m/s]; None for `space.SPEED`.
-        seed: Of sequences and draws.
+        speed: Largest horizontal speed [m/s]; None for `SPEED`.
+        seed: Seed of sequences and draws.
     """
 
     card: str | Card | None = None
@@ -114,12 +114,12 @@ class Request:
 
 
 def planned(request: Request, progress: Progress | None = None) -> tuple[list[Plan], NextFlight | None]:
-    """Makes the plans that are asked for; after a model and not in separate flights, with the reason for the one.
+    """Makes the requested plans; after a model, unless in separate flights, also the proposal with its reason.
 
     Raises:
-        PlanError: Neither or both of card and model; what `plan_flight` refuses.
-        CardError: The card is wrong.
-        ModelError: The model file is.
+        PlanError: Neither or both of card and model; or refused by `plan_flight`.
+        CardError: The card is invalid.
+        ModelError: The model file is invalid.
     """
     card, belief = _believed(request)
     space = _space_of_request(request)
@@ -143,7 +143,7 @@ def _one(*asked: Any, **chosen: Any) -> list[Plan]:
 
 
 def _with_room_note(plan: Plan, request: Request) -> Plan:
-    """The plan with a note of the room, where the user has named none."""
+    """The plan with a note on the assumed room, if the user has given none."""
     if request.room or request.box:
         return plan
     note = f"no --room or --box: assumed is a room of {ROOM} m, the origin in the middle of its floor"
@@ -179,7 +179,7 @@ def _space_of_request(request: Request) -> Space:
 
 
 def destinations(path: Path, request: Request) -> list[Path]:
-    """Where each plan, or its picture, goes: the path, or for separate flights `NAME-xy`, `NAME-z`, `NAME-yaw`."""
+    """File of each plan, or its picture: the path, or for separate flights `NAME-xy`, `NAME-z`, `NAME-yaw`."""
     if not request.separate:
         return [path]
     axes = tuple(request.axes or _believed(request)[0].command)
@@ -190,7 +190,7 @@ def destinations(path: Path, request: Request) -> list[Path]:
 def plans_mapping(
     plans: Sequence[Plan], files: Sequence[Path], pictures: Sequence[Path], proposal: NextFlight | None
 ) -> dict[str, Any]:
-    """The plans as plain JSON types, with their files and, after a model, what they change."""
+    """The plans as plain JSON types, with their files and, after a model, the proposal."""
     named: list[str | None] = [*map(str, files)] or [None] * len(plans)
     out: dict[str, Any] = {
         "plans": [{"path": name, **plan_mapping(plan)} for name, plan in zip(named, plans, strict=True)],

@@ -1,10 +1,10 @@
-"""Run on: where the likeliest vehicle comes to rest when commands stop at the worst instant of a plan.
+"""Run on: where the likeliest vehicle comes to rest if commands stop at the worst instant of a plan.
 
-It goes on as it was last told for some seconds, then stops:
+It obeys the last command for some seconds, then stops:
 
     v' = g u - b v with the last command u held, then v t + v |v| / (2 a)
 
-with g, b and the delay t as believed; a velocity loop stops within 1 / b, a tilt brakes with half of a full command.
+with the believed g, b and delay t; a velocity loop stops within 1 / b, a tilt brakes with half of a full command.
 """
 
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ from rotorfit.planning.precision import fly_plan, path
 from rotorfit.simulation.paper_vehicle import noise_free
 
 SERVO, SHARE = 1.0, 0.5
-"""Damping from which an axis stops by itself [1/s]; share of a full command that braking counts on."""
+"""Damping from which an axis stops by itself [1/s]; share of a full command assumed for braking."""
 
 
 @dataclass(frozen=True)
 class RunOn:
-    """The worst of all instants, each quantity for itself.
+    """The worst case over all instants, each quantity by itself.
 
     Attributes:
-        sideways: Way from where commands stopped, along the floor [m].
-        upright: The same, up or down [m].
-        outside: How far outside of the box the vehicle comes to rest [m]; 0 where it stays.
-        instant: When commands stop for that, or else for the longest way [s from the start of the plan].
+        sideways: Horizontal distance from where commands stopped [m].
+        upright: Vertical distance from there [m].
+        outside: Distance outside the box at which the vehicle comes to rest [m]; 0 where it stays inside.
+        instant: Instant of `outside` or, if that is 0, of the longest way [s from the start of the plan].
     """
 
     sideways: float
@@ -40,11 +40,11 @@ class RunOn:
 
 
 def run_on(plan: Plan, goes_on: float) -> RunOn:
-    """How far a vehicle runs on that goes on as last told for so long [s].
+    """Distance covered by a vehicle that obeys the last command for `goes_on` seconds after commands stop.
 
     Raises:
-        PlanError: The plan's belief is not whole.
-        CardError: Its card is wrong.
+        PlanError: The plan's belief is incomplete.
+        CardError: Its card is invalid.
     """
     tracker = tracker_of(plan)
     flight = fly_plan(tracker, noise_free(belief_from_mapping(plan.belief, f"plan {plan.name}").truth), plan.seed)

@@ -1,4 +1,4 @@
-"""Signals that make a flight tell its coefficients, as functions of time: sums of sines, sweeps, steps."""
+"""Excitation signals, which make a flight informative, as functions of time: sums of sines, sweeps, steps."""
 
 import functools
 import itertools
@@ -15,7 +15,7 @@ PAPER_AMPLITUDE = (0.1, 0.1, 0.1, 0.6)
 
 
 def two_sines(t: Array, axes: Sequence[str] = AXES, amplitude: float = 1.0) -> Array:
-    """The paper's commands: two sines whose frequencies, 1 and 1.3 rad/s, are no multiples of each other.
+    """The paper's commands: two sines with frequencies of 1 and 1.3 rad/s, which are not multiples of each other.
 
     The paper flies x and y together, z alone, and yaw alone. The axes that are not flown are commanded zero: the
     vehicle hovers there. y starts at its full 0.2 (cosines), the others at 0.
@@ -29,7 +29,7 @@ def two_sines(t: Array, axes: Sequence[str] = AXES, amplitude: float = 1.0) -> A
         Commands u_x, u_y, u_z, u_psi in the heading frame, shape (N, 4), fractions of full scale.
 
     Raises:
-        ValueError: An axis that does not exist.
+        ValueError: An unknown axis.
 
     Source: paper, eq. (7).
     """
@@ -50,13 +50,13 @@ DESIGNS = ("two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident
 """Names of the designs; the first six are made here, `ident` is `ident_reference`, the last two are of `optimal`."""
 
 LINES = 12
-"""Most frequencies of a multisine."""
+"""Largest number of frequencies in a multisine."""
 
 PRBS_BAND = 2.8
-"""Frequency up to which a sequence of clock period 1 s is flat within 3 dB [rad/s]: sinc^2 of half of it has halved."""
+"""Frequency up to which a sequence of clock period 1 s is flat within 3 dB [rad/s]: sinc^2(w / 2) has halved."""
 
 TAPS = {3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7), 11: (11, 9)}
-"""Feedback of shift registers of n bits that run through all 2^n - 1 states: exponents of a primitive polynomial.
+"""Feedback taps of shift registers of n bits that run through all 2^n - 1 states: exponents of a primitive polynomial.
 
 Source: S. W. Golomb, Shift Register Sequences (1967), table of primitive polynomials.
 """
@@ -75,15 +75,15 @@ def designed(
 
     Args:
         design: `two_sines`, `multisine`, `chirp`, `doublets`, `3211` or `prbs`.
-        amplitude: Largest value that the signal takes [its unit].
-        duration: [s].
-        band: Lowest and highest frequency that should be excited [rad/s].
-        place: Which of `of` axes that are flown together this is; they get different frequencies, signs or sequences.
-        of: How many axes are flown together.
-        seed: Of the sequence of `prbs`.
+        amplitude: Largest value of the signal [its unit].
+        duration: Duration [s].
+        band: Lowest and highest frequency to excite [rad/s].
+        place: Index among the `of` axes flown together, which get different frequencies, signs or sequences.
+        of: Number of axes flown together.
+        seed: Seed of the sequence of `prbs`.
 
     Raises:
-        ValueError: No such design, or a band that is empty.
+        ValueError: An unknown design, or an empty band.
     """
     low, high = band
     if not 0 < low < high:
@@ -105,11 +105,11 @@ def designed(
 
 
 def multisine(amplitude: float, duration: float, band: tuple[float, float], place: int = 0, of: int = 1) -> Sines:
-    """Equal sines, spread over the band by their logarithms, with phases that keep the sum flat.
+    """Sines of equal amplitude, logarithmically spread over the band, with phases that keep the peak low.
 
-    All are multiples of one turn in `duration`. Axes flown together share no frequency, so that what one causes can be
-    told from what another does. Phases start from Schroeder's rule; then the 2 p norm of the signal is lowered for
-    p = 2, 4, 8, 16, 32, whose limit is the peak.
+    All are multiples of one cycle per `duration`. Axes flown together share no frequency, so that their effects are
+    distinguishable. Phases start from Schroeder's rule; then the 2 p norm of the signal is minimised for p = 2, 4, 8,
+    16, 32, whose limit is the peak.
 
     Source: M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970), pp. 85-89; P. Guillaume, J. Schoukens, R. Pintelon,
     I. Kollar, IEEE Trans. Instrum. Meas. 40 (1991), pp. 982-989.
@@ -125,13 +125,13 @@ def multisine(amplitude: float, duration: float, band: tuple[float, float], plac
 
 
 def _schroeder(count: int) -> Array:
-    """Phases of equal sines whose sum is nearly flat."""
+    """Schroeder phases of equal sines, whose sum is nearly flat."""
     k = np.arange(1, count + 1)
     return np.asarray(-np.pi * k * (k - 1) / count)
 
 
 def _flattened(harmonic: Array, phase: Array) -> Array:
-    """Phases after the 2 p norm has been lowered, over one period of 2 pi."""
+    """Phases after minimising the 2 p norm over one period of 2 pi."""
     from scipy.optimize import minimize
 
     t = 2 * np.pi * np.arange(int(16 * harmonic[-1])) / int(16 * harmonic[-1])
@@ -152,22 +152,22 @@ def _flattened(harmonic: Array, phase: Array) -> Array:
 
 
 def crest_factor(signal: Signal, duration: float) -> float:
-    """Peak over root mean square: 1 of a sequence of two levels, 1.41 of a sine; the lower, the more a peak tells."""
+    """Peak over root mean square: 1 for a two-level sequence, 1.41 for a sine; low values are informative."""
     sample = value(signal, _fine(signal, duration))
     return float(np.max(np.abs(sample)) / np.sqrt(np.mean(sample**2)))
 
 
 def _fine(signal: Signal, duration: float) -> Array:
-    """Times close enough together to see every peak [s]."""
+    """Times dense enough to resolve every peak [s]."""
     fastest = max(signal.frequency) if isinstance(signal, Sines | Chirp) else 2 * np.pi * 10
     return np.linspace(0.0, duration, max(int(duration * fastest / (2 * np.pi) * 64), 512), endpoint=False)
 
 
 def doublets(amplitude: float, duration: float, band: tuple[float, float], place: int = 0) -> Steps:
-    """Pairs of opposite pulses, then the same pair mirrored, so that the vehicle comes back; wide ones first.
+    """Pairs of opposite pulses, each followed by its mirror image, so that the vehicle returns; wide ones first.
 
-    The half width of a pair runs through half the periods of five frequencies of the band, again and again. Axes that
-    are flown together change their signs from one pattern to the next, each in its own order (`_sign`).
+    The half width of a pair cycles through half the periods of five frequencies of the band. Axes flown together change
+    their signs from one pattern to the next, each in its own order (`_sign`).
     """
     widths = np.pi / np.geomspace(band[0], band[1], 5)
     pattern = (1, -1, 0, -1, 1, 0)
@@ -176,14 +176,14 @@ def doublets(amplitude: float, duration: float, band: tuple[float, float], place
 
 
 def _sign(place: int, number: int) -> int:
-    """Sign of a pattern on one of up to four axes: Walsh functions, orthogonal over any four patterns in a row."""
+    """Sign of a pattern on one of up to four axes: Walsh functions, orthogonal over any four consecutive patterns."""
     return -1 if (place & number).bit_count() % 2 else 1
 
 
 def three_two_one_one(amplitude: float, duration: float, band: tuple[float, float], place: int = 0) -> Steps:
-    """Steps of 3, 2, 1 and 1 units with changing sign, a rest of 2, the same mirrored, a rest; again and again.
+    """Steps of 3, 2, 1 and 1 units with alternating sign, a rest of 2, the mirror image, a rest; repeated.
 
-    Signs of axes that are flown together as for `doublets`.
+    Signs of axes flown together as for `doublets`.
 
     The unit is a third of the period of the frequency in the middle of the band: the steps of 3, 2 and 1 are then half
     periods of 0.5, 0.75 and 1.5 times that frequency.
@@ -197,7 +197,7 @@ def three_two_one_one(amplitude: float, duration: float, band: tuple[float, floa
 
 
 def _steps(held: Iterable[tuple[float, int]], amplitude: float, duration: float) -> Steps:
-    """Levels held so long one after the other, up to the last that ends within the duration, and 0 from there on."""
+    """Levels held one after the other, up to the last that ends within the duration, then 0."""
     time, level, now = [], [], 0.0
     for long, sign in held:
         if now + long > duration:
@@ -209,10 +209,10 @@ def _steps(held: Iterable[tuple[float, int]], amplitude: float, duration: float)
 
 
 def prbs(amplitude: float, duration: float, band: tuple[float, float], seed: int = 0) -> Steps:
-    """A maximum-length binary sequence: two levels that change as if by chance, with a known flat spectrum.
+    """A maximum-length binary sequence: two levels that alternate pseudo-randomly, with a known flat spectrum.
 
-    The clock is that of the highest frequency, the register as short as covers the duration; the seed draws the state
-    in which it starts.
+    The clock follows from the highest frequency; the register is the shortest that covers the duration, up to 11 bits;
+    the seed draws its initial state.
     """
     clock = PRBS_BAND / band[1]
     ticks = int(duration / clock)
@@ -224,7 +224,7 @@ def prbs(amplitude: float, duration: float, band: tuple[float, float], seed: int
 
 
 def maximum_length_sequence(bits: int, seed: int) -> Indices:
-    """One period of a maximum-length sequence of 0 and 1, shape (2^bits - 1,), from a state that the seed draws."""
+    """One period of a maximum-length sequence of 0 and 1, shape (2^bits - 1,); the seed draws the initial state."""
     state = int(np.random.default_rng(seed).integers(1, 2**bits))
     out = np.empty(2**bits - 1, np.int64)
     for n in range(out.size):
@@ -238,7 +238,7 @@ IDENT_SPEED = 0.4
 """Frequency of the slower sine of the ident manoeuvre [rad/s]: mean velocity 0.2 m/s over amplitude 0.5 m."""
 
 IDENT_AMPLITUDE = (0.5, 0.5, 0.5, 1.05)
-"""Amplitude of the ident manoeuvre on x, y, z [m] and yaw [rad]: that of its configuration, and of its source."""
+"""Amplitude of the ident manoeuvre on x, y, z [m] and yaw [rad], as configured and in its source code."""
 
 
 def ident_reference(axis: str, amplitude: float = 1.0) -> Sines:
@@ -258,7 +258,7 @@ def ident_reference(axis: str, amplitude: float = 1.0) -> Sines:
 
 
 def scaled(signal: Signal, factor: float) -> Signal:
-    """The signal times a factor."""
+    """The signal multiplied by a factor."""
     if isinstance(signal, Sines):
         return replace(signal, amplitude=tuple(factor * each for each in signal.amplitude))
     if isinstance(signal, Chirp):
