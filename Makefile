@@ -25,7 +25,8 @@ export OMP_NUM_THREADS ?= 1
 # Byte-code is compiled once here, even where the shell forbids it: otherwise every first import takes seconds.
 INSTALL := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pip install --quiet --disable-pip-version-check --compile
 
-TESTS := $(BIN)/pytest --numprocesses auto --dist worksteal
+# Byte-code is kept, the tests' own too: without it each worker and each process that a test starts compiles its modules anew.
+TESTS := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest --numprocesses auto --dist worksteal
 
 help:
 	@echo "make demo       simulate, fit, validate; results in ./demo"

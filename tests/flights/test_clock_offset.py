@@ -67,8 +67,7 @@ def within(clocks: Clocks, skew: Skew, most: float = 0.002) -> None:
 # The vehicle's own motion tells
 
 
-@pytest.mark.parametrize("offset", [-0.5, -0.02, 0.02, 0.5])
-@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
+@pytest.mark.parametrize(("offset", "drift"), [(-0.5, 1e-4), (0.02, -1e-4), (0.5, 0.0)])
 def test_an_offset_and_a_drift_are_recovered(offset: float, drift: float) -> None:
     clocks = clocks_of(as_one(flown(), Skew(offset, drift)), attitude=True)
 
@@ -78,7 +77,7 @@ def test_an_offset_and_a_drift_are_recovered(offset: float, drift: float) -> Non
     assert clocks.half_width < 0.004
 
 
-@pytest.mark.parametrize("offset", [-240.0, 187.3, 1.7e9])
+@pytest.mark.parametrize("offset", [-240.0, 1.7e9])
 def test_clocks_may_start_minutes_or_an_epoch_apart(offset: float) -> None:
     clocks = clocks_of(as_one(flown(), Skew(offset, 5e-5)), attitude=True)
 

@@ -15,7 +15,7 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
 from rotorfit.tracking.following import Following
-from rotorfit.tracking.replayed import growing, tracked
+from rotorfit.tracking.replayed import growing, tracked, until
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known
 
@@ -79,7 +79,7 @@ def test_what_the_flight_tells_takes_its_place() -> None:
 
 
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
-    flight = known()[0]
+    flight = until(known()[0], 16.0)
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))
 
     assert same.alarms == ()

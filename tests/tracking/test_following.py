@@ -94,12 +94,12 @@ def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
 
 
 def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A longer flight stands for hours: the estimate looks back over 12 s of 30."""
-    monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 12.0)
-    monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 12.0)
+    """A longer flight stands for hours: the estimate looks back over 8 s of 20."""
+    monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 8.0)
+    monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 8.0)
     following, told = Following(LAW), []
-    for part, now in growing(known()[0], following.next_look):
+    for part, now in growing(until(known()[0], 20.0), following.next_look):
         told.append((now, following.look(part, now).axes["z"].values["input"]))
 
-    late = [value for now, value in told if now > 20.0]
+    late = [value for now, value in told if now > 13.0]
     assert len(set(late)) >= 3

@@ -41,7 +41,7 @@ def test_nothing_is_learnt_on_the_ground_nor_while_the_vehicle_takes_off_or_land
     assert 45.0 < flight.segments[0].end <= SINKS
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [2, 7, 8, 10, 15])  # each fault is in one of them
 def test_faults_of_the_stream_are_no_alarm_and_leave_a_sound_flight(seed: int) -> None:
     flight, alarms = grown(mixed(flown(), seed))
 
@@ -176,19 +176,19 @@ def test_it_goes_on_from_its_memory() -> None:
 
 
 def test_a_day_takes_no_more_memory_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """4 hours of 1 Hz, of which a hundredth is kept: as of a day of 15 minutes kept, all is forgotten 96 times."""
-    monkeypatch.setattr(growing_flight, "KEPT", 150.0)
-    growing, sizes = GrowingFlight(CARD), []
+    """80 minutes of 1 Hz, of which 50 s are kept: as of a day of 15 minutes kept, all is forgotten 96 times."""
+    monkeypatch.setattr(growing_flight, "KEPT", 50.0)
     tracemalloc.start()
-    for second in range(4 * 3600):
+    growing, sizes = GrowingFlight(CARD), []
+    for second in range(4800):
         t = second * SECOND
         growing.add(Sample("command", t, t, (0.1 * (second % 3), 0.0, 0.0, 0.0)))
         growing.add(Sample("pose", t, t, (0.3 * (second % 7), 0.0, 1.0, 1.0, 0.0, 0.0, 0.0)))
-        if second % 600 == 599:
+        if second % 200 == 199:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
 
     assert max(sizes[2:]) < 1.1 * sizes[1]  # by then all that is kept has been forgotten once
     flight = growing.flight()
     assert flight is not None
-    assert flight.pose_time[0] >= 4 * 3600 - 152.0
+    assert flight.pose_time[0] >= 4800 - 52.0
