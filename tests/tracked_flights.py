@@ -58,11 +58,11 @@ def changing() -> Any:
 
 @functools.cache
 def alarms(cause: str, vehicle: str, seed: int = 1, at: float = 25.0, most: float = 10.0) -> Sequence[Alarm]:
-    """The alarms of a flight of the room, up to the first or `most` seconds after the change."""
+    """The alarms of a flight of the room, looked at from 8 s before the change up to the first or `most` seconds on."""
     room = changing()
     flight = room.changing_flight(seed, room.Scenario(cause, vehicle, gusts=0.3, duration=at + most, time=at)).flight
     following = Following(LAW)
-    for part, now in growing(flight, following.next_look):
+    for part, now in growing(flight, at - 8.0):
         if found := following.look(part, now).alarms:
             return found
     return ()

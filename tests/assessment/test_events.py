@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from clean_flights import clean_flights
-from flights import by_hand, flown, steps
+from flights import by_hand, fit_as_flown, flown, steps
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.constancy import ONE, TWICE, command_events, widening
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.estimation.fitting import fit
 from rotorfit.simulation.paper_vehicle import Truth
 
 
@@ -58,7 +57,7 @@ def test_one_tap_and_three_give_numbers_with_a_warning() -> None:
             out[..., 2] = sum(0.5 * ((t >= start) & (t < start + 0.4)) for start in starts)
             return out
 
-        done = fit([flown(replace(Truth(), wind_sigma=(0.01,) * 4), taps, 35.0, 1)], axes=("z",))
+        done = fit_as_flown([flown(replace(Truth(), wind_sigma=(0.01,) * 4), taps, 35.0, 1)], axes=("z",))
         (told,) = [one for one in findings_of_fit(done) if one.code == "few_command_events"]
         assert told.severity == "warning"
         assert done.model.axes["z"].predictor is not None

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flights import flown, steps
+from flights import fit_as_flown, flown, steps
 from rotorfit.assessment.leave_one_out import LeaveOneOut, leave_one_out, leave_one_out_mapping
 from rotorfit.assessment.validation import validate
 from rotorfit.core.errors import FlightError
@@ -17,6 +17,7 @@ from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
 
 SEEDS = (1, 2, 3)
+LAW = "first_order_delay"
 
 
 @cache
@@ -29,11 +30,11 @@ def flights() -> tuple[Flight, ...]:
 
 @cache
 def result() -> LeaveOneOut:
-    return leave_one_out(flights(), axes=("x", "z"), horizons=(1.0, 2.0))
+    return leave_one_out(flights(), axes=("x", "z"), horizons=(1.0, 2.0), structure=LAW)
 
 
 def test_each_flight_has_the_scores_of_the_model_of_the_others() -> None:
-    others = fit([flights()[0], flights()[2]], axes=("x", "z")).model
+    others = fit_as_flown([flights()[0], flights()[2]], axes=("x", "z")).model
     alone = validate(others, [flights()[1]], (1.0, 2.0))
 
     assert [each.path for each in result().flights] == ["1.bag", "2.bag", "3.bag"]
@@ -49,7 +50,9 @@ def test_an_axis_that_only_one_flight_moves_is_said_not_to_be_proved() -> None:
 
 def test_an_axis_that_the_others_cannot_tell_is_named_with_the_flight_and_the_reason() -> None:
     short = flown(Truth(), steps(("z",), seed=4), 4.0, 4)
-    found = leave_one_out([*flights()[1:2], replace(short, path="short.bag")], axes=("z",), horizons=(1.0,))
+    found = leave_one_out(
+        [*flights()[1:2], replace(short, path="short.bag")], axes=("z",), horizons=(1.0,), structure=LAW
+    )
 
     assert found.notes == ("z: without 2.bag the others cannot tell it (too_short)",)
     assert found.spread[0].values[0] is None
@@ -58,7 +61,7 @@ def test_an_axis_that_the_others_cannot_tell_is_named_with_the_flight_and_the_re
 
 def test_the_spread_holds_the_coefficients_of_the_fits_and_their_jackknife_error() -> None:
     spread = {(each.axis, each.name): each for each in result().spread}
-    models = [fit([f for f in flights() if f is not left], axes=("x",)).model for left in flights()]
+    models = [fit_as_flown([f for f in flights() if f is not left], axes=("x",)).model for left in flights()]
     values = [model.axes["x"].predictor.damping for model in models if model.axes["x"].predictor]
 
     x = spread["x", "damping"]
@@ -72,9 +75,8 @@ def test_the_spread_holds_the_coefficients_of_the_fits_and_their_jackknife_error
 def test_the_jackknife_error_is_near_the_stated_one_where_flights_differ_by_noise_alone() -> None:
     """Eight flights: the error of an error from eight values is a quarter of it."""
     many = [flown(Truth(), steps(("z",), seed=seed), 15.0, seed) for seed in range(8)]
-    law = "first_order_delay"
-    stated = fit(many, axes=("z",), structure=law).model.axes["z"].stderr["input"]
-    found = leave_one_out(many, axes=("z",), horizons=(1.0,), structure=law)
+    stated = fit(many, axes=("z",), structure=LAW).model.axes["z"].stderr["input"]
+    found = leave_one_out(many, axes=("z",), horizons=(1.0,), structure=LAW)
 
     jackknife = next(each.jackknife_stderr for each in found.spread if each.name == "input")
     assert stated is not None
@@ -92,7 +94,7 @@ def test_the_models_are_tested_against_the_baselines() -> None:
 
 
 def test_the_model_file_keeps_it() -> None:
-    model = fit(flights()[:1], axes=("x",)).model
+    model = fit_as_flown(flights()[:1], axes=("x",)).model
     assert to_mapping(model)["leave_one_out"] is None
 
     kept = replace(model, leave_one_out=leave_one_out_mapping(result()))
@@ -102,7 +104,7 @@ def test_the_model_file_keeps_it() -> None:
 
 
 def test_a_file_of_an_earlier_version_without_it_is_read() -> None:
-    raw = to_mapping(fit(flights()[:1], axes=("x",)).model)
+    raw = to_mapping(fit_as_flown(flights()[:1], axes=("x",)).model)
     del raw["leave_one_out"]
 
     assert from_mapping(raw, "model.json").leave_one_out is None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from flights import flown, steps
+from flights import fit_as_flown, flown, steps
 from rotorfit.app.cli import main
 from rotorfit.assessment.law_findings import disagreement_findings
 from rotorfit.assessment.uncertainty import observed_covariance, sandwich_covariance, scatter, with_uncertainty
@@ -85,7 +85,7 @@ def test_the_correlation_is_that_of_the_covariance_of_the_model() -> None:
 
 def test_a_servo_faster_than_its_commands_has_one_gain_and_it_is_told() -> None:
     """Slow sines on a fast axis: input and damping are one, their ratio is known."""
-    result = fit([flown(Truth(), partial(two_sines, axes=("z",), amplitude=2.0), 50.0, 2)], axes=("z",))
+    result = fit_as_flown([flown(Truth(), partial(two_sines, axes=("z",), amplitude=2.0), 50.0, 2)], axes=("z",))
 
     table = with_uncertainty(result, flights=5).model.uncertainty
     assert table is not None

@@ -8,7 +8,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from flights import CARD, by_hand, flown, recorded, steps
+from flights import CARD, by_hand, fit_as_flown, flown, recorded, steps
 from rotorfit.assessment.validation import dynamics_from_model, residuals, to_mapping, validate
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight, Segment
@@ -269,13 +269,13 @@ def test_residuals_of_one_axis_of_a_turning_vehicle_are_white_too() -> None:
 def test_the_explained_response_follows_the_flight() -> None:
     flight = flown(replace(Truth(), wind_sigma=(0.0,) * 4), steps(("z",), seed=1), 20.0, 1)
 
-    z = residuals(fit([flight], axes=("z",)).model, flight)["z"]
+    z = residuals(fit_as_flown([flight], axes=("z",)).model, flight)["z"]
     measured = np.interp(z.time, flight.pose_time, flight.position[:, 2])
     np.testing.assert_allclose(z.response - z.response[0], measured - measured[0], rtol=0, atol=0.02)
 
 
 def test_axes_without_a_predictor_and_flights_too_short_have_no_residuals() -> None:
-    model = fit([flown(Truth(), partial(two_sines, axes=("yaw",)), 30.0)]).model
+    model = fit_as_flown([flown(Truth(), partial(two_sines, axes=("yaw",)), 30.0)]).model
 
     assert set(residuals(model, flight_of())) == {"yaw"}
     assert residuals(model, replace(flight_of(), segments=(Segment(0.0, 0.7),))) == {}

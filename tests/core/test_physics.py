@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from flights import flown, steps
+from flights import fit_as_flown, flown, steps
 from models import VEHICLE, demo_card, model_of, without
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.assessment.case import Case
@@ -16,7 +16,6 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.limits import Figure, Quantity
 from rotorfit.core.model import Model
 from rotorfit.core.physics import QUANTITIES, compared, implied_limits, physics, physics_rows
-from rotorfit.estimation.fitting import fit
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.reporting.page import page
 from rotorfit.reporting.tables import physics_text
@@ -233,7 +232,7 @@ def test_the_report_has_the_table_only_where_commands_have_a_meaning() -> None:
 
 
 def test_a_climb_that_follows_its_command_has_the_steady_speed_that_its_card_expects() -> None:
-    model = fit([flown(Truth(), steps(("z",), 0.4, seed=2), 20.0, 2)], axes=("z",)).model
+    model = fit_as_flown([flown(Truth(), steps(("z",), 0.4, seed=2), 20.0, 2)], axes=("z",)).model
 
     ratio = physics(model)["z"]["steady_speed"].ratio
     assert ratio is not None

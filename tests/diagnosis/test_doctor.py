@@ -36,6 +36,7 @@ from rotorfit.simulation.paper_vehicle import (
 pytestmark = pytest.mark.flights
 
 TRUTH = replace(Truth(), stale_share=0.0)
+LAW = ("--structure", "first_order_delay")
 SIGNS = {"axes_turned", "sign_flipped"}
 TURNING = steps(("x", "y", "yaw"), (0.2, 0.2, 0.2, 0.4), seed=4)
 
@@ -73,7 +74,7 @@ def test_a_clean_flight_is_told_of_nothing_and_info_says_so_in_text_too(tmp_path
 
 
 def test_the_flights_of_the_paper_raise_no_finding_before_the_fit_and_none_of_severity_error_with_it() -> None:
-    axes = ((("x", "y"), 100.0), (("z",), 60.0), (("yaw",), 60.0))
+    axes = ((("x", "y"), 60.0), (("z",), 40.0), (("yaw",), 40.0))
     logs = [
         as_log(simulate_flight(Truth(), partial(two_sines, axes=moved), duration, seed))
         for seed, (moved, duration) in enumerate(axes, start=1)
@@ -212,7 +213,7 @@ def test_slow_commands_before_the_fit_and_with_it(tmp_path: Path) -> None:
     assert before["severity"] == "warning"
     assert numbers(before["evidence"])[0] < 5
     log = Csv(flown(partial(slow, axis=2), 60.0))
-    with_fit = said("fit", *log.write(tmp_path), "--axes", "z")["slow_commands", "z"]
+    with_fit = said("fit", *log.write(tmp_path), "--axes", "z", *LAW)["slow_commands", "z"]
     assert "of z is not identifiable" in with_fit["effect"]
     assert numbers(with_fit["evidence"])[0] < 5
 
@@ -384,7 +385,7 @@ def test_axes_exchanged(tmp_path: Path) -> None:
     x, error, y, _ = numbers(found["axes_exchanged", None]["evidence"])
     assert (x, y) == pytest.approx((90, -90), abs=3)
     assert error < 3
-    fitted = {code for code, _ in said("fit", *words, "--span", ":20", "--axes", "x,y")}
+    fitted = {code for code, _ in said("fit", *words, "--span", ":20", "--axes", "x,y", *LAW)}
     assert "axes_exchanged" in fitted
     assert "sign_flipped" not in fitted
 
@@ -437,7 +438,7 @@ def test_command_frame(tmp_path: Path) -> None:
     right, wrong = numbers(told["evidence"])
     assert right > 90
     assert wrong < 40
-    assert "sign_flipped" not in {code for code, _ in said("fit", *words, "--span", ":20")}
+    assert "sign_flipped" not in {code for code, _ in said("fit", *words, "--span", ":20", *LAW)}
     assert said("info", *log.write(tmp_path, CARD.replace("[command]", '[command]\nframe = "world"'))) == {}
 
 
@@ -473,7 +474,7 @@ def test_axes_turned(tmp_path: Path) -> None:
     assert told["severity"] == "warning"
     assert "z of the pose is below 0 throughout" in told["evidence"]
     assert told["remedy"].startswith('is the pose NED? Write frame = "NED" at the top of the card (now "ENU")')
-    assert {code for code, _ in said("fit", *as_ned.write(tmp_path), "--span", ":20")} & SIGNS == {"axes_turned"}
+    assert {code for code, _ in said("fit", *as_ned.write(tmp_path), "--span", ":20", *LAW)} & SIGNS == {"axes_turned"}
     assert said("info", *as_ned.write(tmp_path, 'frame = "NED"\n' + CARD)) == {}
 
     log.command *= over
@@ -487,7 +488,7 @@ def test_one_turned_axis_is_left_to_the_fit_which_names_a_mirrored_pose_where_no
     words = log.write(tmp_path)
 
     assert "axes_turned" not in {code for code, _ in said("info", *words)}
-    told = said("fit", *words, "--axes", "x,y")["sign_flipped", "y"]
+    told = said("fit", *words, "--axes", "x,y", *LAW)["sign_flipped", "y"]
     assert "or the pose is mirrored" in told["remedy"]
 
 
@@ -537,7 +538,7 @@ def test_sign_flipped_says_what_to_write_given_what_the_card_says(tmp_path: Path
     log.command /= -0.5
 
     card = CARD.replace('z = "cmd_z"', 'z = { from = "cmd_z", scale = 0.5 }')
-    found = said("fit", *log.write(tmp_path, card))["sign_flipped", "z"]
+    found = said("fit", *log.write(tmp_path, card), *LAW)["sign_flipped", "z"]
     assert found["severity"] == "warning"
     assert numbers(found["evidence"])[0] == pytest.approx(-GAMMA_B[4], rel=0.05)
     assert "scale = -0.5 (now 0.5)" in found["remedy"]

@@ -76,7 +76,7 @@ def test_delay_and_damping_not_identifiable(tmp_path: Path) -> None:
         return np.stack([0 * t, 0 * t, 0.3 * np.sin(0.4 * t), 0 * t], axis=-1)
 
     truth = replace(TRUTH, wind_sigma=(0.05,) * 4)
-    fitted = ran("fit", *flown(slow, 60.0, truth).write(tmp_path))
+    fitted = ran("fit", *flown(slow, 60.0, truth).write(tmp_path), *WITHOUT_LAG)
     found = {finding["code"]: finding for finding in fitted["findings"]}
     for name in ("delay", "damping"):
         assert fitted["axes"]["z"]["status"][name] == "not_identifiable"

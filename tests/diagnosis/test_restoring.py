@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clean_flights import clean_flights
-from flights import CARD, NO_LOG, steps
+from flights import CARD, NO_LOG, fit_as_flown, steps
 from rotorfit.app.workflows import load_flights
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.core.flight_data import Flight
@@ -15,7 +15,6 @@ from rotorfit.core.frames import AXES
 from rotorfit.diagnosis.position_loop import EARLY, restoring_findings, restoring_law
 from rotorfit.diagnosis.recording import recording_of
 from rotorfit.dynamics.kinematics import motion_from_flight
-from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.simulation.paper_vehicle import Controller, Truth, as_log, simulate_flight
@@ -62,7 +61,7 @@ def test_the_lag_moves_with_the_stamps_and_poses_of_the_future_are_told() -> Non
 @pytest.mark.parametrize("by", [0.0, 0.05, 0.137, 0.25])
 def test_a_loop_that_is_read_backwards_is_never_a_model_however_late_the_poses_are_stamped(by: float) -> None:
     flight = late(held(), by)
-    done = fit([flight], axes=("x", "y"))
+    done = fit_as_flown([flight], axes=("x", "y"))
 
     assert {done.model.axes[axis].status["input"] for axis in ("x", "y")} == {"not_excited"}
     told = findings_of_fit(done)
@@ -77,7 +76,7 @@ def test_a_card_with_a_wrong_sign_is_no_feedback_even_of_a_vehicle_as_quick_as_a
     turned = replace(flight, command=-flight.command)
 
     assert restoring_law(turned, "x") is None
-    done = fit([turned], axes=("x",))
+    done = fit_as_flown([turned], axes=("x",))
     assert {finding.code for finding in findings_of_fit(done)} >= {"sign_flipped"}
 
 

@@ -7,7 +7,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from flights import CARD, by_hand, flown, muddled, steps, truth_of
+from flights import CARD, by_hand, fit_as_flown, flown, muddled, steps, truth_of
 from rotorfit.core.errors import FlightError, ModelError
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES
@@ -154,7 +154,7 @@ def test_input_and_damping_rise_together_as_their_ratio_is_known_better_than_eit
 
 
 def test_an_axis_that_is_never_commanded_is_not_excited() -> None:
-    model = fit([flown(Truth(), steps(("z",)), 30.0)]).model
+    model = fit_as_flown([flown(Truth(), steps(("z",)), 30.0)]).model
 
     assert statuses(model.axes["z"]) == {"ok"}
     for name in ("x", "y", "yaw"):
@@ -165,7 +165,7 @@ def test_an_axis_that_is_never_commanded_is_not_excited() -> None:
 
 
 def test_an_axis_whose_command_explains_nothing_is_not_excited_and_its_noise_is_known() -> None:
-    model = fit([muddled(flown(Truth(), steps(("z", "yaw"), seed=1), 60.0, 1), "z")]).model
+    model = fit_as_flown([muddled(flown(Truth(), steps(("z", "yaw"), seed=1), 60.0, 1), "z")]).model
 
     assert statuses(model.axes["z"]) == {"not_excited"}
     assert has_no_number(model.axes["z"])
@@ -174,7 +174,7 @@ def test_an_axis_whose_command_explains_nothing_is_not_excited_and_its_noise_is_
 
 
 def test_five_seconds_are_too_short() -> None:
-    model = fit([flown(Truth(), steps(), 5.0)]).model
+    model = fit_as_flown([flown(Truth(), steps(), 5.0)]).model
 
     for name in AXES:
         assert statuses(model.axes[name]) == {"too_short"}
@@ -185,7 +185,7 @@ def test_five_seconds_are_too_short() -> None:
 def test_many_short_flights_are_long_enough_together() -> None:
     flights = [flown(Truth(), steps(("z",), seed=seed), 4.0, seed) for seed in range(4)]
 
-    axis = fit(flights, axes=("z",)).model.axes["z"]
+    axis = fit_as_flown(flights, axes=("z",)).model.axes["z"]
     assert axis.status["input"] == "ok"
     assert len(axis.trim) == 4
 
@@ -194,7 +194,7 @@ def test_an_input_whose_interval_excludes_zero_is_excited_however_strong_the_win
     """The contract: an axis is not excited where the interval of its input gain holds 0, and only there."""
     truth = replace(Truth(), wind_sigma=(0.1,) * 4)
 
-    axis = fit([flown(truth, steps(("x",), 0.01, seed=1), 100.0, 1)], axes=("x",)).model.axes["x"]
+    axis = fit_as_flown([flown(truth, steps(("x",), 0.01, seed=1), 100.0, 1)], axes=("x",)).model.axes["x"]
     assert axis.status["input"] == "ok"
     assert holds(axis.ci95["input"], GAMMA_B[0])
 
@@ -292,7 +292,7 @@ def test_trims_belong_to_flights_and_are_none_where_a_flight_does_not_serve_the_
     ]
     yaw = flown(Truth(), steps(("yaw",)), 30.0, 9)
 
-    found = fit([flights[0], yaw, flights[1]], axes=("z", "yaw")).model.axes["z"].trim
+    found = fit_as_flown([flights[0], yaw, flights[1]], axes=("z", "yaw")).model.axes["z"].trim
     assert found[1] is None
     np.testing.assert_allclose([found[0], found[2]], trims, atol=0.02)
 
@@ -399,7 +399,7 @@ def test_a_pose_that_only_drifts_tells_nothing_of_an_axis_that_is_commanded_a_co
     pose = 1e-4 * np.random.default_rng(0).standard_normal((t.size, 4)).cumsum(axis=0)
     command = np.full((1000, 4), 0.1)
 
-    model = fit([by_hand(t, pose, t[::2], command)]).model
+    model = fit_as_flown([by_hand(t, pose, t[::2], command)]).model
     for name in AXES:
         assert model.axes[name].status["input"] != "ok"
 
@@ -407,11 +407,11 @@ def test_a_pose_that_only_drifts_tells_nothing_of_an_axis_that_is_commanded_a_co
 def test_a_flight_that_only_holds_an_axis_does_not_serve_it_and_says_so() -> None:
     moving = by_hand_held(1.0)
     holding = by_hand_held(0.05)
-    fitted = fit([moving, holding])
+    fitted = fit_as_flown([moving, holding])
 
     assert [source.axes for source in fitted.model.flights] == [("x",), ()]
     assert [note.code for note in fitted.model.flights[1].notes][-1] == "held_axis"
-    assert fitted.model.axes["x"].input == pytest.approx(fit([moving]).model.axes["x"].input, rel=1e-12)
+    assert fitted.model.axes["x"].input == pytest.approx(fit_as_flown([moving]).model.axes["x"].input, rel=1e-12)
 
 
 def by_hand_held(share: float) -> Flight:

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flights import flown, steps
+from flights import fit_as_flown, flown, steps
 from other_laws import flown_by
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
@@ -23,7 +23,7 @@ from rotorfit.simulation.vehicle import builtin_vehicles
 
 @cache
 def of_law() -> Fit:
-    return fit([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",))
+    return fit_as_flown([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",))
 
 
 @cache

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flights import steps
+from flights import fit_as_flown, steps
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import world_from_heading
 from rotorfit.core.log import Log, Table
 from rotorfit.diagnosis.doctor import findings_of_flight
-from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read as read_log
 from rotorfit.files.logs.several import join_logs
@@ -212,8 +211,8 @@ def test_the_commands_are_where_they_would_be_on_one_clock() -> None:
 def test_the_delay_is_the_vehicles_and_its_interval_is_wider_by_that_of_the_offset() -> None:
     flight = read(as_one(flown(), Skew(0.3)), attitude=True)
     assert flight.clocks is not None
-    plain = fit([replace(flight, clocks=None)], axes=("z",)).model
-    model = fit([flight], axes=("z",)).model
+    plain = fit_as_flown([replace(flight, clocks=None)], axes=("z",)).model
+    model = fit_as_flown([flight], axes=("z",)).model
 
     (low, high), (before, after) = model.axes["z"].ci95["delay"], plain.axes["z"].ci95["delay"]
     delay = model.axes["z"].delay
@@ -242,7 +241,7 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
     flight = simulate_flight(Truth(), excitation, LENGTH, 3)  # type: ignore[arg-type]
     log = as_one(flight, Skew(offset))
     result = read(log, velocity=False)
-    model = fit([result], axes=("yaw",)).model.axes["yaw"]
+    model = fit_as_flown([result], axes=("yaw",)).model.axes["yaw"]
 
     assert result.clocks is not None
     assert result.clocks.includes_delay
@@ -264,7 +263,7 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
 def test_flights_with_and_without_the_delay_in_their_clocks_are_not_fitted_together() -> None:
     log = as_one(flown(), Skew(0.3))
     with pytest.raises(FlightError, match="fit it apart"):
-        fit([replace(read(log, velocity=False), card=card_of()), read(log)])
+        fit_as_flown([replace(read(log, velocity=False), card=card_of()), read(log)])
 
 
 # What must not be believed

@@ -28,6 +28,7 @@ POSE = {"t": np.arange(4.0), "x": np.ones(4), "y": np.ones(4), "z": np.ones(4), 
 RAW_COMMAND = {"time": "own:t", "x": "u_x", "y": "u_y", "z": "u_z"}
 RAW_POSE = {"time": "mocap:t"} | {axis: axis for axis in ("x", "y", "z", "yaw")}
 CARD = card_from_mapping(RAW, "test")
+LAW = "first_order_delay"
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +106,11 @@ def test_logs_that_lack_a_column_even_together_stay_apart() -> None:
 
 def test_fit_takes_two_files_as_one_flight_and_the_model_finds_them_again(files: tuple[list[str], str]) -> None:
     (commands, odometry, mocap), card = files
-    apart = fit_logs([parse_log(commands), parse_log(mocap)], card, axes=("yaw",)).model
+    apart = fit_logs([parse_log(commands), parse_log(mocap)], card, axes=("yaw",), structure=LAW).model
     text = Path(card).read_text() + '[velocity]\nframe = "heading"\ntime = "odometry:t"\nx = "v_x"\nyaw = "r"\n'
     Path(card).with_name("more.toml").write_text(text)
     path = f"{commands}+{odometry}+{mocap}"
-    told = fit_logs([parse_log(path)], str(Path(card).with_name("more.toml")), axes=("yaw",)).model
+    told = fit_logs([parse_log(path)], str(Path(card).with_name("more.toml")), axes=("yaw",), structure=LAW).model
 
     assert apart.flights[0].path == f"{commands}+{mocap}"
     assert any("taken as one flight" in note.text for note in apart.flights[0].notes)
@@ -176,7 +177,7 @@ def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[l
     (commands, _, mocap), card = files
     model, page = str(tmp_path / "model.json"), str(tmp_path / "report.html")
     for words in (
-        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", "first_order_delay", "-o", model],
+        ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", LAW, "-o", model],
         ["validate", model, commands, mocap],
         ["report", model, f"{commands}+{mocap}", "-o", page],
     ):

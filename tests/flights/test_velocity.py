@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from flights import STILL, steps
+from flights import STILL, fit_as_flown, steps
 from onboard import onboard_card, with_odometry
 from rotorfit.app.cli import main
 from rotorfit.assessment.validation import dynamics_from_model, validate
@@ -56,7 +56,7 @@ def turning() -> Flight:
 def alone() -> tuple[Flight, Fit]:
     """A fit to velocities that are 60 ms late."""
     flight = flight_from_log(with_odometry(flown(Truth(), ("x", "z"))), onboard_card())
-    return flight, fit([flight], axes=("x", "z"))
+    return flight, fit_as_flown([flight], axes=("x", "z"))
 
 
 def whole(flight: Flight, axes: tuple[str, ...]) -> Record:
@@ -245,7 +245,7 @@ def test_a_block_of_velocities_answers_with_the_velocity(turning: Flight) -> Non
 
 def test_velocities_without_noise_give_the_coefficients_back_and_a_delay_with_their_latency() -> None:
     flight = flight_from_log(with_odometry(flown(), **EXACT), onboard_card())
-    point = fit([flight], axes=("x",)).model.axes["x"].predictor
+    point = fit_as_flown([flight], axes=("x",)).model.axes["x"].predictor
 
     assert point is not None
     assert point.input == pytest.approx(STILL.gamma[0], rel=2e-4)
@@ -258,7 +258,7 @@ def test_a_constant_bias_of_the_velocity_goes_into_the_trim() -> None:
     flights = [
         flight_from_log(with_odometry(flown(truth), noise=0.0, bias=bias), onboard_card()) for bias in (0.0, 0.05)
     ]
-    without, biased = (fit([flight], axes=("x",)).model.axes["x"] for flight in flights)
+    without, biased = (fit_as_flown([flight], axes=("x",)).model.axes["x"] for flight in flights)
 
     assert without.predictor is not None
     assert biased.predictor is not None
@@ -283,8 +283,8 @@ def test_intervals_hold_the_truth_and_the_noise_is_found(alone: tuple[Flight, Fi
 def test_pose_and_velocity_together_know_more_than_a_poor_pose_alone() -> None:
     truth = Truth(mocap_noise=(0.05, 0.05, 0.05, 0.01), pose_rate=20.0, stale_share=0.0)
     flight = flight_from_log(with_odometry(flown(truth, seed=7)), onboard_card((), independent=True))
-    both = fit([flight], axes=("x",)).model.axes["x"]
-    pose = fit([replace(flight, velocity=None)], axes=("x",)).model.axes["x"]
+    both = fit_as_flown([flight], axes=("x",)).model.axes["x"]
+    pose = fit_as_flown([replace(flight, velocity=None)], axes=("x",)).model.axes["x"]
 
     assert both.stderr["input"] < 0.8 * pose.stderr["input"]  # type: ignore[operator]
     low, high = both.ci95["delay"]
@@ -304,7 +304,9 @@ def test_the_latency_is_found_with_an_interval_and_said() -> None:
     assert latency.high is not None
     assert latency.value == pytest.approx(0.06, abs=0.006)
     assert 0.002 < latency.high - latency.low < 0.02
-    notes = [note.text for note in fit([flight], axes=("x",)).flights[0].notes if note.code == "velocity_latency"]
+    notes = [
+        note.text for note in fit_as_flown([flight], axes=("x",)).flights[0].notes if note.code == "velocity_latency"
+    ]
     assert any("x, y is 6" in text or "x, y is 5" in text for text in notes)
 
 

@@ -12,12 +12,13 @@ from tracked_flights import LAW
 
 pytestmark = pytest.mark.flights
 
-LAST = 17.0
+LAST = 11.0
 """So much of the flight is given to trackers here [s]."""
 
 
 def samples() -> list[Sample]:
-    return [one for one in flown() if one.received < flown()[0].received + LAST * 1e9]
+    flight = flown(ground=False)
+    return [one for one in flight if one.received < flight[0].received + LAST * 1e9]
 
 
 def states_of(tracker: Tracker) -> list[Tracked]:
