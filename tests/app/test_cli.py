@@ -169,7 +169,7 @@ def test_a_fit_writes_nothing_unless_it_is_asked_to(
     monkeypatch.chdir(tmp_path)
 
     before = sorted(folder.iterdir())
-    found = done("fit", folder / "first.bag", "--axes", "x")
+    found = done("fit", folder / "first.bag", "--axes", "x", *LAW)
 
     assert "Nothing was written" in found
     assert sorted(folder.iterdir()) == before
@@ -198,7 +198,7 @@ def test_a_fit_shows_coefficients_intervals_search_repairs_and_findings(folder: 
 
 
 def test_axes_that_were_not_asked_for_are_not_spoken_of(folder: Path) -> None:
-    found = done("fit", folder / "first.bag", "--axes", "x")
+    found = done("fit", folder / "first.bag", "--axes", "x", *LAW)
 
     assert re.findall(r"^(\w+) +input ", found, re.MULTILINE) == ["x"]
     assert "yaw" not in found
@@ -253,7 +253,7 @@ def test_leaving_out_one_flight_shows_every_flight_and_the_spread_and_is_kept(fo
     kept = json.loads(output.read_text())["leave_one_out"]
     assert [Path(flight["path"]).name for flight in kept["flights"]] == ["first.bag", "second.bag"]
     assert kept == to_mapping(load(output))["leave_one_out"]
-    assert json_of("fit", logs[0], "--axes", "x")["leave_one_out"] is None
+    assert json_of("fit", logs[0], "--axes", "x", *LAW)["leave_one_out"] is None
 
 
 def test_one_log_cannot_be_left_out_but_its_parts_can(folder: Path) -> None:
@@ -511,7 +511,7 @@ def test_nothing_is_wider_than_the_terminal_and_no_number_is_cut(folder: Path, m
     log, model = folder / "first.bag", folder / "ml.json"
     monkeypatch.chdir(folder)
     for arguments in (
-        ["fit", log.name],
+        ["fit", log.name, *LAW],
         ["validate", model.name, log.name],
         ["compare", model.name, model.name, log.name],
         ["info", log.name],
@@ -525,7 +525,7 @@ def test_nothing_is_wider_than_the_terminal_and_no_number_is_cut(folder: Path, m
 
 
 def test_a_pipe_gets_whole_lines_without_colours_and_trailing_blanks(folder: Path) -> None:
-    found = done("fit", folder / "first.bag")
+    found = done("fit", folder / "first.bag", *LAW)
 
     assert "\x1b" not in found
     assert not any(line != line.rstrip() for line in found.splitlines())
@@ -549,7 +549,7 @@ def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None
     code = "from rotorfit.app.cli import main; main()"
 
     found = subprocess.run(
-        [sys.executable, "-c", code, "fit", str(folder / "first.bag"), "--axes", "x", "--json"],
+        [sys.executable, "-c", code, "fit", str(folder / "first.bag"), "--axes", "x", *LAW, "--json"],
         stdout=subprocess.PIPE,
         stderr=writer,
         env={**os.environ, "TERM": "xterm"},

@@ -141,10 +141,10 @@ def test_a_negative_delay_within_one_clock_is_about_how_often_commands_are_logge
 
 def test_commands_stamped_later_than_any_searched_delay_are_a_matter_of_clocks_not_of_excitation() -> None:
     """Two computers, 0.25 s apart: a frequent mistake. The finding must lead to it."""
-    flight = flown(NO_STALE, steps(("z",), seed=2), 30.0, 2)
+    flight = flown(NO_STALE, steps(("z", "yaw"), seed=2), 30.0, 2)
     late = replace(flight, command_time=flight.command_time + 0.3, segments=(Segment(0.3, flight.segments[0].end),))
 
-    told = findings_of_fit(fit([late], axes=("z",)))
+    told = findings_of_fit(fit([late], axes=("z", "yaw")))
     assert any("clock" in f"{f.evidence} {f.effect} {f.remedy}" for f in told)
 
 

@@ -39,8 +39,7 @@ def sigmas(found: Fit) -> dict[str, float]:
     return {axis: e.loop.sigmas for axis, e in found.estimates.items()}
 
 
-@pytest.mark.parametrize("vehicle", ["m100", "crazyflie"])
-@pytest.mark.parametrize("jitter", [0.0, 0.004])
+@pytest.mark.parametrize(("vehicle", "jitter"), [("m100", 0.0), ("crazyflie", 0.004)])
 def test_open_loop_multisines_of_a_vehicle_with_an_attitude_loop_are_no_feedback(vehicle: str, jitter: float) -> None:
     found = fit([multisines_of(vehicle, jitter, 1)], structure="first_order_delay")
 
@@ -51,16 +50,14 @@ def test_open_loop_multisines_of_a_vehicle_with_an_attitude_loop_are_no_feedback
 
 def test_most_loops_that_hold_a_place_are_found_and_no_open_loop_is_taken_for_one() -> None:
     told: dict[bool, list[bool]] = {True: [], False: []}
-    for seed, closed, _, _ in clean_flights(range(12)):
+    for seed, closed, _, _ in clean_flights(range(8)):
         told[closed] += [found > LOOP_SIGMAS for found in sigmas(clean_fit(seed)).values()]
 
     assert sum(told[False]) == 0
     assert np.mean(told[True]) > 0.5
 
 
-@pytest.mark.parametrize(
-    ("name", "loops"), [("s01", {"y", "z", "yaw"}), ("s02", set()), ("s04", set()), ("s06", set())]
-)
+@pytest.mark.parametrize(("name", "loops"), [("s01", {"y", "z", "yaw"}), ("s02", set())])
 def test_a_real_autopilots_loops_are_told_apart_from_its_open_flights(
     real_flights: Path, name: str, loops: set[str]
 ) -> None:

@@ -213,7 +213,7 @@ def test_of_a_servo_faster_than_its_poses_the_steady_gain_and_the_total_lag_are_
         wind_sigma=(3.0,) * 4,
     )
     open_ends = 0
-    for seed in range(1, 5):
+    for seed in (1, 2):
         axis = fit([flown(slow, steps(("z",), 0.4, seed=seed), 50.0, seed)], axes=("z",)).model.axes["z"]
         assert axis.status["damping"] == "not_identifiable"
         assert axis.damping is None
