@@ -29,25 +29,28 @@ THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 TASKS = ("fit", "fit first_order_delay", "validate")
 
 
-def fly(seconds: float, to: Path) -> None:
-    """Simulates a flight and writes it, with a model of half a minute of it."""
+def turning_flight(seconds: float) -> Any:
+    """A simulated flight in closed loop, all four axes stepped at random, as long as one likes."""
     from peers.flights import random_steps
-    from rotorfit.core.flight_data import Flight
-    from rotorfit.estimation.fitting import fit
     from rotorfit.files.cards import load_card
     from rotorfit.flights.assemble import flight_from_log
     from rotorfit.simulation.paper_vehicle import GAMMA_B, Controller, Truth, as_log, simulate_flight
 
     truth = replace(Truth(), gamma=GAMMA_B, delay=(0.2, 0.2, 0.12, 0.1), wind_sigma=(0.1, 0.1, 0.05, 0.02))
 
-    def excitation(t: Array) -> Array:  # as long as one likes: it begins again every four minutes
+    def excitation(t: Array) -> Array:  # begins again every four minutes
         return random_steps(np.mod(t, 240.0), seed=7, amplitude=(0.3, 0.3, 0.3, 0.2))
 
-    def flown(seconds: float) -> Flight:
-        flight = simulate_flight(truth, excitation, seconds, 7, controller=Controller())
-        return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
+    flight = simulate_flight(truth, excitation, seconds, 7, controller=Controller())
+    return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
 
-    to.write_bytes(pickle.dumps((flown(seconds), fit([flown(30.0)], structure="first_order_delay").model)))
+
+def fly(seconds: float, to: Path) -> None:
+    """Simulates a flight and writes it, with a model of half a minute of it."""
+    from rotorfit.estimation.fitting import fit
+
+    model = fit([turning_flight(30.0)], structure="first_order_delay").model
+    to.write_bytes(pickle.dumps((turning_flight(seconds), model)))
 
 
 def measured(task: str, short: Path, long: Path) -> tuple[float, float]:
