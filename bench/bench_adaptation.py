@@ -87,11 +87,11 @@ def recorded_pairs() -> Iterator[Pair]:
     if not REAL_FLIGHTS.is_dir():
         return
     for case in real_cases():
-        if "25 ms" not in case.name and "hexarotor" not in case.name:
+        if "hexarotor" not in case.name:
             training, tests = case.make()
             for test in tests:
                 yield Pair(case.name.split(",")[0].split()[0], training, test)
-    dji, _ = recorded([(f"dji-hexarotor/Datos_Prueba{i}.mat", (None, None)) for i in range(1, 7)], [], None)()
+    dji, _ = recorded([(f"dji-hexarotor/Datos_Prueba{i}.mat", (None, None)) for i in range(1, 7)], [])()
     for i, one in enumerate(dji):
         for other in dji[:i] + dji[i + 1 :]:
             yield Pair("dji-hexarotor", [one], other)

@@ -7,7 +7,8 @@ table, and writes peers.json beside this file and the section "Peers" of docs/be
 
 Everybody fits the same training flights and predicts the same test flights by the protocol of `forecast`: 2 s for the
 state, starts every 0.5 s, from a start on only the commands. Settings of the peers are chosen on the training flights
-alone, by the very scores that are compared (`peers.tuning`).
+alone, by the very scores that are compared (`peers.tuning`); those in peers.json that the same version of a package
+chose are taken from there. Delete the file to have all chosen anew.
 """
 
 import os
@@ -33,7 +34,7 @@ from peers.loop import later_command
 from peers.packages import PEERS
 from peers.series import HELD_OVER, RATES, Series, axis_series, between, grid_of, pieces, start_samples, to_poses
 from peers.table import RAN_AWAY, document, print_case
-from peers.tuning import Forecast, chosen
+from peers.tuning import Forecast, Peer, Setting, chosen, fitted
 from rotorfit.assessment.paired import paired_test
 from rotorfit.assessment.validation import dynamics_from_model, paper_dynamics
 from rotorfit.core.flight_data import Flight
@@ -60,7 +61,30 @@ OWN = ("ml", "auto")
 
 HERE = Path(__file__).resolve().parent
 
-Chosen = Mapping[str, tuple[Mapping[str, Any], Forecast]]
+RESULTS = HERE / "peers.json"
+
+Chosen = Mapping[str, tuple[Setting, Forecast]]
+
+
+def earlier_settings() -> dict[tuple[str, str, str], Setting]:
+    """Set, axis and peer to the setting that was chosen by the same version of the package."""
+    if not RESULTS.exists():
+        return {}
+    earlier = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return {
+        (one["set"], axis, peer.name): rows[peer.name]["setting"]
+        for peer in PEERS
+        if earlier["versions"][peer.package] == version(peer.package)
+        for one in earlier["sets"]
+        for axis, rows in one["axes"].items()
+    }
+
+
+def peer_model(
+    peer: Peer, training: Mapping[int, Sequence[Series]], setting: Setting | None
+) -> tuple[Setting, Forecast]:
+    """The peer's model under a setting; None to choose one."""
+    return (setting, fitted(peer, training[setting["rate"]], setting)) if setting else chosen(peer, training)
 
 
 def training_series(flights: Sequence[Flight]) -> dict[int, list[list[Series]]]:
@@ -130,20 +154,23 @@ def baselines(model: Model, flight: Flight, parts: Sequence[Predictions]) -> dic
     }
 
 
-def run(case: Case) -> dict[str, Any]:
+def run(case: Case, settings: Mapping[tuple[str, str, str], Setting]) -> dict[str, Any]:
     """Everything about one set: per axis and method the scores, the setting, and the paired test against ml."""
     training, test = case.make()
     model, auto = fit(training).model, fit(training, structure="auto").model
     axes = [axis for axis in case.axes if model.axes[axis].predictor]
     series = training_series(training)
-    models: dict[str, Chosen] = {}
-    taken: dict[str, float] = {}
-    for peer in PEERS:
-        began = time.perf_counter()
-        models[peer.name] = {
-            axis: chosen(peer, {rate: lines[AXES.index(axis)] for rate, lines in series.items()}) for axis in axes
+    models: dict[str, Chosen] = {
+        peer.name: {
+            axis: peer_model(
+                peer,
+                {rate: lines[AXES.index(axis)] for rate, lines in series.items()},
+                settings.get((case.name, axis, peer.name)),
+            )
+            for axis in axes
         }
-        taken[peer.name] = time.perf_counter() - began
+        for peer in PEERS
+    }
     dynamics, horizon = dynamics_from_model(model), max(HORIZONS)
     methods = (*OWN, "hold", "paper", "coast", *models)
     if case.truth:
@@ -168,9 +195,8 @@ def run(case: Case) -> dict[str, Any]:
         "set": case.name,
         "kind": case.kind,
         "axes": {axis: _axis_result(axis, errors, scores, models) for axis in axes},
-        "structures": {axis: auto.axes[axis].structure for axis in axes},
+        "structures": {axis: [one.axes[axis].structure for one in (model, auto)] for axis in axes},
         "loop": {axis: round(later_command(series[min(series)][AXES.index(axis)]), 1) for axis in axes},
-        "seconds": {name: round(value, 1) for name, value in taken.items()},
     }
 
 
@@ -212,13 +238,13 @@ def _against(
 
 def main() -> None:
     pattern = sys.argv[1] if len(sys.argv) > 1 else ""
-    results, began = [], time.perf_counter()
+    results, began, settings = [], time.perf_counter(), earlier_settings()
     real = list(real_cases())
     if not real:
         print("recorded flights are not there (../shared/data): simulated ones only")
     for case in chain(simulated_cases(), real):
         if pattern in case.name:
-            results.append(run(case))
+            results.append(run(case, settings))
             print_case(results[-1])
     print(f"{time.perf_counter() - began:.0f} s")
     if pattern or not real:
@@ -229,7 +255,7 @@ def main() -> None:
         "versions": {package: version(package) for package in packages},
         "sets": results,
     }
-    (HERE / "peers.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    RESULTS.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     document(result, HERE.parent / "docs" / "benchmarks.md")
 
 

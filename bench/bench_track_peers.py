@@ -287,7 +287,7 @@ def simulated(design: Design) -> list[Score]:
 def on_record(name: str) -> list[Score]:
     """The scores of one recorded flight, against its batch fit."""
     path, axis = RECORDED[name]
-    (flight,), _ = recorded([(path, (None, None))], [], None)()
+    (flight,), _ = recorded([(path, (None, None))], [])()
     batch = fit([flight], structure=LAW).model.axes[axis]
     truth = np.array([getattr(batch, n) if getattr(batch, n) is not None else np.nan for n in COEFFICIENTS])
     error = np.array([batch.stderr[n] if batch.stderr[n] is not None else np.nan for n in COEFFICIENTS], float)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorfit.core.card import Card
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log
@@ -51,16 +50,15 @@ def log_of(name: str) -> Log:
     return read(REAL_FLIGHTS / name)
 
 
-def card_of(name: str, hold: float | None) -> Card:
-    """The card beside a flight; with `hold`, that key changed."""
-    card = load_card(str(REAL_FLIGHTS / Path(name).parent / "card.toml"))
-    return replace(card, hold=hold) if hold else card
+def recorded(training: Sequence[tuple[str, Span]], test: Sequence[tuple[str, Span]]) -> Maker:
+    """Spans of files, read with the card beside them."""
 
-
-def recorded(training: Sequence[tuple[str, Span]], test: Sequence[tuple[str, Span]], hold: float | None) -> Maker:
     def make() -> tuple[list[Flight], list[Flight]]:
         both = [
-            [flight_from_log(log_of(name), card_of(name, hold), span) for name, span in part]
+            [
+                flight_from_log(log_of(name), load_card(str(REAL_FLIGHTS / Path(name).parent / "card.toml")), span)
+                for name, span in part
+            ]
             for part in (training, test)
         ]
         return both[0], both[1]
@@ -68,9 +66,9 @@ def recorded(training: Sequence[tuple[str, Span]], test: Sequence[tuple[str, Spa
     return make
 
 
-def halves(name: str, at: float, *, backwards: bool, hold: float | None) -> Maker:
+def halves(name: str, at: float, *, backwards: bool) -> Maker:
     first, second = [(name, (None, at))], [(name, (at, None))]
-    return recorded(second, first, hold) if backwards else recorded(first, second, hold)
+    return recorded(second, first) if backwards else recorded(first, second)
 
 
 def real_cases() -> Iterator[Case]:
@@ -79,17 +77,16 @@ def real_cases() -> Iterator[Case]:
         return
     for axis, at in (("x", 84.0), ("z", 68.0)):
         name = f"bebop2-wsu/Training_CT_TestDay_{axis.upper()}.mat"
-        for hold, label in ((None, "hold 25 ms"), (0.3, "hold 0.3 s")):
-            for backwards, way in ((False, "1st half -> 2nd"), (True, "2nd half -> 1st")):
-                make = halves(name, at, backwards=backwards, hold=hold)
-                yield Case(f"bebop2-wsu {axis.upper()}, {way}, {label}", (axis,), make)
+        for backwards, way in ((False, "1st half -> 2nd"), (True, "2nd half -> 1st")):
+            make = halves(name, at, backwards=backwards)
+            yield Case(f"bebop2-wsu {axis.upper()}, {way}", (axis,), make)
     for manoeuvre, axis in (("pitch", "x"), ("vert", "z")):
         bags = [[(f"bebop2-optitrack/monster_{manoeuvre}_{part}.bag", (None, None))] for part in ("trn", "tst")]
-        yield Case(f"bebop2-optitrack {manoeuvre}, train -> test", (axis,), recorded(*bags, None))
+        yield Case(f"bebop2-optitrack {manoeuvre}, train -> test", (axis,), recorded(*bags))
     dji = [(f"dji-hexarotor/Datos_Prueba{i}.mat", (None, None)) for i in range(1, 7)]
-    yield Case("dji-hexarotor, 1-4 -> 5, 6", AXES, recorded(dji[:4], dji[4:], None))
+    yield Case("dji-hexarotor, 1-4 -> 5, 6", AXES, recorded(dji[:4], dji[4:]))
     for backwards, way in ((False, "1st half -> 2nd"), (True, "2nd half -> 1st")):
-        make = halves("bebop2-joystick/record_velocity.csv", 35.0, backwards=backwards, hold=None)
+        make = halves("bebop2-joystick/record_velocity.csv", 35.0, backwards=backwards)
         yield Case(f"bebop2-joystick, {way}", AXES, make)
     names = {
         "z": ("ZDOT_02_Feb_2022_10_39_58_LARANJA_COMPLETO", "ZDOT_02_Feb_2022_10_43_56_LARANJA_COMPLETO_bonito"),
@@ -97,7 +94,7 @@ def real_cases() -> Iterator[Case]:
     }
     for axis, pair in names.items():
         files = [[(f"ardrone2-optitrack/{name}.mat", (None, None))] for name in pair]
-        yield Case(f"ardrone2-optitrack {axis}, hold 0.3 s", (axis,), recorded(*files, 0.3))
+        yield Case(f"ardrone2-optitrack {axis}", (axis,), recorded(*files))
 
 
 def random_steps(t: Array, seed: int, amplitude: Sequence[float]) -> Array:

@@ -22,8 +22,10 @@ commands are known.
 - `PySINDy`: acceleration from velocity and delayed command, linear or with squares, STLSQ; starts from a line over the
   last samples. `SysIdentPy`: FROLS on lags, linear or of degree 2, order by information criterion. `N4SID`: nfoursid
   with its own Kalman filter. `statsmodels`: least squares on lags (ARX). `hold` keeps the velocity; `paper` is the
-  paper's regression; `truth` is the simulated vehicle itself, with its own wind levels.
-- `ml` is the default, `auto` the structure that the training flights earn (`--structure auto`).
+  paper's regression with a filter of its own, `coast` its coefficients from the states of `ml`; `truth` is the
+  simulated vehicle itself, with its own wind levels.
+- `ml` is the default ([averaged laws](structures.md#the-default-averaged)), `auto` the structure that the training
+  flights earn (`--structure auto`).
 - The two signs say how `ml` and `auto` do against the method, by a paired test over starts that respects their overlap,
   at 5 %: `+` rotorfit predicts better, `=` tie, `-` worse, `?` too few starts to say. Of 100 true ties about five come
   out as + or -. The sign beside `auto` is that of `ml` against it.
@@ -59,7 +61,7 @@ def verdict(test: Mapping[str, Any] | None) -> str:
 
 
 def print_case(result: Mapping[str, Any]) -> None:
-    print(f"\n{result['set']}    [search: {result['seconds']} s]")
+    print(f"\n{result['set']}    laws of ml and auto: {result['structures']}")
     names = [name for name in NAMES if name in next(iter(result["axes"].values()), NAMES)]
     print(f"{'':18}" + "".join(f"{name:>13}" for name in names))
     for axis, rows in result["axes"].items():
