@@ -1,6 +1,6 @@
-"""What the data can and cannot tell: findings from a fit and its flights.
+"""What the data can and cannot show: findings from a fit and its flights.
 
-Why a vehicle seems to answer before its command: clocks that disagree, or commands that were logged too seldom.
+Also why a vehicle seems to respond before its command: clocks that disagree, or commands that are logged too rarely.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,18 +29,18 @@ from rotorfit.estimation.regression.axes_by_method import NOT_VALID
 from rotorfit.estimation.zero_command import findings_of_braking
 
 ONE_CLOCK = (".ulg", ".bin")
-"""Logs of autopilots: one clock stamps all that is in them."""
+"""Suffixes of autopilot logs: one clock stamps everything in them."""
 
 
 def too_early(flights: Sequence[Flight], early: float) -> tuple[str, str]:
-    """Effect and remedy of a negative delay, by what the flights allow.
+    """Effect and remedy of a negative delay, depending on the flights.
 
-    A command is logged at its row's time. One that was sent between two rows acts before it is logged, by up to a
-    period of the rows and half of that in the mean, where commands change all the time.
+    A command is logged at its row's time. If it was sent between two rows, it acts before it is logged: by up to one
+    period of the rows, and by half a period on average where commands change all the time.
 
     Args:
-        flights: That serve the axis.
-        early: By how much the answer comes before its command [s].
+        flights: Those that serve the axis.
+        early: By how much the response precedes its command [s].
     """
     period = max(float(np.median(np.diff(flight.command_time))) for flight in flights)
     seldom = (
@@ -67,44 +67,44 @@ def too_early(flights: Sequence[Flight], early: float) -> tuple[str, str]:
 
 
 def _one_clock(flight: Flight) -> bool:
-    """Whether commands and poses of a flight are stamped by one clock for sure."""
+    """Whether commands and poses of a flight are certainly stamped by one clock."""
     card = flight.card
     same = card.command_time.source == card.pose_time.source
     return flight.clocks is None and (same or Path(flight.path).suffix.lower() in ONE_CLOCK)
 
 
 WEAK_GAIN = 0.2
-"""Standard error of the input gain, as a share of it, beyond which the excitation is called weak."""
+"""Relative standard error of the input gain above which the excitation is called weak."""
 
 NEEDED_SHARE = 0.05
-"""Share of the command's power that must lie where delay and damping show; with less they are told from each other by
-the noise. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
+"""Share of the command's power that must lie where delay and damping take effect; with less, noise makes them hard to
+separate. The paper's sines have none above 0.25 Hz, steps of a second 10 to 20 % above 0.8 Hz."""
 
 WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
-"""Findings of a flight under which the sign of the gain of x or y says nothing of its own."""
+"""Findings of a flight that make the sign of the gain of x or y meaningless."""
 
 OVERTURNED = "axes_turned"
-"""Finding of a flight under which the signs of `OVER` say nothing of their own."""
+"""Finding of a flight that makes the signs of `OVER` meaningless."""
 
 SAID_BETTER = ("short_data", "slow_commands")
-"""Findings of single flights that the fit of all of them says itself, or takes back."""
+"""Findings of single flights that the fit of all of them repeats or withdraws."""
 
 ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
-"""Findings of single flights that do not matter where all coefficients of the axis came out well."""
+"""Findings of single flights that do not matter where all coefficients of the axis are well determined."""
 
 LIKELIHOOD_DOUBT = 2.0
-"""Log-likelihood by which a disbelieved optimum must stand above the chosen one to be a finding."""
+"""Difference in log-likelihood by which a rejected optimum must exceed the chosen one to be a finding."""
 
 ABOUT_DELAY = ("delay_not_identifiable", "delay_negative")
-"""What is not said of a delay that an offset of two clocks has swallowed."""
+"""Findings about the delay that are left out where the offset of two clocks includes it."""
 
 
 def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, ...]:
-    """Everything that a user should know about a fit, the gravest first.
+    """Everything that a user should know about a fit, most severe first.
 
     Args:
         fit: The fit with its flights.
-        before: What the flights told of themselves; what the fit knows better is left out.
+        before: Findings of the single flights; those that the fit supersedes are left out.
     """
     found: list[Finding] = [finding for finding in before if not _settled(finding, fit)]
     framed = {finding.code for finding in found}.isdisjoint(WRONG_FRAME)
@@ -139,7 +139,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
 
 
 def _settled(finding: Finding, fit: Fit) -> bool:
-    """Whether the fit knows better than a flight alone."""
+    """Whether the fit supersedes this finding of a single flight."""
     if finding.code not in ABOUT_EXCITATION or finding.axis is None:
         return finding.code in SAID_BETTER
     axis = fit.model.axes[finding.axis]
@@ -187,7 +187,7 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
 
 
 def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
-    """Commands that say something only once, or hardly more often."""
+    """Finding that the commands change in only one event, or in few."""
     events = command_events(flights, name)
     factor = widening(events)
     if not axis.predictor or not flights or factor < TWICE:
@@ -224,7 +224,7 @@ def _sign_findings(fit: Fit, name: str, axis: Axis) -> Iterator[Finding]:
 
 
 def _or_the_pose(fit: Fit, name: str) -> str:
-    """What of the pose, in place of the command, would explain a sign that is turned."""
+    """How the pose, instead of the command, would explain a reversed sign."""
     points = {axis: fit.model.axes[axis].predictor for axis in AXES}
     backwards = {axis: point.input < 0 for axis, point in points.items() if point}
     other = {"x": "y", "y": "x"}.get(name, "")
@@ -357,7 +357,7 @@ def _excitation_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> It
 
 
 def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> Iterator[Finding]:
-    """Commands without power where the delay, or the damping, of this very model shows; only where it is not known."""
+    """Commands without power at the frequencies where this model's delay or damping, if unknown, takes effect."""
     point = axis.predictor
     assert point is not None
     unknown = [part for part in ("damping", "delay") if axis.status.get(part) == "not_identifiable"]

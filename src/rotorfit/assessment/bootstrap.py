@@ -1,12 +1,12 @@
-"""Block bootstrap: flights like the recorded one, from the fitted model and its own innovations, estimated again.
+"""Block bootstrap: flights drawn from the fitted model and its own innovations, and estimated again.
 
-The response to the commands is kept as it was fitted. The standardised innovations are drawn anew in blocks, with
-repetition, and the whitening filter is run the other way round to colour them. What comes out is another flight of the
-same vehicle under the same commands; the scatter of the estimates over many of them is a standard error that asks
-nothing of the innovations but that blocks of them are exchangeable.
+The fitted response to the commands is kept. The standardised innovations are resampled in blocks, with replacement,
+and the inverse of the whitening filter colours them. The result is another flight of the same vehicle under the same
+commands; the scatter of the estimates over many such flights is a standard error that assumes nothing about the
+innovations except that blocks of them are exchangeable.
 
-The commands are held as recorded. In a feedback loop they would have answered the new disturbance: there the bootstrap
-says how the estimate scatters under these commands, not under those that the loop would have given.
+The commands stay as recorded. In a feedback loop they would have responded to the new disturbance: there the bootstrap
+shows how the estimate scatters under these commands, not under those that the loop would have sent.
 
 Source: H. R. Kuensch, Annals of Statistics 17 (1989), pp. 1217-1241 (blocks); D. S. Stoffer, K. D. Wall, J. Amer.
 Statist. Assoc. 86 (1991), pp. 1024-1033 (innovations of a state-space model).
@@ -36,24 +36,24 @@ from rotorfit.estimation.likelihood.likelihood import fused, response, segments
 from rotorfit.estimation.likelihood.prior import redrawn
 
 COUNT = 200
-"""Flights that are drawn: a standard error is then known to 5 %."""
+"""Number of flights drawn: a standard error is then known to 5 %."""
 
 SEED = 0
-"""Of the draws."""
+"""Seed of the draws."""
 
 BLOCK_TIME = 2.0
-"""Length of the blocks of innovations [s]: longer than what a wobble or the vehicle's memory leaves in them."""
+"""Length of the blocks of innovations [s]: longer than the correlation left by an oscillation or the vehicle."""
 
 NOT_WALKED = 0.02
-"""Expected gain in log-likelihood below which a climb ends: a fifth of a standard error."""
+"""Expected gain in log-likelihood below which the search ends: a fifth of a standard error."""
 
 MOST = 12
-"""Passes that a climb may take."""
+"""Maximum number of iterations of a search."""
 
 
 @kernel(fastmath={"contract"})
 def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: Array, levels: Array) -> Array:
-    """The inverse of `whitening.whiten_axis`: positions (B, R) whose standardised innovations are these (B, R)."""
+    """Inverse of `whitening.whiten_axis`: positions (B, R) whose standardised innovations are the given ones (B, R)."""
     B, R = innovations.shape
     out = np.empty((B, R))
     F, Q = step_tables(steps, levels[2], levels[3])
@@ -81,7 +81,7 @@ def colour_axis(steps: Array, step: Any, count: Array, fresh: Any, innovations: 
 def colour_plane(
     steps: Array, step: Any, count: Array, fresh: Any, yaw: Array, innovations: Array, levels: Array
 ) -> Array:
-    """The inverse of `whitening.whiten_plane`: positions (B, R, 2), heading frame, of innovations (B, R, 2)."""
+    """Inverse of `whitening.whiten_plane`: positions (B, R, 2), heading frame, from innovations (B, R, 2)."""
     B, R, _ = innovations.shape
     out = np.empty((B, R, 2))
     F, Q = np.zeros((1, 2, steps.size, 3, 3)), np.zeros((1, 2, steps.size, 3, 3))
@@ -116,7 +116,7 @@ def colour_plane(
 
 
 def coloured(rec: Record, innovations: Array, levels: Array) -> Array:
-    """What the commands do not explain, of these standardised innovations.
+    """Motion that the commands do not explain, from its standardised innovations.
 
     Args:
         rec: The flight: its stamps, counts and heading.
@@ -124,7 +124,7 @@ def coloured(rec: Record, innovations: Array, levels: Array) -> Array:
         levels: log of q, r, alpha, kappa, shape (K, 4).
 
     Returns:
-        World positions less the first of each segment, as a record has them, shape (B, R, K).
+        World positions relative to the first of each segment, as in a record, shape (B, R, K).
     """
     common, values = (rec.steps, rec.step, rec.count, rec.fresh), np.exp(levels)
     if rec.rate is not None:
@@ -139,9 +139,9 @@ def coloured(rec: Record, innovations: Array, levels: Array) -> Array:
 
 
 def resampled_blocks(fresh: Mask, length: int, count: int, rng: np.random.Generator) -> Indices:
-    """Which innovation stands where in each drawn flight, shape (B, R): runs of `length` from anywhere, round the end.
+    """Index of the innovation at each place of each drawn flight, shape (B, R): runs of `length`, wrapping at the end.
 
-    The first of each segment stays where it is: it only says where the flight began.
+    The first block of each segment keeps its place: it only sets where the flight began.
     """
     B = fresh.size
     runs = -(-B // length)
@@ -153,13 +153,13 @@ def resampled_blocks(fresh: Mask, length: int, count: int, rng: np.random.Genera
 
 
 def bootstrap(records: Sequence[Record], optimum: Optimum, count: int = COUNT, seed: int = SEED) -> Array:
-    """Estimates of drawn flights.
+    """Estimates from resampled flights.
 
     Args:
         records: The flights.
-        optimum: The maximum of their likelihood; everything that was free is estimated again, from there.
-        count: Flights to draw.
-        seed: Of the draws.
+        optimum: The maximum of their likelihood; all free parameters are estimated again, starting there.
+        count: Number of flights to draw.
+        seed: Seed of the draws.
 
     Returns:
         Parameters in the order of `Point.flat`, shape (count, n + 4 K).
@@ -170,7 +170,7 @@ def bootstrap(records: Sequence[Record], optimum: Optimum, count: int = COUNT, s
         mean = response(rec, point, j, point.start[at])[0]
         own = optimum.score.innovations[j]
         inside = own[~rec.fresh]
-        # centred, and of the variance that the levels stand for: the coefficients have taken up a part of it
+        # centred, and with the variance that the levels imply: fitting the coefficients has absorbed a part of it
         own = np.where(rec.fresh[:, None], own, (own - inside.mean(axis=0)) / inside.std(axis=0))
         index = resampled_blocks(rec.fresh, max(1, round(BLOCK_TIME * BLOCK_RATE)), count, rng)
         drawings.append(mean[:, None, :] + coloured(rec, own[index], point.levels))

@@ -1,4 +1,4 @@
-"""Case: a model with what speaks for it and against it."""
+"""Case: a model with the evidence for and against it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ def same_motion(one: Flight, other: Flight) -> bool:
 
 
 UNPROVEN = Validation((), {"hold": (), "paper": ()})
-"""Of a model that no flight was kept for."""
+"""Validation of a model for which no flight was kept."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A model and its proof.
+    """A model and its validation.
 
     Attributes:
-        path: Of the model file.
-        model: With its findings.
-        training: The flights that it was fitted to; empty where they are not at hand.
-        validation: Its scores; without flights where there are none.
-        flights: The flights of the scores, in their order; empty where they are not at hand.
+        path: Path of the model file.
+        model: The model with its findings.
+        training: The flights to which it was fitted; empty if not available.
+        validation: Its scores; without flights if there are none.
+        flights: The flights of the scores, in the same order; empty if not available.
     """
 
     path: str
@@ -42,7 +42,7 @@ class Case:
 
 
 def paired_cases(cases: Sequence[Case]) -> dict[tuple[int, int], PairedTest]:
-    """Every model against every later one, as far as their cards read the same motion from the logs."""
+    """Tests every model against every later one, where their cards read the same motion from the logs."""
     tests = {}
     for i, j in combinations(range(len(cases)), 2):
         one, other = cases[i], cases[j]

@@ -1,9 +1,9 @@
-"""Whether the coefficients stay what they are within a flight: fitted to its parts, are they the same?
+"""Whether the coefficients stay the same within a flight: its halves are fitted separately and compared.
 
-How often commands say something: a model's errors average out over events, and over one event they do not.
+Also how many events the commands hold: a model's errors average out over events, and with one event they do not.
 
-A likelihood counts every pose, and each of them tells of the one tap of a stick that the flight holds. Its interval is
-right if the model is; what the model leaves out is another thing at the next tap, and only several of them show it.
+A likelihood counts every pose, even if all of them show the response to the only stick tap of the flight. Its interval
+is right if the model is; what the model leaves out changes from tap to tap, and only several taps show it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,17 +22,17 @@ from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, start_point
 
 LEVEL = 1e-4
-"""Level of the chi-square test: with four axes 1 flight in 2500 by chance, and room for intervals that are too narrow:
-those of the delay are ragged."""
+"""Level of the chi-square test: with four axes, 1 flight in 2500 by chance. It allows for intervals that are too
+narrow, as those of the delay can be."""
 
 LEAST_CHANGE = 0.1
-"""Change of the input gain or the damping, as a share, or ten times that of the delay in seconds, that is said."""
+"""Smallest change reported: relative, of the input gain or damping; ten times that of the delay in seconds."""
 
 SHORTEST = 15.0
-"""Shortest part of a flight that is fitted by itself [s]."""
+"""Shortest part of a flight that is fitted separately [s]."""
 
 DAMPINGS = (0.02, 50.0)
-"""Dampings [1/s] beyond which a part is said not to tell: the test knows no bounds."""
+"""Range of dampings [1/s] outside which a part is left out: the test knows no bounds."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Part:
     """The coefficients of one part of a flight, at the disturbance levels of the whole fit.
 
     Attributes:
-        start: [s].
-        end: [s].
+        start: Start of the part [s].
+        end: End of the part [s].
         theta: g, log b, tau, shape (3,).
-        covariance: Of theta, shape (3, 3).
+        covariance: Covariance of theta, shape (3, 3).
     """
 
     start: float
@@ -54,13 +54,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Constancy:
-    """The test that the parts of the flights have one set of coefficients.
+    """Test whether the parts of the flights have the same coefficients.
 
     Attributes:
-        parts: As fitted.
+        parts: The fitted parts.
         chi_square: Sum of the squared deviations from their weighted mean.
-        degrees: Of freedom.
-        probability: Of a larger one, if the coefficients are the same.
+        degrees: Degrees of freedom.
+        probability: Probability of a larger sum if the coefficients are the same.
     """
 
     parts: tuple[Part, ...]
@@ -70,11 +70,11 @@ class Constancy:
 
 
 def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
-    """The finding that the coefficients of an axis change within the flights, where they do.
+    """The finding that the coefficients of an axis change within the flights, if they do.
 
     Args:
-        fit: By the likelihood; the paper's method has no parts.
-        axis: Which.
+        fit: A fit by the likelihood; the paper's method has no parts.
+        axis: Name of the axis.
     """
     estimate = fit.estimates.get(axis)
     if estimate is None or fit.model.axes[axis].predictor is None:
@@ -105,16 +105,16 @@ def changed_coefficients(fit: Fit, axis: str) -> Iterator[Finding]:
 def constancy(flights: Sequence[Flight], estimate: Estimate, axis: str) -> Constancy | None:
     """Tests whether both halves of each flight have the same coefficients.
 
-    Each half is fitted by itself from the whole fit's point, with a trim and start velocities of its own, at the
-    disturbance levels of the whole fit: one yardstick for all.
+    Each half is fitted separately, starting from the whole fit, with its own trim and start velocities and at the
+    disturbance levels of the whole fit, so that all halves are weighted alike.
 
     Args:
         flights: Those that move the axis.
-        estimate: Of the axis, alone or x with y.
-        axis: Which.
+        estimate: Estimate of the axis, alone or of x with y.
+        axis: Name of the axis.
 
     Returns:
-        The test; None where fewer than two halves are long enough or tell their coefficients.
+        The test; None if fewer than two halves are long enough and determine their coefficients.
 
     Source: the chi-square test of homogeneity of independent estimates; W. G. Cochran, Biometrics 10 (1954), p. 101.
     """
@@ -139,7 +139,7 @@ def _halves(flight: Flight) -> list[Flight]:
 
 
 def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
-    """The coefficients of a part; None where it is too short or does not tell them."""
+    """The coefficients of a part; None if it is too short or does not determine them."""
     axes, k, whole = estimate.records[0].axes, estimate.place, estimate.optimum.point
     rec, K = record(flight, axes), len(axes)
     if rec is None or not np.any(np.diff(rec.command[:, axes.index(axis)])):
@@ -168,27 +168,27 @@ NORMAL = 1.959964
 
 EVENT = 1.0
 """Changes of a command within this time are one event [s]: the horizon by which models are judged, and the reach of the
-tests of residuals. A tap, on and off, is one; a step that is held for longer, on and off, is two."""
+tests of residuals. A tap, on and off, is one event; a step held for longer, on and off, is two."""
 
 ONE = 1.5
-"""Events below which there is one: nothing can be told of how it differs from the next."""
+"""Number of events below which there is only one: nothing shows how it differs from the next."""
 
 TWICE = 2.0
-"""How many times wider Student's interval over the events is, against that of many, from which on they are few."""
+"""Ratio of the width of Student's interval over the events to the normal one above which the events are few."""
 
 
 def command_events(flights: Sequence[Flight], axis: str) -> float:
-    """How many events of equal size the commands of an axis are worth.
+    """Effective number of events of equal size in the commands of an axis.
 
-    Windows of `EVENT` begin at the first change outside of the one before; the size of an event is the range of the
+    Windows of `EVENT` begin at the first change after the previous window; the size of an event is the range of the
     command in it, w its square, and the number is (sum w)^2 / sum w^2. Small corrections beside one large event count
     for little.
 
     Source: effective number of weighted observations: L. Kish, Survey Sampling (1965), section 11.7.
 
     Args:
-        flights: That command the axis.
-        axis: Name.
+        flights: Those that command the axis.
+        axis: Name of the axis.
     """
     weights = np.concatenate([np.zeros(0), *(_ranges(f.command_time, f.command[:, AXES.index(axis)]) for f in flights)])
     weights = weights**2
@@ -207,7 +207,7 @@ def _ranges(time: Array, command: Array) -> Array:
 
 
 def widening(events: float) -> float:
-    """How many times wider an interval over so many events is than the normal one, if what a model leaves out is
-    another thing at each event; infinite for one.
+    """How many times wider than the normal interval one over so many events is, if what the model leaves out differs
+    from event to event; infinite for one event.
     """
     return student_quantile(events - 1) / NORMAL if events >= ONE else float("inf")

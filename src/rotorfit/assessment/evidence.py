@@ -1,6 +1,6 @@
-"""Evidence: everything that a report, a figure or the studio draws of a model and its proof, computed once.
+"""Evidence: everything that a report, a figure or the studio shows of a model and its validation, computed once.
 
-Whoever draws only draws: predictions, residuals and their tests are made here and nowhere else.
+Predictions, residuals and their tests are computed only here; reports, figures and the studio only show them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,16 +39,16 @@ class FlightMotion:
     """Measured and modelled motion of one flight at its N poses.
 
     Attributes:
-        path: Of its log.
+        path: Path of its log.
         duration: Time under commands [s].
         moved: The axes that the flight commands with anything but zero.
-        axes: Those of them that the model knows.
+        axes: Those of them that have a predictor.
         time: Stamps, shape (N,) [s].
-        velocity: `measured`, `model` and, where it is asked for, `paper` to velocities in the heading frame, shape
-            (N, 4) [m/s, rad/s]; NaN where there is none. The modelled one is stitched from predictions: at every pose
-            the one from the start that lies 0.5 to 1 s back.
+        velocity: `measured`, `model` and, if requested, `paper` to velocities in the heading frame, shape (N, 4) [m/s,
+            rad/s]; NaN where there is none. The modelled one is joined from predictions: at every pose, the one that
+            started 0.5 to 1 s before.
         acceleration: `measured` and `model` to accelerations in the world frame, shape (N, 4) [m/s^2, rad/s^2]: the
-            paper's eq. (6) with the delayed command and the measured velocity; NaN for structures of another law.
+            paper's eq. (6) with the delayed command and the measured velocity; NaN for other structures.
     """
 
     path: str
@@ -62,22 +62,22 @@ class FlightMotion:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A model with all that speaks for it and against it.
+    """A model with all the evidence for and against it.
 
     Attributes:
-        case: The model, with what its validation found, and its flights.
+        case: The model, with the findings of its validation, and its flights.
         coefficients: Rows of the table of coefficients.
-        physics: Rows of the table in physics.
-        limits: What the model implies for the limits of the card, a sentence each.
+        physics: Rows of the table of physical quantities.
+        limits: What the model implies for the card's limits, one sentence each.
         scores: Errors over the flights that were not fitted.
-        tested_on: Paths of the flights whose residuals are tested: of the validation, else of the training.
-        tests: A mapping a flight, from axis to the tests of its residuals.
+        tested_on: Paths of the flights whose residuals are tested: those of the validation, otherwise of the training.
+        tests: For each flight, a mapping from axis to the tests of its residuals.
         autocorrelation: Axis to the autocorrelation of the residuals over these flights.
         command_correlation: Axis to the correlation of the residuals with past commands.
-        responses: A mapping a flight, likewise, from axis to its frequency response beside the model's.
+        responses: For each flight, a mapping from axis to its frequency response beside the model's.
         validation: Motion of the flights of the validation.
-        training: Motion of the flights of the fit; empty where it is not asked for.
-        against: Paired tests against other models, by their place among the models that are compared.
+        training: Motion of the flights of the fit; empty if not requested.
+        against: Index of another compared model to the paired test against it.
     """
 
     case: Case
@@ -99,7 +99,10 @@ def evidence_of(cases: Sequence[Case]) -> tuple[Evidence, ...]:
     """The evidence for one model, or for several on the same flights.
 
     Args:
-        cases: The models with their proofs. Of several, the motion of the training flights is left out.
+        cases: The models with their validations. If there are several, the motion of the training flights is left out.
+
+    Raises:
+        FlightError: A flight has a position where a model knows only the noise of a velocity, or the other way round.
     """
     tests = paired_cases(cases)
     return tuple(
@@ -132,10 +135,10 @@ def _evidence_of(case: Case, with_training: bool) -> Evidence:
 
 
 def correlograms(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, Correlogram], dict[str, Correlogram]]:
-    """Autocorrelation of the innovations, and their correlation with past commands, axis by axis.
+    """Autocorrelation of the innovations, and their correlation with past commands, for each axis.
 
-    Pooled over the flights that command the axis, with the levels of the disturbance that each flight has; what each
-    flight says alone is in `Validation.residuals`.
+    Pooled over the flights that command the axis, with the disturbance levels of each flight; `Validation.residuals`
+    has the results of the single flights.
 
     Source: see `whiteness`.
     """
@@ -154,7 +157,7 @@ def correlograms(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, Cor
 
 
 def _pooled_lags(parts: Sequence[Correlogram]) -> Correlogram:
-    """Mean of correlograms up to the shortest, each weighted by what its bands say it knows."""
+    """Mean of correlograms up to the shortest, each weighted by the precision that its bands imply."""
     n = min(part.lag.size for part in parts)
     band = np.stack([part.band[:n] for part in parts])
     weight = np.divide(1.0, band**2, out=np.zeros_like(band), where=band > 0)
@@ -166,12 +169,16 @@ def _pooled_lags(parts: Sequence[Correlogram]) -> Correlogram:
 
 
 def motion_of_flight(model: Model, flight: Flight, with_paper: bool = False) -> FlightMotion:
-    """Measured against modelled motion of one flight.
+    """Measured and modelled motion of one flight.
 
     Args:
         model: The model.
         flight: Any flight of the vehicle.
-        with_paper: Whether to predict with the paper's coefficients, too.
+        with_paper: Whether to predict with the paper's coefficients as well.
+
+    Raises:
+        FlightError: The flight has a position where the model knows only the noise of a velocity, or the other way
+            round.
     """
     axes = tuple(axis for axis in flight.moved if model.axes[axis].predictor)
     velocity, acceleration = _velocities(model, flight, with_paper), _accelerations(model, flight)
@@ -179,10 +186,10 @@ def motion_of_flight(model: Model, flight: Flight, with_paper: bool = False) -> 
 
 
 def command_and_velocity(flight: Flight) -> tuple[Array, Array, Array]:
-    """What was commanded and what the vehicle did, side by side, so that a wrong sign or axis can be seen.
+    """Commands and measured velocities side by side, to reveal a wrong sign or axis.
 
     Returns:
-        Stamps of the poses, shape (N,) [s]; the commands that act then, shape (N, 4), NaN where none is known or the
+        Stamps of the poses, shape (N,) [s]; the commands in effect then, shape (N, 4), NaN where unknown or where the
         axis is not commanded; the measured velocities, heading frame, shape (N, 4) [m/s, rad/s].
     """
     t = flight.pose_time
@@ -249,7 +256,7 @@ def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
         lines["model"] = modelled_acceleration(replace(motion, command=delayed), gamma)
         lines["model"][:, ~_known(model)] = np.nan
         plain = [model.axes[axis].structure == STRUCTURE for axis in AXES]
-        plain[:2] = [all(plain[:2])] * 2  # the world's axes hold both
+        plain[:2] = [all(plain[:2])] * 2  # the world's x and y depend on both
         lines["model"][:, ~np.array(plain)] = np.nan
     at, out = np.searchsorted(flight.pose_time, motion.time), {}
     for name, values in lines.items():
@@ -259,7 +266,7 @@ def _accelerations(model: Model, flight: Flight) -> dict[str, Array]:
 
 
 def _held(flight: Flight, time: Array, k: int) -> Array:
-    """The command that acts at a time; NaN outside the segments."""
+    """The command in effect at each time; NaN outside the segments."""
     index = np.searchsorted(flight.command_time, time, side="right") - 1
     inside = np.any([(time >= part.start) & (time <= part.end) for part in flight.segments], axis=0)
     return np.where(inside & (index >= 0), flight.command[np.maximum(index, 0), k], np.nan)

@@ -1,4 +1,4 @@
-"""Fit -> findings: what speaks against the law of an axis, and which flights stand out from the others."""
+"""Fit -> findings: evidence against the law of an axis, and the flights that differ from the others."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 
 DISAGREE = 0.01
-"""How often flights that agree may be said to disagree, over all axes of a fit."""
+"""Probability that flights that agree are reported to disagree, over all axes of a fit."""
 
 STANDS_OUT = 2.5
-"""Distance from the others, in standard deviations of such a distance, from which on a flight is named."""
+"""Distance from the other flights, in standard deviations of such a distance, above which a flight is named."""
 
 UNLIKE = 1.5
-"""Ratio to the middle of the other flights from which on a condition is another one."""
+"""Ratio to the median of the other flights above which a condition counts as different."""
 
 QUANTITIES = 4
-"""How many of the quantities of an axis are independent, for the level of a test of the worst of them."""
+"""Number of independent quantities of an axis, for the level of a test of the worst of them."""
 
 
 def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
-    """What the tests of the law of an axis found: it is in the intervals, or has refuted them."""
+    """Findings of the tests of an axis's law: the intervals include the doubt, or the law is refuted."""
     if not axis.evidence:
         return
     told = "; ".join(f"{one.strength} (p = {one.p_value:.1g})" for one in axis.evidence)
@@ -54,7 +54,7 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
 
 
 def disagreement_findings(fit: Fit) -> Iterator[Finding]:
-    """Axes whose flights say different things, and the flights that stand out, the furthest first."""
+    """Axes on which the flights disagree, and the flights that stand out, the furthest first."""
     found = {name: worst for name in fit.estimates if (worst := _most_unlike(fit.model.axes[name].spread))}
     for name, quantity in found.items():
         spread = fit.model.axes[name].spread[quantity]
@@ -92,11 +92,11 @@ def _ends(spread: Spread) -> str:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a flight was flown with, as far as its log tells: of one axis.
+    """Conditions of a flight, for one axis, as far as its log shows them.
 
     Attributes:
         size: Root mean square of the command about its median.
-        quickness: Command events of equal size a second.
+        quickness: Number of equivalent command events per second.
         disturbance: Root mean square of the innovations at the levels of all flights: wind and noise.
     """
 
@@ -106,7 +106,7 @@ class Conditions:
 
 
 def conditions(rec: Record, innovation: Array, k: int) -> Conditions:
-    """Of one flight and axis; `innovation` (B,) at the levels of all flights."""
+    """Conditions of one flight and axis; `innovation` (B,) at the levels of all flights."""
     command = rec.command[:, k]
     change = np.abs(np.diff(command))
     jumps = float(change.sum() ** 2 / np.sum(change**2)) if change.any() else 0.0
@@ -118,7 +118,7 @@ def conditions(rec: Record, innovation: Array, k: int) -> Conditions:
 
 
 def _standing_out(fit: Fit, name: str, spread: Spread) -> list[str]:
-    """A line for each flight far from the others, the furthest first, with what is unlike them."""
+    """A line for each flight far from the others, the furthest first, with the conditions that differ."""
     estimate, each = fit.estimates[name], spread.each
     told = [i for i, one in enumerate(each) if one is not None]
     if len(told) < 3:
@@ -154,7 +154,7 @@ _WORDS = {
 
 
 def _unlike(one: Conditions, others: list[Conditions]) -> str:
-    """What a flight was flown with that the others were not, the most unlike first."""
+    """Conditions in which a flight differs from the others, the largest difference first."""
     ratios = {}
     for part in _WORDS:
         middle = float(np.median([getattr(other, part) for other in others]))

@@ -1,4 +1,4 @@
-"""Flights -> LeaveOneOut: every flight predicted by a model that has not seen it, and how much the models differ."""
+"""Flights -> LeaveOneOut: every flight predicted by a model fitted without it, and how much these models differ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -21,11 +21,11 @@ from rotorfit.estimation.methods import BEST
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """The proof by the flights themselves.
+    """Cross-validation over the flights.
 
     Attributes:
         flights: Scores of each flight by the model of the others.
-        baselines: `hold` and `paper` (the paper's coefficients on the others) on the same flights.
+        baselines: `hold` and `paper` (the paper's coefficients from the others) on the same flights.
         paired: The models against the baselines.
         spread: How the coefficients differ between the fits.
         notes: Axes that could not be left out on a flight, and why.
@@ -46,18 +46,18 @@ def leave_one_out(
     progress: Progress | None = None,
     structure: str = AVERAGED,
 ) -> LeaveOneOut:
-    """Fits all flights but one, scores that one, for each in turn; nothing is averaged over the flights.
+    """Fits all flights but one and scores that one, for each in turn; nothing is averaged over the flights.
 
     Args:
         flights: At least two, read with one card. Parts of one log count as flights.
         method: As for `fit`.
         axes: As for `fit`.
-        horizons: [s].
+        horizons: Prediction horizons [s].
         progress: Called with a fraction and a text; raising in it cancels.
         structure: As for `fit`; `auto` chooses anew each time.
 
     Raises:
-        FlightError: Fewer than two flights.
+        FlightError: Fewer than two flights; also as for `fit` and `validate`.
 
     Source: M. Stone, J. R. Statist. Soc. B 36 (1974), pp. 111-147; the standard error: B. Efron, C. Stein, Ann.
     Statist. 9 (1981), pp. 586-596.
@@ -84,7 +84,7 @@ def leave_one_out(
 
 
 def require_two(count: int) -> None:
-    """Refuses what cannot be left out.
+    """Checks that there are at least two flights.
 
     Raises:
         FlightError: Fewer than two flights.
@@ -125,7 +125,7 @@ def _value(model: Model, axis: str, name: str) -> float | None:
 
 
 def _notes(axis: str, models: Sequence[Model], flights: Sequence[FlightScores]) -> list[str]:
-    """Why there is no score of this axis, flight by flight."""
+    """Why flights have no score on this axis, one line per flight."""
     movers = [flight for flight in flights if axis in flight.moved]
     if len(movers) == 1:
         return [f"{axis}: only {movers[0].path} moves it, so it cannot be left out: nothing proves {axis}"]
@@ -137,7 +137,7 @@ def _notes(axis: str, models: Sequence[Model], flights: Sequence[FlightScores]) 
 
 
 def leave_one_out_mapping(result: LeaveOneOut) -> dict[str, Any]:
-    """The result as plain JSON types, as the model file keeps it."""
+    """The result as plain JSON types, as stored in the model file."""
     return {
         "flights": [asdict(flight) for flight in result.flights],
         "baselines": {

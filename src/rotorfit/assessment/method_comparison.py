@@ -17,22 +17,22 @@ from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.methods import BEST, compared_methods
 
 HORIZON = 1.0
-"""Horizon of the predictions that are shown [s]."""
+"""Horizon of the predictions shown [s]."""
 
 DIFFERS = 2.5758293035489004
 """Standard errors beyond which two estimates differ: 1 % of those that agree do. A table has some fifty tests."""
 
 MORE_VARIANCE = 2.0
-"""A rung's variance must be this many times that of the likelihood before their difference is taken for its own."""
+"""Minimum ratio of a rung's variance to that of the likelihood for their difference to be a variance itself."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """A coefficient of a rung against that of the likelihood.
+    """A coefficient of a rung compared with that of the likelihood.
 
     Attributes:
-        difference: Rung less likelihood.
-        stderr: Of the difference.
+        difference: Rung minus likelihood.
+        stderr: Standard error of the difference.
         how: `hausman` or `bound`; see `agreement`.
         agrees: Whether the difference is within `DIFFERS` standard errors.
     """
@@ -49,10 +49,10 @@ class MethodRow:
 
     Attributes:
         method: Name of the rung.
-        axis: What may be said of the axis.
-        agreement: Coefficient name to its test; without those that either has no number for.
+        axis: Result of the rung for the axis.
+        agreement: Coefficient name to its test; only coefficients that both estimate.
         prediction: RMSE of 1 s velocity predictions on the same flights [m/s or rad/s]; None without a model.
-        remark: What the rung says of its numbers: why there is none, which instrument, whether it is valid.
+        remark: Comment on its numbers: why there is none, which instrument, whether it is valid.
     """
 
     method: str
@@ -67,9 +67,9 @@ class Ladder:
     """All rungs on the same flights.
 
     Attributes:
-        paths: Of the logs.
+        paths: Paths of the logs.
         axes: Axis name to its rows, in the order of `compared_methods`.
-        held: Axis name to the prediction error of holding the velocity.
+        held: Axis name to the error of predictions that hold the velocity.
     """
 
     paths: tuple[str, ...]
@@ -88,7 +88,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        FlightError: If no flight is given, or their cards differ in what the coefficients mean.
+        FlightError: No flight is given, or their cards differ in the meaning of the coefficients.
     """
     fits: dict[str, Fit] = {}
     scores: dict[str, Sequence[Mapping[str, Horizon]]] = {}
@@ -97,7 +97,7 @@ def ladder(flights: Sequence[Flight], axes: Sequence[str] = AXES, progress: Prog
     for number, method in enumerate(methods):
         if progress:
             progress(number / len(methods), method)
-        fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in the law
+        fits[method] = fit(flights, method, axes, structure=STRUCTURE)  # rungs differ in method, not in law
         found = [horizon_scores(fits[method].model, flight, HORIZON) for flight in flights]
         scores[method], held = [own for own, _ in found], [hold for _, hold in found]
     best = fits[BEST].model
@@ -129,14 +129,15 @@ def _pooled(scores: Sequence[Mapping[str, Horizon]], axis: str, served: Sequence
 def agreement(rung: Axis, best: Axis) -> dict[str, Agreement]:
     """Tests the coefficients of a rung against those of the likelihood, on the same data.
 
-    The estimates share the data, so the variance of their difference is not the sum of their variances. Where both are
-    right and the likelihood is efficient it is the difference of the variances (`hausman`). That of the rung is itself
-    an estimate, so this is only used where it is at least twice that of the likelihood. Else the standard error is the
-    sum of both (`bound`), which no correlation can exceed: the test is then slow to find a difference, never rash.
+    The estimates share the data, so the variance of their difference is not the sum of their variances. If both are
+    right and the likelihood is efficient, it is the difference of the variances (`hausman`). The rung's variance is
+    itself an estimate, so this is used only where it is at least twice that of the likelihood. Otherwise the standard
+    error is the sum of both (`bound`), which no correlation can exceed: the test then has less power, but is never too
+    strict.
 
     Args:
-        rung: An axis by a rung.
-        best: The same by the likelihood.
+        rung: An axis as estimated by a rung.
+        best: The same axis as estimated by the likelihood.
 
     Source: J. A. Hausman, Econometrica 46 (1978), pp. 1251-1271; the bound is Minkowski's inequality.
     """

@@ -1,8 +1,8 @@
 """Is the difference real? Two predictors on the same starts of the same flights, compared with a standard error.
 
-Predictions start 0.5 s apart and reach up to 5 s, so neighbours share their data, and wind outlasts both. The variance
-of a mean is therefore taken from the lowest frequencies of its series, which gives a Student t with as many degrees of
-freedom as frequencies were used: few on a short flight, and honestly so.
+Predictions start 0.5 s apart and reach up to 5 s, so neighbours share data, and the wind's memory is longer than both.
+The variance of a mean is therefore taken from the lowest frequencies of its series, which gives a Student t with as
+many degrees of freedom as frequencies were used: few on a short flight, as they should be.
 
 Source: F. X. Diebold, R. S. Mariano, J. Bus. Econ. Stat. 13 (1995), pp. 253-263, for the test; D. Harvey, S. Leybourne,
 P. Newbold, Int. J. Forecasting 13 (1997), pp. 281-291, for Student's t; `long_run` for the variance.
@@ -21,7 +21,7 @@ from rotorfit.dynamics.protocol import LEAST_SCORES, START_EVERY
 QUANTITIES: tuple[Quantity, Quantity] = ("velocity", "position")
 
 Errors = Sequence[Mapping[str, StartErrors]]
-"""Of one predictor: one mapping a flight, from a horizon [s] as `%g` to its errors."""
+"""Errors of one predictor: for each flight a mapping, from a horizon [s] as `%g` to its errors."""
 
 LEVEL = 0.05
 """A difference is called real below this p-value."""
@@ -30,13 +30,13 @@ LEAST_FREEDOM = 1
 """Degrees of freedom of a flight below which there is no standard error."""
 
 AGREEMENT_FREEDOM = 2
-"""Degrees of freedom of each flight below which flights are not asked whether they agree."""
+"""Degrees of freedom that each flight needs for a test of whether the flights agree."""
 
 SAME = 1e-9
-"""Relative difference of the mean squares below which two predictors are one but for rounding."""
+"""Relative difference of the mean squares below which two predictors differ only by rounding."""
 
 LESS = np.array([1.0, -1.0])
-"""The first less the second."""
+"""The first minus the second."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class _Loss:
 def paired_test(
     names: tuple[str, str], first: Errors, second: Errors, counted: Sequence[Collection[str]]
 ) -> PairedTest:
-    """Tests on every axis and at every horizon whether two predictors differ, flight by flight and pooled.
+    """Tests on every axis and at every horizon whether two predictors differ, for each flight and pooled.
 
     Args:
-        names: Of the two.
+        names: Names of the two.
         first: Errors of the one that is judged.
-        second: Of the other, on the same flights.
-        counted: The axes of each flight that go into the pool: those that it commands and that no model was fitted to.
+        second: Errors of the other, on the same flights.
+        counted: The axes of each flight that are pooled: those that it commands and to which no model was fitted.
     """
     horizons = first[0].keys() & second[0].keys() if first else ()
     return PairedTest(
@@ -88,7 +88,7 @@ def _compared(
 
 
 def _loss(a: StartErrors, b: StartErrors, k: int, what: Quantity, horizon: float) -> _Loss | None:
-    """What one flight says on the starts that both have; None for fewer than five."""
+    """Result of one flight on the starts that both have; None for fewer than five."""
     _, at_a, at_b = np.intersect1d(np.round(a.start, 6), np.round(b.start, 6), return_indices=True)
     ones = np.ones((at_a.size, 4))
     pairs = [(e.velocity[at], e.steps[at]) if what == "velocity" else (e.position[at], ones)
@@ -104,21 +104,21 @@ def _loss(a: StartErrors, b: StartErrors, k: int, what: Quantity, horizon: float
 
 
 def independent_frequencies(n: int, horizon: float) -> int:
-    """How many low frequencies of n starts may serve the variance.
+    """How many low frequencies of n starts can be used for the variance.
 
     At most one for every two horizons that fit into the flight: above that frequency the overlap of the predictions
-    smooths the series, and its variance would come out too small.
+    smooths the series, and the variance would be too small.
     """
     overlap = max(1.0, horizon / START_EVERY)
     return min(frequencies(n), int(n / (2 * overlap) + 1e-9))
 
 
 def _difference(losses: Sequence[_Loss]) -> Difference:
-    """First less second over one or several flights.
+    """First minus second over one or several flights.
 
-    The standard error is that of these flights under other wind. What flights of another kind would say, it does not
-    know. A flight has a degree of freedom less than frequencies: the error of a root mean square grows with it, which
-    makes the plain t-ratio reject too often; with one less the size is right, as measured in the tests.
+    The standard error is that of these flights under different wind; it does not include how other kinds of flight
+    would differ. A flight has one degree of freedom less than frequencies: the error of a root mean square grows with
+    it, which makes the plain t-ratio reject too often; with one less the size is right, as measured in the tests.
 
     Source: degrees of freedom of a sum of variances: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114.
     """
@@ -141,17 +141,17 @@ def _difference(losses: Sequence[_Loss]) -> Difference:
 
 
 def _slope(mean: Array) -> Array:
-    """Derivative of the difference of the roots by the mean squares, shape (2,)."""
+    """Derivative of the difference of the roots with respect to the mean squares, shape (2,)."""
     return LESS * np.divide(0.5, np.sqrt(mean), out=np.zeros(2), where=mean > 0)
 
 
 def _along(loss: _Loss, direction: Array) -> float:
-    """Variance of a combination; of two predictors that are one, rounding may leave less than nothing."""
+    """Variance of a combination; for two equal predictors rounding could make it negative, so it is at least zero."""
     return max(0.0, float(direction @ loss.covariance @ direction))
 
 
 def _agreement(losses: Sequence[_Loss]) -> float | None:
-    """p-value of equal differences of the RMSE on several flights.
+    """p-value for equal differences of the RMSE on several flights.
 
     Source: B. L. Welch, Biometrika 38 (1951), pp. 330-336.
     """

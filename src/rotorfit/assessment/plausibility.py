@@ -1,4 +1,4 @@
-"""Plausibility: findings from what the card's limits, symmetry and the literature say of a model."""
+"""Plausibility: findings from a model against the card's limits, symmetry and published values."""
 
 import math
 from collections.abc import Iterator
@@ -11,42 +11,42 @@ from rotorfit.core.physics import compared, mapped, people
 from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 
 LIMIT_MARGIN = 1.2
-"""Factor by which the whole interval must miss what the card makes one expect."""
+"""Factor by which the whole interval must miss the value expected from the card."""
 
 LIKE_GRAVITY = 1.05
-"""Factor by which an input may miss gravity where gravity is a witness."""
+"""Factor by which an input may differ from gravity where gravity is used as a check."""
 
 GAIN_SYMMETRY = 1.2
-"""Ratio of the gains of x and y that a multirotor may have: 9.81 tan(t) knows no direction."""
+"""Ratio of the gains of x and y that a multirotor may have: 9.81 tan(t) does not depend on direction."""
 
 DAMPING_SYMMETRY = 2.5
 """Ratio of the dampings of x and y that a multirotor may have: bodies are longer than wide; published, up to 2.1."""
 
 ALIKE = 1.25
-"""Factor by which a coefficient must lie outside of what the published sets span."""
+"""Factor by which a coefficient must lie outside the range of the published sets."""
 
 LAGGING = (
     "; if they are right, the gain is too small because a pure delay stands for the lag of the attitude loop: "
     "compare a structure with a lag"
 )
-"""The usual cause of a tilt that does less than it should, where the card is right."""
+"""The usual cause of a tilt that has less effect than it should, if the card is right."""
 
 NORMAL = 1.96
 """97.5 % point of the normal distribution."""
 
 
 def findings_of_settings(model: Model) -> tuple[Finding, ...]:
-    """Where a model contradicts its card's limits, the symmetry of x and y, or what others published.
+    """Where a model contradicts its card's limits, the symmetry of x and y, or published values.
 
     Args:
-        model: Of any method. Axes without numbers are passed over.
+        model: From any method. Axes without numbers are skipped.
     """
     limits = (finding for axis in AXES for finding in (*_against_limits(model, axis), *_by_gravity(model, axis)))
     return (*limits, *_against_symmetry(model), *_against_published(model))
 
 
 def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
-    """The measured full-scale quantity lies, with its whole interval, away from what the limits make one expect."""
+    """The whole interval of the full-scale quantity lies away from the value expected from the limits."""
     meaning, quantity = meaning_of(model.card, axis), compared(model, axis)
     ratio = quantity.ratio
     if ratio is None or ratio.value is None or quantity.measured is None or quantity.expected is None:
@@ -68,7 +68,7 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
 
 
 def _by_gravity(model: Model, axis: str) -> Iterator[Finding]:
-    """Gravity as a witness of the law: with a lag the input of a tilt is 9.81 tan(tilt), with a delay alone not."""
+    """Gravity as a check of the law: with a lag the input of a tilt is 9.81 tan(tilt), with only a delay it is not."""
     meaning, expected, known = meaning_of(model.card, axis), compared(model, axis).expected, model.axes[axis]
     if meaning.asked != "tilt" or not expected or known.plain is None or known.input is None:
         return
@@ -87,7 +87,7 @@ def _by_gravity(model: Model, axis: str) -> Iterator[Finding]:
 
 
 def _holds(ends: Interval, value: float, margin: float) -> bool:
-    """Whether a closed interval holds a positive value give or take a factor."""
+    """Whether a closed interval contains a positive value to within a factor."""
     low, high = ends
     return low is not None and high is not None and low <= margin * value and high >= value / margin
 
@@ -102,7 +102,7 @@ def _reached(axis: str, meaning: Meaning, quantity: Quantity) -> str:
 
 
 def _explained(meaning: Meaning, quantity: Quantity) -> str:
-    """Which setting, or which scale, would make it fit."""
+    """Which setting, or which scale, would explain it."""
     assert quantity.measured is not None
     assert quantity.ratio is not None
     if meaning.limit and quantity.implied_limit and meaning.setting is not None:
@@ -155,7 +155,7 @@ def _ratio(model: Model, name: str) -> tuple[float, float, float] | None:
 
 
 def _against_published(model: Model) -> Iterator[Finding]:
-    """What of a model lies outside of what the published sets of its vehicle span."""
+    """Coefficients of a model outside the range of the published sets of its vehicle."""
     vehicle = vehicle_of(model.card.name)
     sets = [_theirs(known) for known in sets_for(vehicle)] if vehicle else []
     told = []
@@ -176,14 +176,14 @@ def _against_published(model: Model) -> Iterator[Finding]:
 
 
 def _own(model: Model, axis: str) -> dict[str, float]:
-    """What of an axis compares with published sets: its damping, and its gain where the card says what it should be."""
+    """Values of an axis to compare with published sets: damping, and gain where the card gives an expected one."""
     damping, ratio = model.axes[axis].damping, compared(model, axis).ratio
     parts = {f"{axis} damping": damping, f"{axis} gain": ratio.value if ratio else None}
     return {name: value for name, value in parts.items() if value is not None and value > 0}
 
 
 def _theirs(known: PublishedSet) -> dict[str, float]:
-    """The same of a published set; gains of commands in SI only, over what they should be, signs aside."""
+    """The same for a published set; only gains of commands in SI, relative to the expected gain, signs ignored."""
     parts: dict[str, float] = {}
     for k, axis in enumerate(AXES):
         gain, damping = known.gamma[2 * k : 2 * k + 2]

@@ -1,4 +1,4 @@
-"""What a prior did to a fit: how far it moved each coefficient, and how much of the answer is its own."""
+"""What a prior did to a fit: how far it moved each coefficient, and its share of the information."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,11 +14,11 @@ from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import inverted
 
 CONFLICT = 3.0
-"""Combined standard errors by which prior and data may differ."""
+"""Difference between prior and data, in combined standard errors, above which they conflict."""
 
 
 def with_influence(fit: Fit) -> Fit:
-    """Adds to the model of a fit with a prior what the prior did to each coefficient that it speaks of."""
+    """Adds to the model of a fit what the prior did to each coefficient that it covers."""
     card = fit.model.card
     uses = {}
     for axis, estimate in fit.estimates.items():
@@ -46,7 +46,7 @@ def with_influence(fit: Fit) -> Fit:
 
 
 def prior_findings(fit: Fit) -> Iterator[Finding]:
-    """That a prior was used, and where it contradicts the data."""
+    """Findings that a prior was used, and where it contradicts the data."""
     uses = fit.model.prior or {}
     for axis in fit.estimates:
         own = {name: uses[f"{axis}.{name}"] for name in COEFFICIENTS if f"{axis}.{name}" in uses}

@@ -1,6 +1,6 @@
-"""Rows of the tables that report, terminal and studio draw: coefficients beside the paper's, pooled scores.
+"""Rows of the tables of report, terminal and studio: coefficients beside the paper's, pooled scores.
 
-Numbers are in SI; the unit that a reader sees is `SPEED` and `LENGTH` of an axis.
+Numbers are in SI; `SPEED` and `LENGTH` give the units in which they are shown.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,21 +15,21 @@ from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.results import FlightScores, Validation
 
 SPEED = {axis: ("deg/s", 180 / np.pi) if axis == "yaw" else ("cm/s", 100.0) for axis in AXES}
-"""Unit of a velocity error for people, and the factor from SI."""
+"""Unit in which a velocity error is shown, and the factor from SI."""
 
 LENGTH = {axis: ("deg", 180 / np.pi) if axis == "yaw" else ("cm", 100.0) for axis in AXES}
-"""Unit of a position error for people, and the factor from SI."""
+"""Unit in which a position error is shown, and the factor from SI."""
 
 
 @dataclass(frozen=True)
 class HorizonErrors:
-    """Errors at one horizon over all validation flights that command the axis, SI; None where there is no number.
+    """Errors at one horizon over all validation flights that command the axis, in SI; None where there is no number.
 
     Attributes:
-        axis: Name.
-        horizon: [s].
-        velocity: `model`, `hold`, `paper` to velocity RMSE.
-        position: The same of the end point.
+        axis: Name of the axis.
+        horizon: Prediction horizon [s].
+        velocity: `model`, `hold`, `paper`, `coast` to velocity RMSE [m/s or rad/s].
+        position: The same for the position at the end of the prediction [m or rad].
         n: Number of predictions.
     """
 
@@ -45,20 +45,20 @@ class CoefficientRow:
     """One row of the table of coefficients; None where there is no number.
 
     Attributes:
-        axis: Name.
+        axis: Name of the axis.
         name: `input`, `damping`, `delay`, a further parameter of the structure, or a combination such as `total_lag`.
-        symbol: The paper's, such as g1; empty where it has none.
+        symbol: The paper's symbol, such as g1; empty if it has none.
         kind: `coefficient`, `parameter` of the structure, or `combination`.
-        unit: In SI, such as `m/s^2`; `command` for the unit of the command itself.
-        per: Unit of the command, where the unit is per command or that of the command; else empty.
+        unit: Unit in SI, such as `m/s^2`; `command` for the unit of the command itself.
+        per: Unit of the command, if the unit is per command or that of the command; otherwise empty.
         value: Estimate.
         stderr: Standard error.
         low: Lower end of the 95 % interval.
-        high: Upper end.
-        status: Of the coefficient; of a combination `ok`, or `open` where an end is missing.
-        paper: What the paper's regression gives on the same data.
-        flight: 95 % interval of the flights alone, where that of the vehicle is another one.
-        given: Whether the law states it, and not the data.
+        high: Upper end of the 95 % interval.
+        status: Status of the coefficient; of a combination `ok`, or `open` if an end is missing.
+        paper: Estimate of the paper's regression from the same data.
+        flight: 95 % interval for these flights alone, if that for the vehicle differs.
+        given: Whether the law fixes the value, instead of the data.
     """
 
     axis: str
@@ -78,7 +78,7 @@ class CoefficientRow:
 
 
 def coefficient_rows(model: Model) -> tuple[CoefficientRow, ...]:
-    """Coefficients and their identifiable combinations, axis by axis, with the paper's beside them."""
+    """Coefficients and their identifiable combinations, for each axis, with the paper's beside them."""
     return tuple(row for name in AXES for row in _axis_rows(model, name))
 
 
@@ -122,7 +122,7 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
 
 
 def command_unit(model: Model, axis: str) -> str:
-    """Unit of a command of the model's card, for people."""
+    """Unit of a command in the model's card, as shown to users."""
     channel = model.card.command.get(axis)
     if channel is None:
         return "unit of command"
@@ -136,8 +136,8 @@ def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[Horizo
     """Scores pooled over the flights that command the axis and were not fitted, weighted by the number of predictions.
 
     Args:
-        validation: Scores, flight by flight.
-        flights: The same flights, to tell what they command; where they are not at hand all scores count.
+        validation: Scores of each flight.
+        flights: The same flights, to see which axes they command; if they are not available, all scores count.
     """
     known = len(flights) == len(validation.flights)
     by_name = {"model": validation.flights, **validation.baselines}

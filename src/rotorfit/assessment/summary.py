@@ -1,4 +1,4 @@
-"""Summary: what a fit could and could not tell, in one paragraph of plain words."""
+"""Summary: what a fit did and did not determine, in one paragraph of plain words."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,11 +19,11 @@ BELIEVED = ", with what the card believed beforehand"
 
 
 def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
-    """What the flights could and could not tell, and what must be read before the numbers are used.
+    """What the flights did and did not determine, and what must be read before the numbers are used.
 
     Args:
-        model: With its findings.
-        axes: Those that were asked for; of the others nothing is said.
+        model: The model with its findings.
+        axes: The requested axes; the others are not mentioned.
     """
     wanted = [axis for axis in AXES if axis in axes]
     time = sum(end - start for start, end in (flight.span for flight in model.flights))
@@ -45,7 +45,7 @@ def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
 
 
 def _partly_known(axis: str, known: Axis) -> str:
-    """What is known of an axis of which not every coefficient is."""
+    """What is known of an axis if not every coefficient is."""
     given = given_by_law(known.structure)
     good = [_NAMES[name] for name in COEFFICIENTS if known.status[name] == "ok" and name not in given]
     lost = [_NAMES[name] for name in COEFFICIENTS if known.status[name] not in ("ok", "refuted")]
@@ -70,7 +70,7 @@ def _range(part: Combination) -> str:
 
 
 def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
-    """What must be read first; nothing where there is nothing."""
+    """What must be read first; empty if there is nothing."""
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
     errors = {finding.axis for finding in concerned if finding.severity == "error"}
     spoiled = [axis for axis in wanted if axis in errors or (None in errors and model.axes[axis].predictor)]

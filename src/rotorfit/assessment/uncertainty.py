@@ -1,10 +1,10 @@
-"""Flight-to-flight scatter: what each flight says alone, and whether together they say one thing.
+"""Flight-to-flight scatter: the estimate of each flight alone, and whether the flights agree.
 
 Source: W. G. Cochran, Biometrics 10 (1954), pp. 101-129 (Q); J. P. T. Higgins, S. G. Thompson, Statistics in Medicine
 21 (2002), pp. 1539-1558 (I^2); R. T. Birge, Physical Review 40 (1932), pp. 207-227 (the factor, of one coefficient);
 K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), pp. 13-22 (the same for several: a sandwich over flights).
 
-Fit -> the accuracy table: five standard errors of every coefficient, and what cannot be told apart.
+Fit -> the accuracy table: five standard errors of every coefficient, and the pairs that cannot be separated.
 
 Source of the table: M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., AIAA (2012),
 chapter 12 (Cramer-Rao bound and insensitivity in per cent, their limits of 20 and 10). Sandwich: H. White, Econometrica
@@ -38,18 +38,18 @@ from rotorfit.estimation.likelihood.prior import with_prior
 from rotorfit.estimation.regression.paper import newey_west
 
 TOLERANCE = 1e-3
-"""Expected gain in log-likelihood below which a climb ends."""
+"""Expected gain in log-likelihood below which a search ends."""
 
 
 def scatter(estimate: Estimate, serving: Sequence[int]) -> Scatter | None:
-    """How the flights of an axis agree; None for fewer than two.
+    """How well the flights of an axis agree; None for fewer than two flights, or if the axis is not excited.
 
-    The levels of the disturbance are held at those of all flights together; trim and start velocity are every flight's
-    own in any case. Of two axes in one likelihood the other one's coefficients are held.
+    The disturbance levels are held at those of all flights together; trim and start velocity are each flight's own in
+    any case. With two axes in one likelihood, the other one's coefficients are held.
 
     Args:
-        estimate: The axis, from all flights.
-        serving: Places of its flights among all flights, for the result.
+        estimate: Estimate of the axis, from all flights.
+        serving: Indices of its flights among all flights, for the result.
     """
     from scipy.special import chdtrc
 
@@ -96,14 +96,14 @@ def scatter(estimate: Estimate, serving: Sequence[int]) -> Scatter | None:
 
 
 def _cochran(values: Array, variance: Array) -> tuple[Array, Array]:
-    """Cochran's Q, and the weighted mean, over the flights, which are the rows."""
+    """Cochran's Q and the weighted mean over the flights, which are the rows."""
     weight = 1 / np.maximum(variance, 1e-300)
     mean = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
     return np.sum(weight * (values - mean) ** 2, axis=0), mean
 
 
 def _combined(values: Array, covariance: Sequence[Array]) -> dict[str, tuple[Array, Array]]:
-    """Steady gain and total lag of each flight, and their variances: known where their parts are not."""
+    """Steady gain and total lag of each flight, and their variances: known even where their parts are not."""
     gain, damping, delay = values[:, 0], np.exp(values[:, 1]), values[:, 2]
     zero, one = np.zeros(len(values)), np.ones(len(values))
     parts = {
@@ -114,7 +114,7 @@ def _combined(values: Array, covariance: Sequence[Array]) -> dict[str, tuple[Arr
 
 
 def _settled(records: Sequence[Record], near: Optimum, own: Sequence[int]) -> Optimum:
-    """The maximum over the coefficients of one axis, trims and start velocities, at the levels that are given."""
+    """The maximum over the coefficients of one axis, trims and start velocities, at the given levels."""
     point = near.point
     free = np.zeros(point.flat().size, bool)
     free[list(own)] = True
@@ -132,22 +132,22 @@ def _named(values: Array) -> dict[str, float]:
 
 
 OBSERVED_STEP = 0.5
-"""Step of the differences of the score, in expected standard errors."""
+"""Step of the finite differences of the score, in expected standard errors."""
 
 OTHER_STEPS = (0.1, 2.0)
-"""Where these give another standard error the observed information is ragged."""
+"""Steps for comparison: if they give another standard error, the observed information is ragged."""
 
 RAGGED = 0.1
-"""Share by which they may differ."""
+"""Relative difference above which it is ragged."""
 
 LEVEL_STEP = 0.1
-"""Largest step in the logarithm of a level of the disturbance."""
+"""Largest step in the logarithm of a disturbance level."""
 
 LAG = 2.0
 """Lag up to which the contributions to the score count as correlated [s]."""
 
 SHARPER = 0.5
-"""A combination is told in place of a pair if its error in per cent is below this share of the pair's smaller one."""
+"""A combination is reported for a pair if its relative error is below this share of the pair's smaller one."""
 
 _COMBINED = {("input", "damping"): "steady_gain", ("damping", "delay"): "total_lag"}
 
@@ -156,10 +156,10 @@ def with_uncertainty(fit: Fit, progress: Progress | None = None, flights: int = 
     """Adds the accuracy table to the model of a fit.
 
     Args:
-        fit: By the likelihood; of the paper's method the table stays empty.
+        fit: A fit by the likelihood; any other is returned without a table.
         progress: Called with a fraction and a text; raising in it cancels.
-        flights: Flights that the bootstrap draws.
-        seed: Of the draws.
+        flights: Number of flights that the bootstrap draws.
+        seed: Seed of the draws.
     """
     report = progress or (lambda _fraction, _text: None)
     if not fit.estimates:
@@ -180,7 +180,7 @@ def with_uncertainty(fit: Fit, progress: Progress | None = None, flights: int = 
 
 
 def serving_flights(fit: Fit, estimate: Estimate) -> list[int]:
-    """Which of a fit's flights the records of an estimate are, by their stamps."""
+    """Indices of the fit's flights from which the records of an estimate come, found by their stamps."""
     at = [[i for i, f in enumerate(fit.flights) if f.command_time is rec.command_time] for rec in estimate.records]
     return [places[0] for places in at]
 
@@ -221,18 +221,18 @@ def _axis(
 
 
 def observed_covariance(records: Sequence[Record], optimum: Optimum, step: float) -> Array | None:
-    """Inverse of the observed information of all parameters, levels included.
+    """Inverse of the observed information of all parameters, including levels.
 
-    Central differences of the score. The response to held commands has a kink in the delay at every pose that a switch
-    passes, so its second derivative is a sum of spikes: the result in the delay depends on the step.
+    From central differences of the score. The response to held commands has a kink in the delay whenever a switch
+    passes a pose, so its second derivative is a sum of spikes: the result for the delay depends on the step.
 
     Args:
         records: The flights.
-        optimum: Their maximum.
-        step: In expected standard errors of each parameter.
+        optimum: The maximum of their likelihood.
+        step: Step in expected standard errors of each parameter.
 
     Returns:
-        Shape (n + 4 K, n + 4 K), zero for what is held or pressed against a bound; None where the information is not
+        Shape (n + 4 K, n + 4 K), zero for parameters that are held or at a bound; None if the information is not
         positive definite.
     """
     point, free = optimum.point, optimum.free & ~at_bound(optimum.point, optimum.score.gradient)
@@ -251,16 +251,20 @@ def observed_covariance(records: Sequence[Record], optimum: Optimum, step: float
 
 
 def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
-    """Covariance of coefficients, trims and start velocities that believes the response but not the disturbance.
+    """Covariance of coefficients, trims and start velocities that trusts the response but not the disturbance model.
 
     The bread is the expected information, the filling the sum over lags of the products of the blocks' contributions to
     the score, with Bartlett's weights.
+
+    Args:
+        records: The flights.
+        optimum: The maximum of their likelihood.
 
     Returns:
         Shape (n, n).
     """
     point, n, K, F = optimum.point, optimum.point.n, optimum.point.gain.size, len(records)
-    first = n - point.trim.size - point.start.size  # of the trims
+    first = n - point.trim.size - point.start.size  # index of the first trim
     filling = np.zeros((n, n))
     for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
         mean, sensitivity = response(rec, point, j, point.start[at])
@@ -274,7 +278,7 @@ def sandwich_covariance(records: Sequence[Record], optimum: Optimum) -> Array:
         for k in range(K):
             contribution[np.arange(len(parts)), first + F * K + segment * K + k] = parts[:, first + K + k]
         filling += newey_west(rec.block_time, contribution, LAG)
-    if optimum.prior is not None:  # what is believed is uncertain, too
+    if optimum.prior is not None:  # the prior is uncertain, too
         believed = np.arange(optimum.prior.mean.size)
         filling[believed, believed] += optimum.prior.precision
     bread = inverted(optimum.score.information[:n, :n], optimum.free[:n])
@@ -292,14 +296,14 @@ def _correlation(covariance: Array) -> Array:
 
 
 def _with_levels(covariance: Array, i: int, n: int) -> float:
-    """Largest correlation of a coefficient with a level of the disturbance."""
+    """Largest correlation of a coefficient with a disturbance level."""
     return float(np.abs(_correlation(covariance)[i, n:]).max())
 
 
 def _inseparable(
     correlation: Array, rows: Mapping[str, Accuracy], combinations: Mapping[str, Combination]
 ) -> tuple[Inseparable, ...]:
-    """Pairs beyond the limit, each with the combination that the data do tell."""
+    """Pairs whose correlation exceeds the limit, each with the combination that the data do determine."""
     found = []
     for i, one in enumerate(COEFFICIENTS):
         for j, other in enumerate(COEFFICIENTS[:i]):

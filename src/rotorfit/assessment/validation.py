@@ -1,4 +1,4 @@
-"""Model + other flights -> Validation: prediction errors beside naive baselines, and what the residuals say."""
+"""Model + other flights -> Validation: prediction errors beside naive baselines, and tests of the residuals."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -38,18 +38,18 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.flights.distinct import check_distinct, check_flights
 
 BASELINES = ("hold", "paper", "coast")
-"""See `Validation`. Of the last two now one, now the other is the better use of the paper's coefficients."""
+"""See `Validation`. Either of the last two can be the better use of the paper's coefficients."""
 
 
 def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
-    """What prediction needs of the axes of a model; those with known noise and no predictor are tracked only.
+    """Dynamics that predictions need, for the axes of a model; axes with noise but no predictor are only tracked.
 
     Args:
         model: The model.
-        flight: What is predicted; None for one with a position of every axis.
+        flight: The flight to predict; None for one with a position of every axis.
 
     Raises:
-        FlightError: An axis has a position where the model knows the noise of a velocity only, or the other way round.
+        FlightError: An axis has a position where the model knows only the noise of a velocity, or the other way round.
     """
     out, alone = {}, flight.velocity_only if flight else ()
     for name, axis in model.axes.items():
@@ -78,17 +78,17 @@ def dynamics_from_model(model: Model, flight: Flight | None = None) -> dict[str,
 def validate(
     model: Model, flights: Sequence[Flight], horizons: Sequence[float] = HORIZONS, progress: Progress | None = None
 ) -> Validation:
-    """Scores a model on flights, by the one prediction protocol.
+    """Scores a model on flights by the one prediction protocol.
 
     Args:
         model: The model.
-        flights: Flights that it was not fitted to, for a proof; others for comparison.
-        horizons: [s].
+        flights: Flights to which it was not fitted, for a validation; others for comparison.
+        horizons: Prediction horizons [s].
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        TypeError: If they are no flights.
-        FlightError: If no flight is given, one is given twice, or a horizon is not positive.
+        TypeError: `flights` holds something else than flights.
+        FlightError: No flight is given, one is given twice, a horizon is not positive, or as for `dynamics_from_model`.
     """
     check_flights(flights)
     if not flights:
@@ -134,10 +134,10 @@ def validate(
 
 
 def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, AxisDynamics]:
-    """What prediction needs of the paper's coefficients: the law without delay, with a filter of its own.
+    """Dynamics that predictions with the paper's coefficients need: the law without delay, with a filter of its own.
 
-    It is that of a model of method `paper` of the same flights. Axes to which the regression gives no coefficients are
-    tracked only, and yaw is taken as measured.
+    They are those of a model by method `paper` of the same flights. Axes without coefficients from the regression are
+    only tracked, and yaw is taken as measured.
 
     Args:
         model: The model.
@@ -157,13 +157,13 @@ def _score_flight(
 ) -> tuple[dict[str, tuple[FlightScores, dict[str, StartErrors]]], dict[str, dict[str, BandScore]]]:
     """Scores of the model's predictions and of all baselines on one flight, with the errors behind them; the bands.
 
-    The predictions of half an hour are hundreds of megabytes: they are judged and dropped, piece by piece.
+    The predictions of half an hour take hundreds of megabytes: they are scored and dropped piece by piece.
 
     Args:
         model: The model.
         flight: The flight.
-        horizons: [s].
-        told: Called with the share that is done.
+        horizons: Prediction horizons [s].
+        told: Called with the completed share.
     """
     coefficients = np.array([np.nan if g is None else g for g in model.paper])
     coasting = np.nan_to_num(coefficients.reshape(4, 2).T)
@@ -198,7 +198,7 @@ def _score_flight(
 
 
 def horizon_scores(model: Model, flight: Flight, horizon: float) -> tuple[Mapping[str, Horizon], Mapping[str, Horizon]]:
-    """Errors at one horizon [s], of the model and of holding the velocity: what `validate` says, without the rest."""
+    """Errors at one horizon [s] of the model and of holding the velocity; the same numbers as from `validate`."""
     judge, own, held = (horizon,), [], []
     for part in predictions(flight, dynamics_from_model(model, flight), horizon):
         own.append(judged(part, part.predicted, judge))
@@ -212,7 +212,7 @@ def horizon_scores(model: Model, flight: Flight, horizon: float) -> tuple[Mappin
 
 
 def _known_errors(errors: StartErrors, wanted: Array) -> StartErrors:
-    """NaN in place of the errors of an axis without a model."""
+    """Replaces the errors of axes without a model by NaN."""
     velocity, position = (np.where(wanted, values, np.nan) for values in (errors.velocity, errors.position))
     return replace(errors, velocity=velocity, position=position)
 
@@ -248,7 +248,7 @@ def coefficient_covariance(model: Model, axis: str) -> Array:
 
 
 def _was_fitted(model: Model, flight: Flight) -> bool:
-    """Whether the same log, over a stretch that overlaps, served the fit."""
+    """Whether an overlapping stretch of the same log was used in the fit."""
     return any(
         source.sha256 == flight.sha256 and min(source.span[1], flight.span[1]) > max(source.span[0], flight.span[0])
         for source in model.flights
@@ -286,13 +286,14 @@ def to_mapping(validation: Validation) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Residuals:
-    """One-step innovations of an axis on one flight, standardised: white and of unit variance where the model is right.
+    """One-step innovations of an axis on one flight, standardised: white and of unit variance if the model is right.
 
     Attributes:
-        axis: Name.
+        axis: Name of the axis.
         time: Block times, shape (B,) [s].
         innovation: Shape (B,).
-        response: Position as the commands explain it, less its start, in the frame of the axis, shape (B,) [m or rad].
+        response: Position as the commands explain it, relative to its start, in the frame of the axis, shape (B,) [m or
+            rad].
         past: See `Innovations`.
         sensitivity: See `Innovations`.
     """
@@ -306,17 +307,19 @@ class Residuals:
 
     @property
     def innovations(self) -> Innovations:
-        """What the tests need."""
+        """The part that the tests need."""
         return Innovations(self.time, self.innovation, self.past, self.sensitivity)
 
 
 def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[str, Residuals]:
     """Innovations of every axis with a predictor, with the flight's own trim and start.
 
+    Axes whose measured quantity has no noise in the model are left out.
+
     Args:
         model: The model.
         flight: Any flight of the vehicle.
-        own_levels: Whether to take the levels of the disturbance that suit this flight instead of those of the fit.
+        own_levels: Whether to fit the disturbance levels to this flight instead of taking those of the model.
     """
     out: dict[str, Residuals] = {}
     for rec in _records(model, flight):
@@ -326,7 +329,7 @@ def residuals(model: Model, flight: Flight, own_levels: bool = False) -> dict[st
 
 def _records(model: Model, flight: Flight) -> Iterator[Record]:
     """The flight for each group of axes with a predictor: x and y together where the vehicle turns."""
-    if not flight.velocity_only:  # beside poses a velocity says nothing of its own about the model
+    if not flight.velocity_only:  # with poses, the velocity adds nothing independent about the model
         flight = replace(flight, velocity=None)
     known = [axis for axis in AXES if model.axes[axis].predictor]
     plane = ("x", "y")
@@ -344,7 +347,7 @@ def _points(model: Model, rec: Record) -> list[Predictor]:
 
 
 def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
-    """The model's coefficients with the flight's own trim and start, and its own levels where these are asked for."""
+    """The model's coefficients with the flight's own trim and start, and with its own levels if requested."""
     points = _points(model, rec)
     levels = np.log([[model.axes[axis].noise[level] for level in LEVELS_OF[rec.measured]] for axis in rec.axes])
     start = replace(
@@ -360,7 +363,7 @@ def _explained(model: Model, rec: Record, own_levels: bool) -> Optimum:
 
 
 def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> dict[str, Residuals]:
-    """Of one axis, or of x and y where the vehicle turns."""
+    """Residuals of one axis, or of x and y where the vehicle turns."""
     explained, sensitivity = response(rec, best.point, 0, best.point.start)
     rows = whiten(rec, sensitivity, best.point.levels)[0]
     if len(rec.axes) == 2:
@@ -380,7 +383,7 @@ def _residuals_of(model: Model, flight: Flight, rec: Record, best: Optimum) -> d
 
 
 def _past(flight: Flight, k: int, time: Array) -> Array:
-    """The command that was held 1, 2, ... blocks before, up to a second back; before a segment, its first."""
+    """The command held 1, 2, ... blocks before, up to a second back; before a segment, the segment's first."""
     step = float(np.median(np.diff(time)))
     lags = step * np.arange(1, max(1, round(REACH / step)) + 1)
     segment = np.searchsorted([part.start for part in flight.segments], time, side="right") - 1
@@ -390,12 +393,12 @@ def _past(flight: Flight, k: int, time: Array) -> Array:
 
 
 def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
-    """Whitened sensitivities to input, log damping and delay, less what trim and start make up for, shape (B, 3).
+    """Whitened sensitivities to input, log damping and delay, minus what trim and start can absorb, shape (B, 3).
 
     Args:
         rec: The flight.
         rows: Whitened sensitivities of the axis, d/d(g, log b, tau, further parameters, c, v0), K columns each.
-        k: Which of the K axes.
+        k: Index of the axis among the K.
     """
     K, segment = len(rec.axes), np.cumsum(rec.fresh)
     starts = [rows[:, -K:] * (segment == number)[:, None] for number in range(1, segment[-1] + 1)]
@@ -404,7 +407,7 @@ def _sensitivity(rec: Record, rows: Array, k: int) -> Array:
 
 
 def _with_structures(point: Point, structures: Sequence[Structure], known: Sequence[Predictor]) -> Point:
-    """The point under the structures of a model, with their further parameters; axes without numbers have none."""
+    """The point with the structures of a model and their further parameters; axes without numbers have none."""
     laws = tuple(
         s if set(p.extra) == {e.name for e in s.extras} else FIRST_ORDER_DELAY
         for s, p in zip(structures, known, strict=True)

@@ -1,10 +1,10 @@
-"""What the innovations say of a model: are they white, free of the commands that came before, and of unit variance?
+"""Tests of the innovations: are they white, independent of past commands, and of unit variance?
 
-An innovation is what a block of poses brings that the model did not foresee. In a feedback loop the commands that come
-after it answer it, so only commands from before it may be asked about; those it must not follow, loop or no loop.
+An innovation is the part of a block of poses that the model did not predict. In a feedback loop later commands respond
+to it, so only earlier commands can be tested; the innovations must not follow those, loop or no loop.
 All three tests allow for a variance that changes during a flight, as it does in gusts. Whiteness and independence are
-judged with the levels of the disturbance that the flight itself has: other wind is no fault of the model. How much
-other, the variance ratio tells.
+tested with the flight's own disturbance levels: different wind is not an error of the model. The variance ratio shows
+how different it is.
 
 Source: L. Ljung, System Identification, 2nd ed., 1999, chapter 16; T. Soderstrom, P. Stoica, System Identification,
 1989, chapter 11; G. M. Ljung, G. E. P. Box, Biometrika 65 (1978), pp. 297-303.
@@ -23,16 +23,16 @@ from rotorfit.dynamics.long_run import frequencies, variance_of_mean
 from rotorfit.estimation.regression.paper import newey_west
 
 REACH = 1.0
-"""How far back the tests look [s]."""
+"""Longest lag of the tests [s]."""
 
 COMMAND_EVERY = 0.1
-"""Steps between the past commands that are tested together [s]."""
+"""Spacing of the past commands that are tested together [s]."""
 
 BAND = 1.959963984540054
 """97.5 % point of the normal distribution."""
 
 LEVEL = 0.05
-"""p-value below which a test speaks against the model."""
+"""p-value below which a test rejects the model."""
 
 FINDING_LEVEL = 0.001
 """p-value below which it is a finding: flights have several axes, and a finding must not come by chance."""
@@ -41,14 +41,14 @@ OPTIMISTIC = 1.1
 """Factor by which intervals must be too narrow for the finding to be a warning."""
 
 LEAST_BLOCKS = 100
-"""Innovations below which nothing is tested."""
+"""Number of innovations below which nothing is tested."""
 
 DISTINCT = 1e-3
-"""Share of the largest variance below which a combination of past commands is left out: it is a copy of the others."""
+"""Share of the largest variance below which a combination of past commands is left out as a copy of the others."""
 
 
 def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Correlogram:
-    """Autocorrelation of innovations, pairs across holes left out, with bands that allow for a changing variance.
+    """Autocorrelation of innovations, without pairs across gaps, with bands that allow for a changing variance.
 
     Args:
         time: Shape (B,) [s].
@@ -70,11 +70,11 @@ def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Cor
 
 
 def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogram:
-    """Correlation of innovations with commands from before them, with bands that hold for coloured innovations too.
+    """Correlation of innovations with earlier commands, with bands that also hold for coloured innovations.
 
     Args:
-        innovations: Of one axis.
-        covariance: Of the coefficients, as for `residual_tests`.
+        innovations: Innovations of one axis.
+        covariance: Covariance of the coefficients, as for `residual_tests`.
 
     Source: Ljung 1999, section 16.6: the variance is the sum of the products of both autocovariances, here estimated
     from the products themselves (W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708).
@@ -96,11 +96,12 @@ def residual_tests(
     """All tests of one axis on one flight; None for fewer than 100 innovations.
 
     Args:
-        innovations: With the levels of the disturbance that this flight has.
-        at_fitted_levels: Innovations with the levels of the fit, shape (B,).
-        covariance: Of input, log damping and delay, shape (3, 3): how far a model from other flights may be off; zeros
-            where it was fitted to this one.
-        training_share: Time of this flight over that of the flights of the fit, for what the fit knows of its levels.
+        innovations: Innovations at this flight's own disturbance levels.
+        at_fitted_levels: Innovations at the levels of the fit, shape (B,).
+        covariance: Covariance of input, log damping and delay, shape (3, 3), for a model from other flights; zeros if
+            it was fitted to this one.
+        training_share: Duration of this flight over that of the flights of the fit, to allow for the error of its
+            levels.
     """
     e = innovations.innovation
     if e.size < LEAST_BLOCKS:
@@ -136,7 +137,7 @@ def residual_tests(
 
 
 def _independence(innovations: Innovations, covariance: Array) -> tuple[float | None, int]:
-    """p-value of no correlation with any of the past commands, all at once, and how many of these are independent."""
+    """p-value of no correlation with any of the past commands jointly, and how many of these are independent."""
     every = max(1, round(COMMAND_EVERY / _step(innovations.time)))
     u = innovations.past[:, ::every] - innovations.past[:, ::every].mean(axis=0)
     size, directions = np.linalg.eigh(u.T @ u)
@@ -150,7 +151,7 @@ def _independence(innovations: Innovations, covariance: Array) -> tuple[float | 
 def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tuple[Array, Array]:
     """Products of innovations and past commands (B, m), summed, and the covariance of the sums.
 
-    To what the innovations scatter comes what the model's own coefficients may be off by.
+    The covariance includes the uncertainty of the model's own coefficients.
 
     Source: lags of the kernel by W. K. Newey, K. D. West, Rev. Econ. Stud. 61 (1994), pp. 631-653: 4 (B / 100)^(2/9).
     """
@@ -162,7 +163,7 @@ def _with_command(innovations: Innovations, u: Array, covariance: Array) -> tupl
 
 
 def _optimism(innovations: Innovations, colour: Array) -> dict[str, float]:
-    """Root of the variance that each estimate has with innovations of this colour over that with white ones.
+    """Ratio of each estimate's standard deviation with innovations of this colour to that with white ones.
 
     Source: Bartlett's formula: the sum over the lags of the products of both autocorrelations, here of the innovations
     and of their weights in the estimate, up to the reach of the tests.
@@ -185,7 +186,7 @@ def _lag_count(time: Array, reach: float) -> int:
 
 
 def _adjacent(time: Array, k: int) -> Array:
-    """Which pairs of blocks, k apart by count, are k apart by time, too."""
+    """Which pairs of blocks that are k apart by count are also k apart in time."""
     return np.asarray(np.abs(time[k:] - time[:-k] - k * _step(time)) < 0.5 * _step(time))
 
 
@@ -196,17 +197,17 @@ def _chi_squared(statistic: float, freedom: int) -> float:
 
 
 def narrows_intervals(tests: ResidualTests) -> bool:
-    """Whether the innovations' colour makes intervals too narrow beyond doubt."""
+    """Whether the innovations' colour certainly makes intervals too narrow."""
     return tests.white_p < FINDING_LEVEL and max(tests.optimism.values(), default=1.0) >= OPTIMISTIC
 
 
 def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterator[Finding]:
-    """What the tests of one axis on one flight mean to a user.
+    """Findings from the tests of one axis on one flight.
 
     Args:
-        axis: Name.
-        tests: Of its innovations.
-        where: The flight, for the evidence.
+        axis: Name of the axis.
+        tests: Tests of its innovations.
+        where: Name of the flight, for the evidence.
     """
     factor = max(tests.optimism.values(), default=1.0)
     if tests.white_p < FINDING_LEVEL:

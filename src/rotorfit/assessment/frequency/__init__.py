@@ -1,1 +1,1 @@
-"""The frequency response that a flight shows by itself, beside the model's, and the test of the law against it."""
+"""The frequency response that a flight itself shows, beside the model's, and the test of the law against it."""

@@ -1,15 +1,15 @@
-"""Spectra -> bands: a few unknown values of the response each, what else moves the vehicle being left free.
+"""Spectra -> bands: each with a few unknown values of the response, and with terms for what else moves the vehicle.
 
 In a band, with the command U, the velocity V and s = i w,
 
     V(w) = G(w) U(w) + K D(w) + T(w) + N(w)
 
-G is a straight line of w from knot to knot once a delay is taken off. D is what the other horizontal axis adds where
-the vehicle turns, K free. T is what the ends of the window cut off, the sum of a few real multiples of powers of s and
-of slow and fast decays 1 / (s + a), for each window its own. N is noise of unknown power and of the shape that the
-whole flight shows. Where an instrument Z is not the command itself, what follows it counts and nothing else. Bands
-share no frequency, so what they say is independent, and N of each has its own degrees of freedom. All are equations
-between real numbers: a complex one is two.
+G is linear in w between knots once a delay is removed. D is the contribution of the other horizontal axis when the
+vehicle turns, K free. T is the effect of the ends of the window: a sum of powers of s and of slow and fast decays
+1 / (s + a) with real coefficients, separate for each window. N is noise of unknown power and of the shape that the
+whole flight shows. Where an instrument Z is not the command itself, only the motion that follows it counts. Bands
+share no frequency, so they are independent, and N of each has its own degrees of freedom. All equations are between
+real numbers: a complex one is two.
 
 Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, chapter 7 (local
 polynomial method, its variance and degrees of freedom); section 7.2.7 for the loop (instrument: the reference).
@@ -27,45 +27,46 @@ from rotorfit.core.frames import Array, Mask
 from rotorfit.core.frequency_response import Spectrum
 
 KNOT_EVERY = 4.0
-"""Bins from knot to knot where the command has no lines."""
+"""Distance of the knots [bins] where the command has no lines."""
 
 KNOT_SHARE = 0.15
-"""The same as a share of the frequency, where that is more."""
+"""The same as a share of the frequency, where that is larger."""
 
 BINS = 12
-"""Bins of a band, about."""
+"""Approximate number of bins in a band."""
 
 DECAYS = (0.2, 0.6, 2.0)
-"""Of T [1/s], beside a constant, s and s^2: a decay at any rate from 0.2 1/s on is matched to 1 %."""
+"""Decays in T [1/s], besides a constant, s and s^2: any decay of 0.2 1/s or faster is matched to 1 %."""
 
 LEAST_FREEDOM = 6
 """Degrees of freedom of the noise below which a band is left out."""
 
 DELAYS = np.arange(0.0, 0.91, 0.1)
-"""Delays that are tried for what is taken off [s]."""
+"""Candidates for the delay that is removed from G [s]."""
 
 TURNED_LATER = np.arange(0.0, 0.41, 0.05)
-"""Times that are tried by which the vehicle turns a command later than it is stamped [s]."""
+"""Candidates for the time by which the vehicle turns a command later than its stamp [s]."""
 
 NOISE_POWERS = (-4.0, -2.0, 0.0, 2.0)
-"""Powers of the frequency that noise of the velocity is made of: wind that drifts, wind, gusts, error of the pose."""
+"""Powers of the frequency that add up to the velocity's noise: wind that drifts, wind, gusts, error of the pose."""
 
 POWER = 0.99
-"""Share of the power of the instrument up to which bands reach."""
+"""Share of the instrument's power up to which bands reach."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Equations of one band, N complex ones, their noise of equal power, T and D taken off; real parts, then imaginary.
+    """Equations of one band, N complex ones, with noise of equal power and T and D removed; real parts, then imaginary.
 
     Attributes:
         knots: Frequencies at which the response is unknown, shape (J,) [rad/s].
-        frequency: Of the equations, shape (N,) [rad/s].
-        duration: Of the window of each, shape (N,) [s].
-        scale: By which each was multiplied, shape (N,).
-        command: As integrated and scaled, shape (N,).
+        frequency: Frequencies of the equations, shape (N,) [rad/s].
+        duration: Duration of the window of each equation, shape (N,) [s].
+        scale: Factor by which each equation was multiplied, shape (N,).
+        command: Integrated and scaled command, shape (N,).
         motion: Shape (2 N,).
-        share: Of the real parts of the response at the knots, then of the imaginary ones, shape (2 N, 2 J).
+        share: Coefficients of the real parts of the response at the knots, then of the imaginary ones, shape (2 N, 2
+            J).
         instrument: Orthonormal columns of what moves the command from outside, shape (2 N, 2 J).
         others: Orthonormal columns of T and D, shape (2 N, Q).
     """
@@ -86,11 +87,11 @@ class Band:
         return int(self.motion.size - self.others.shape[1] - self.share.shape[1])
 
     def free_of_others(self, rows: Array) -> Array:
-        """Rows less what T and D may be, shape (2 N,) or (2 N, ...)."""
+        """Rows without the components along T and D, shape (2 N,) or (2 N, ...)."""
         return np.asarray(rows - self.others @ (self.others.T @ rows))
 
     def moved_by(self, response: Spectrum) -> Array:
-        """The motion that a response at the band's frequencies, shape (N,), gives, T and D taken off, shape (2 N,)."""
+        """Motion from a response at the band's frequencies, shape (N,), with T and D removed, shape (2 N,)."""
         return self.free_of_others(_real((response * self.command)[:, None])[:, 0])
 
     @property
@@ -105,13 +106,13 @@ class Band:
 
     @property
     def noise(self) -> float:
-        """Mean square of what the response leaves."""
+        """Mean square of the residuals of the response."""
         rest = self.motion - self.share @ self.parts
         return float(rest @ rest) / self.freedom
 
     @property
     def left_over(self) -> Array:
-        """Power of what the response leaves of each equation, made up for what was fitted to it, shape (2 N,)."""
+        """Power of the residual of each equation, corrected for the fitted degrees of freedom, shape (2 N,)."""
         basis = np.linalg.qr(np.hstack([self.others, self.share]))[0]
         free = 1 - np.sum(basis**2, axis=1)
         power = (self.motion - self.share @ self.parts) ** 2
@@ -119,7 +120,7 @@ class Band:
 
     @property
     def covariance(self) -> Array:
-        """Of the real and imaginary parts of the response, shape (2 J, 2 J)."""
+        """Covariance of the real and imaginary parts of the response, shape (2 J, 2 J)."""
         slope = np.linalg.inv(self.instrument.T @ self.share)
         return np.asarray(self.noise * slope @ slope.T)
 
@@ -128,8 +129,8 @@ def bands_of(spectra: Sequence[Spectra], lines: Array | None = None) -> tuple[Ba
     """The bands of some windows, from low to high frequencies.
 
     Args:
-        spectra: Of one or more windows.
-        lines: Frequencies of the lines of the command, shape (K,) [rad/s]; None where it has a spectrum all over.
+        spectra: Spectra of one or more windows.
+        lines: Frequencies of the command's lines, shape (K,) [rad/s]; None if its spectrum is continuous.
     """
     knots = _knots(spectra) if lines is None else lines
     groups = _groups(knots, _bin(spectra))
@@ -151,7 +152,7 @@ def bands_of(spectra: Sequence[Spectra], lines: Array | None = None) -> tuple[Ba
 
 
 def _bin(spectra: Sequence[Spectra]) -> float:
-    """The finest distance of frequencies [rad/s]."""
+    """The smallest spacing of the frequencies [rad/s]."""
     return min((float(part.frequency[0]) for part in spectra), default=np.inf)
 
 
@@ -169,7 +170,7 @@ def _knots(spectra: Sequence[Spectra]) -> Array:
 
 
 def _groups(knots: Array, step: float) -> list[tuple[Array, float, float]]:
-    """Knots of each band with its ends; neighbours meet in the middle."""
+    """Knots of each band with its limits; neighbours meet in the middle."""
     if not knots.size:
         return []
     spacing = float(np.median(np.diff(knots))) if knots.size > 1 else BINS * step
@@ -183,14 +184,14 @@ def _groups(knots: Array, step: float) -> list[tuple[Array, float, float]]:
 
 @dataclass(frozen=True)
 class _Equations:
-    """Those of one band before a delay is taken off and T and D are, scaled to noise of equal power.
+    """Equations of one band before a delay, T and D are removed, scaled to noise of equal power.
 
     Attributes:
-        knots: As of the band; so are `frequency`, `duration`, `scale` and `command`.
+        knots: As in `Band`; so are `frequency`, `duration`, `scale` and `command`.
         motion: Shape (N,).
         instrument: Shape (N,); None for the command itself.
         turned: D, shape (N,).
-        turning: What is added to the command for each second by which it turns later, shape (N,).
+        turning: Change of the command for each second by which it is turned later, shape (N,).
         ends: Columns of T, shape (2 N, Q).
     """
 
@@ -209,7 +210,7 @@ class _Equations:
 def _equations(
     spectra: Sequence[Spectra], shapes: Sequence[Array], knots: Array, low: float, high: float
 ) -> _Equations | None:
-    """Those between two frequencies, the noise being of a given shape; None where there are none."""
+    """Equations between two frequencies, for noise of a given shape; None if there are too few."""
     rows: list[Mask] = [(part.frequency >= low) & (part.frequency < high) for part in spectra]
     kept = [k for k, row in enumerate(rows) if row.sum() > 4]
     if not kept:
@@ -237,7 +238,7 @@ def _equations(
 
 
 class _Trials(NamedTuple):
-    """The matrices of a `Band`, stacked, under as many delays and times of turning as are tried, D.
+    """The matrices of a `Band`, stacked, for D candidate delays or turning times.
 
     Attributes:
         command: Shape (D, N).
@@ -245,7 +246,7 @@ class _Trials(NamedTuple):
         share: Shape (D, 2 N, 2 J).
         instrument: Shape (D, 2 N, 2 J).
         others: Shape (D, 2 N, Q).
-        told: Which of them the instrument tells, shape (D,).
+        told: Which of them the instrument determines, shape (D,).
     """
 
     command: Spectrum
@@ -257,9 +258,10 @@ class _Trials(NamedTuple):
 
 
 def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
-    """The bands under some delays and times by which the vehicle turns a command later, each (D,) or (1,) [s].
+    """The bands for some delays and times by which the vehicle turns a command later, each (D,) or (1,) [s].
 
-    All at once: it is the calls that take the time, not the numbers. None where too little is left to tell the noise.
+    All at once, because the number of calls takes the time, not their size. None if too few equations are left to
+    estimate the noise.
     """
     omega, knots = one.frequency, one.knots
     turning = bool(one.turned.any())
@@ -291,7 +293,7 @@ def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
 
 
 def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
-    """Which of the delays, or of the times of turning, the bands speak least against, shape (1,) [s]."""
+    """The delay or turning time that fits the bands best, shape (1,) [s]."""
     tried = delay if delay.size > 1 else late
     misfit = np.zeros(tried.size)
     for one in equations:
@@ -307,7 +309,7 @@ def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
 
 
 def _bands(equations: Sequence[_Equations], delay: Array, late: Array) -> tuple[Band, ...]:
-    """Those that have equations enough, at one delay and one time of turning, each (1,) [s]."""
+    """Bands with enough equations, at one delay and one turning time, each (1,) [s]."""
     out = []
     for one in equations:
         trials = _trials(one, delay, late)
@@ -331,7 +333,7 @@ def _transients(omega: Array, unit: float, scale: Array) -> Array:
 
 
 def _hats(omega: Array, knots: Array) -> Array:
-    """Share of each knot in straight lines between neighbours that go on beyond the ends, shape (N, J)."""
+    """Weight of each knot in linear interpolation, extrapolated beyond the ends, shape (N, J)."""
     if knots.size == 1:
         return np.ones((omega.size, 1))
     left = np.clip(np.searchsorted(knots, omega, side="right") - 1, 0, knots.size - 2)
@@ -341,7 +343,7 @@ def _hats(omega: Array, knots: Array) -> Array:
 
 
 def _shapes(spectra: Sequence[Spectra], bands: Sequence[Band], before: Sequence[Array]) -> list[Array]:
-    """Amplitude of the noise over the frequency for each window: a sum of powers, fitted to what the bands leave.
+    """Amplitude of the noise over the frequency for each window: a sum of powers, fitted to the residuals of the bands.
 
     Source: P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 8 (a gamma distribution with
     an identity link, by scoring), the sum being kept positive.

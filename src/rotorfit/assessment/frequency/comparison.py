@@ -1,4 +1,4 @@
-"""Model + flights -> the frequency response of each flight beside the model's, and whether its law can have it.
+"""Model + flights -> the frequency response of each flight beside the model's, and whether its law allows it.
 
 Source: R. A. Fisher, Statistical Methods for Research Workers, 4th ed., 1932 (several flights).
 """
@@ -24,7 +24,7 @@ from rotorfit.dynamics.transfer_function import has_transfer_function, law_respo
 
 
 def response_test(model: Model, flights: Sequence[Flight]) -> tuple[dict[str, ResponseComparison], ...]:
-    """Responses of the axes that a flight commands and the model knows, beside the model's, flight by flight."""
+    """Responses of the axes that a flight commands and the model knows, beside the model's, for each flight."""
     motions = (cache(partial(motion_from_flight, flight)) for flight in flights)
     return tuple(
         {
@@ -44,8 +44,8 @@ def compared(model: Model, flight: Flight, axis: str, motion: Callable[[], Motio
     Args:
         model: The model.
         flight: The flight.
-        axis: Name.
-        motion: Gives the motion of the flight, where several axes share it.
+        axis: Name of the axis.
+        motion: Returns the motion of the flight, to share it between axes; None computes it.
     """
     bands, instrument, why = response_bands(flight, axis, motion)
     measured, known = response_of_bands(axis, bands, instrument, why), model.axes[axis]
@@ -61,7 +61,7 @@ def compared(model: Model, flight: Flight, axis: str, motion: Callable[[], Motio
 
 
 def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
-    """95 % bands of a model's gain and delay at some frequencies, by its covariance, each (K, 2); NaN without one."""
+    """95 % bands of a model's gain and delay at some frequencies, from its covariance, each (K, 2); NaN without one."""
     known = model.axes[axis]
     structure, point = structure_named(known.structure), known.predictor
     assert point is not None
@@ -88,7 +88,7 @@ def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
 
 
 def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> Array | None:
-    """Of the coordinates; parameters that are not in the model's covariance enter by their standard errors."""
+    """Covariance of the coordinates; parameters missing from the model's covariance enter by their standard errors."""
     point, names = known.predictor, list(model.covariance_names)
     assert point is not None
     wanted = [*COEFFICIENTS[: 2 + structure.delayed], *(one.name for one in structure.extras if one.estimated)]
@@ -108,23 +108,23 @@ def _covariance(model: Model, axis: str, structure: Structure, known: Axis) -> A
     return out * np.outer(scale, scale)
 
 
-# What is said about it
+# Findings
 
 
 def combined(tests: Sequence[LawTest]) -> float:
-    """p-value of several flights together, by Fisher."""
+    """p-value of several flights together, by Fisher's method."""
     from scipy.special import chdtrc
 
     return float(chdtrc(2 * len(tests), -2 * sum(np.log(max(test.p, 1e-300)) for test in tests)))
 
 
 def refuted(tests: Sequence[LawTest]) -> bool:
-    """Whether the law of an axis is refuted beyond chance by its flights together."""
+    """Whether the flights together refute the law of an axis beyond chance."""
     return bool(tests) and combined(tests) < FINDING_LEVEL
 
 
 def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]]) -> Iterator[Finding]:
-    """What the responses of some flights mean to a user, one finding an axis at most."""
+    """Findings from the responses of some flights, at most one per axis."""
     for axis in AXES:
         mine = [each[axis] for each in comparisons if axis in each]
         tests = [each.law for each in mine if each.law]
@@ -150,7 +150,7 @@ def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]
 
 
 def response_mapping(comparison: ResponseComparison) -> dict[str, Any]:
-    """One axis of one flight in plain types; numbers that are not known are None."""
+    """One axis of one flight in plain types; unknown numbers are None."""
     flight, law = comparison.flight, comparison.law
     return {
         "instrument": flight.instrument,

@@ -1,7 +1,7 @@
-"""Fourier sums over irregular points in a time that grows with their number, not with its square.
+"""Fourier sums over irregular points, in a time that grows with their number, not with its square.
 
-Each point is spread over the nearest of a regular grid by a kernel of finite width, the grid goes through the fast
-transform, and the kernel's own transform is divided out; the other way round for sums at irregular places. With this
+Each point is spread over the nearest points of a regular grid by a kernel of finite width, the grid is transformed by
+the FFT, and the result is divided by the kernel's own transform; the reverse for sums at irregular points. With this
 width the error is some 1e-14 of the largest sum that such coefficients could have.
 
 Source: A. H. Barnett, J. Magland, L. af Klinteberg, SIAM J. Sci. Comput. 41 (2019), pp. C479-C504.
@@ -13,17 +13,17 @@ from rotorfit.core.frames import Array
 from rotorfit.core.frequency_response import Spectrum
 
 WIDTH = 16
-"""Points of the grid over which one is spread."""
+"""Number of grid points over which one point is spread."""
 
 SHAPE = 2.3 * WIDTH
-"""Of the kernel exp(shape (sqrt(1 - z^2) - 1)), for a grid of twice as many points as there are sums."""
+"""Shape of the kernel exp(shape (sqrt(1 - z^2) - 1)), for a grid with twice as many points as there are sums."""
 
 NODES = 64
-"""Of the quadrature of its transform."""
+"""Number of nodes of the quadrature for its transform."""
 
 
 class IrregularFourier:
-    """The matrix exp(-i m x_j), m = 0 ... count - 1, of some points x_j, as its products with vectors.
+    """Products of the matrix exp(-i m x_j), m = 0 ... count - 1, of some points x_j, with vectors.
 
     Args:
         points: x, shape (J,) [rad].
@@ -47,7 +47,7 @@ class IrregularFourier:
         self._transform = np.zeros(count)
         for node, weight in zip(nodes, WIDTH * weights * _kernel(nodes), strict=True):
             self._transform += weight * np.cos(rate * node)
-        self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is the grid's zeroth
+        self._turn = np.exp(-1j * (count // 2) * points)  # the middle sum is number zero of the grid
 
     def over_points(self, coefficient: Array | Spectrum) -> Spectrum:
         """Sum over j of c_j exp(-i m x_j), shape (M,), of coefficients of shape (J,)."""

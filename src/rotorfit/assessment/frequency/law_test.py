@@ -1,14 +1,14 @@
 """Bands -> can a law have the frequency response that they show?
 
-What a law leaves of the motion, band by band, must not follow the command: with the commands U, the law's response
-G(w; theta) and the instrument Z of each band,
+The part of the motion that a law does not explain must, in each band, not follow the command: with the commands U, the
+law's response G(w; theta) and the instrument Z of each band,
 
     q = Z^T (V - G U) / s
 
 is noise of unit power, whatever the flight, the loop and the strength of the instrument. The coefficients theta are
-free, each flight's own, so that it is the law that is judged and not its numbers: the least sum of q^2 over all bands,
-Q, is compared with what noise alone gives, s being known from few frequencies. That distribution is drawn, with as many
-degrees of freedom as there are, and matched by c F(D, f) through its mean and variance.
+free, and separate for each flight, so that the law is tested and not its numbers: the least sum of q^2 over all bands,
+Q, is compared with its distribution for noise alone, with s estimated from few frequencies. That distribution is drawn,
+with as many degrees of freedom as there are, and matched by c F(D, f) through its mean and variance.
 
 Source: T. W. Anderson, H. Rubin, Ann. Math. Stat. 20 (1949), pp. 46-63 (the test that needs no strong instrument);
 B. L. Welch, Biometrika 38 (1951), pp. 330-336, S. Johansen, Biometrika 67 (1980), pp. 85-92 (weights that are
@@ -27,29 +27,29 @@ from rotorfit.core.model import Predictor
 from rotorfit.dynamics.transfer_function import law_response
 
 DRAWS, SEED = 4000, 20
-"""Draws of Q under the law, and their seed."""
+"""Number of draws of Q under the law, and their seed."""
 
 NOTHING = 1e-6
-"""Singular value over the largest below which a combination of coefficients changes nothing."""
+"""Ratio to the largest singular value below which a combination of coefficients has no effect."""
 
 SLOWEST, FASTEST = 1e-3, 300.0
-"""Dampings that are searched [1/s]."""
+"""Range of dampings that is searched [1/s]."""
 
 DELAYS = (-0.2, 1.5)
-"""Delays likewise [s]."""
+"""Range of delays that is searched [s]."""
 
 # The coefficients as the search moves them
 
 
 def coordinates(structure: Structure, point: Predictor) -> Array:
-    """log |g|, log b, tau where there is one, and the estimated further parameters, shape (P,)."""
+    """log |g|, log b, tau if there is one, and the estimated further parameters, shape (P,)."""
     extras = [one.coordinate(point.extra[one.name]) for one in structure.extras if one.estimated]
     main = [np.log(max(abs(point.input), 1e-9)), np.log(np.clip(point.damping, SLOWEST, FASTEST))]
     return np.array([*main, *([point.delay] if structure.delayed else []), *extras])
 
 
 def point_at(structure: Structure, like: Predictor, at: Array) -> Predictor:
-    """The parameters at coordinates; the sign of the input is that of `like`."""
+    """The parameters at coordinates; the input has the sign of that of `like`."""
     rest = iter(at[2 + structure.delayed :].tolist())
     extra = {one.name: one.value(next(rest)) if one.estimated else like.extra[one.name] for one in structure.extras}
     delay = float(at[2]) if structure.delayed else like.delay
@@ -67,12 +67,15 @@ def _limits(structure: Structure) -> tuple[Array, Array]:
 
 
 def law_test(bands: Sequence[Band], structure: Structure, start: Predictor) -> LawTest | None:
-    """Whether a law, with whatever coefficients, has the response that the bands of a flight show.
+    """Tests whether a law, with any coefficients, can have the response that the bands of a flight show.
 
     Args:
-        bands: Of one axis.
+        bands: Bands of one axis.
         structure: A law with a transfer function.
         start: Coefficients from which the search begins.
+
+    Returns:
+        The test; None without bands, without noise, or without degrees of freedom left.
     """
     from scipy.optimize import least_squares
     from scipy.special import chdtrc, fdtrc
@@ -108,7 +111,7 @@ def law_test(bands: Sequence[Band], structure: Structure, start: Predictor) -> L
 
 
 def _left(band: Band, response: Spectrum) -> Array:
-    """What the instrument finds in the motion less that of a response at the band's frequencies, shape (2 J,)."""
+    """Component along the instrument of the motion minus that of a response at the band's frequencies, shape (2 J,)."""
     return np.asarray(band.instrument.T @ (band.motion - band.moved_by(response)))
 
 
@@ -120,12 +123,12 @@ def _sigmas(band: Band, response: Spectrum) -> Array:
 
 
 def _null(slope: Array, noise: Array, sizes: Sequence[int]) -> tuple[float, float]:
-    """c and f for which Q under the law is about c D F(D, f), D being its degrees of freedom.
+    """c and f for which Q under the law is approximately c D F(D, f), where D are its degrees of freedom.
 
     Args:
-        slope: Of the residuals with respect to the coefficients, shape (2 J, P).
-        noise: Real degrees of freedom that tell the variance of each residual, shape (2 J,).
-        sizes: Knots of each band, whose residuals share that variance.
+        slope: Derivative of the residuals with respect to the coefficients, shape (2 J, P).
+        noise: Real degrees of freedom of the variance estimate of each residual, shape (2 J,).
+        sizes: Number of knots of each band, whose residuals share that variance.
     """
     rng = np.random.default_rng(SEED)
     owner = np.repeat(np.arange(len(sizes)), 2 * np.asarray(sizes))
@@ -143,9 +146,9 @@ def _null(slope: Array, noise: Array, sizes: Sequence[int]) -> tuple[float, floa
 
 
 def matched(mean: float, variance: float, D: int) -> tuple[float, float]:
-    """c and f of c F(D, f) with a mean and a variance; f is infinite where the tail is no heavier than chi-squared's.
+    """c and f of c F(D, f) with a given mean and variance; f is infinite if the tail is no heavier than chi-squared's.
 
-    Of F(D, f) the variance over the squared mean is 2 (D + f - 2) / (D (f - 4)).
+    The variance of F(D, f) over its squared mean is 2 (D + f - 2) / (D (f - 4)).
     """
     ratio = D * variance / mean**2 / 2
     if ratio <= 1.0:

@@ -1,7 +1,7 @@
-"""Does a command answer the motion? Told without any law of the vehicle.
+"""Does a command respond to the motion? Tested without any law of the vehicle.
 
-Velocity is predicted from its own past and that of the command, as far back as a second, by least squares: right in a
-loop, too. What the prediction misses are the surprises that the test of the likelihood asks for.
+Velocity is predicted from its own past and that of the command, up to a second back, by least squares: valid in a
+feedback loop, too. The errors of the prediction are the innovations for the likelihood's test of feedback.
 
 Source: L. Ljung, System Identification, 2nd ed., 1999, section 13.4 (direct method).
 """
@@ -13,17 +13,17 @@ from rotorfit.core.frames import Array
 from rotorfit.estimation.likelihood.feedback import loop_evidence
 
 STEP = 0.04
-"""Least time over which velocities are taken [s]."""
+"""Minimum time over which a velocity is taken [s]."""
 
 PAST = 1.0
 """How far back the prediction looks [s]."""
 
 LEAST = 4
-"""Samples for each number of the prediction, below which nothing is said."""
+"""Samples for each coefficient of the prediction below which there is no test."""
 
 
 def answers_motion(windows: tuple[Window, ...]) -> bool:
-    """Whether changes of the command follow what its past and that of the motion did not foresee."""
+    """Whether changes of the command follow motion that the past of command and motion did not predict."""
     step = max(STEP, *(1.5 * float(np.median(np.diff(window.time))) for window in windows))
     past = max(1, round(PAST / step))
     parts = [_lagged(window, step, past) for window in windows if window.duration > 2 * PAST]
@@ -36,7 +36,7 @@ def answers_motion(windows: tuple[Window, ...]) -> bool:
 
 
 def _lagged(window: Window, step: float, past: int) -> tuple[Array, Array, Array]:
-    """Velocity over each step (S,), what predicts it (S, 2 past + 2), and the command in that step (S,)."""
+    """Velocity over each step (S,), its predictors (S, 2 past + 2), and the command in that step (S,)."""
     edge = np.arange(window.time[0], window.time[-1], step)
     velocity = np.diff(np.interp(edge, window.time, window.position)) / step
     row = np.searchsorted(window.switch, (edge[:-1] + edge[1:]) / 2, side="right") - 1

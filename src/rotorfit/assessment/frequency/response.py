@@ -1,8 +1,8 @@
-"""The frequency response of an axis as the flight itself shows it: no law of the vehicle is assumed.
+"""The frequency response of an axis from the flight alone: no law of the vehicle is assumed.
 
-At the tones of the command, else at knots over the frequencies at which it has power: velocity (of yaw its rate) per
+At the tones of the command, otherwise at knots over the frequencies where it has power: velocity (for yaw the rate) per
 command, with 95 % bands of gain and delay and the share of the motion that the command explains. What moved the command
-from outside any loop is the instrument: its own tones, the recorded reference, or, where nothing answers the motion,
+from outside any loop is the instrument: its own tones, the recorded reference, or, if nothing responds to the motion,
 the command itself.
 
 Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 2012, chapters 2 and 7;
@@ -24,13 +24,13 @@ from rotorfit.core.results import Motion
 from rotorfit.diagnosis.position_loop import restoring_law
 
 ALL_TONES = 0.9
-"""Share of a command's variance in its tones from which on it is judged at these alone, loop or no loop."""
+"""Share of a command's variance in its tones above which only these are used, loop or no loop."""
 
 SOME_TONES = 0.6
-"""The same from which on they serve as the instrument in a feedback loop."""
+"""The same above which they serve as the instrument in a feedback loop."""
 
 VAGUE = 0.4
-"""Standard error over gain beyond which a value says nothing."""
+"""Ratio of standard error to gain above which a value is left out."""
 
 
 def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
@@ -39,6 +39,12 @@ def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
     Args:
         flight: Any flight.
         axis: `x`, `y`, `z` or `yaw`.
+
+    Returns:
+        The response; without frequencies, and with the reason, if the flight does not determine it.
+
+    Raises:
+        ValueError: `axis` is not an axis.
     """
     bands, instrument, why = response_bands(flight, axis)
     return response_of_bands(axis, bands, instrument, why)
@@ -47,7 +53,7 @@ def frequency_response(flight: Flight, axis: str) -> FrequencyResponse:
 def response_bands(
     flight: Flight, axis: str, motion: Callable[[], Motion] | None = None
 ) -> tuple[tuple[Band, ...], Instrument, str]:
-    """The bands of an axis, what their instrument is, and, where there are none, why; `motion` as in `compared`."""
+    """The bands of an axis, their instrument, and, if there are none, the reason; `motion` as in `compared`."""
     k = AXES.index(axis)
     if axis not in flight.axes or not np.ptp(flight.command[:, k]) > 0:
         return (), "none", f"{axis} is not commanded"
@@ -77,7 +83,7 @@ def response_bands(
 
 
 def _common(every: list[Tones], windows: tuple[Window, ...]) -> Array:
-    """Lines of all windows, those that are closer than a bin taken as one, shape (K,) [rad/s]."""
+    """Lines of all windows, merged where closer than a bin, shape (K,) [rad/s]."""
     lines = np.sort(np.concatenate([tones.frequency for tones in every]))
     bin_ = 2 * np.pi / max(window.duration for window in windows)
     parts = np.split(lines, np.flatnonzero(np.diff(lines) > bin_) + 1)
@@ -85,7 +91,7 @@ def _common(every: list[Tones], windows: tuple[Window, ...]) -> Array:
 
 
 def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument, why: str) -> FrequencyResponse:
-    """What bands say, at the knots at which they say anything."""
+    """The response at those knots where it is known well enough."""
     from scipy.special import stdtrit
 
     if not bands:
@@ -113,7 +119,7 @@ def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument
 
 
 def _stderr(band: Band) -> Array:
-    """Standard errors along the response at each knot, and across it, shape (J, 2)."""
+    """Standard errors at each knot, parallel to the response and perpendicular to it, shape (J, 2)."""
     J, turn = band.knots.size, np.angle(band.response)
     along = np.hstack([np.diag(np.cos(turn)), np.diag(np.sin(turn))])
     across = np.hstack([-np.diag(np.sin(turn)), np.diag(np.cos(turn))])

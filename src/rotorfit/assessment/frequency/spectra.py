@@ -1,13 +1,13 @@
-"""Flight -> spectra of command and motion of an axis, over windows without a hole, exact where it matters.
+"""Flight -> spectra of command and motion of an axis, over windows without a gap.
 
-Of the held commands the Fourier integral over the window is a sum, so neither their hold nor their jitter is
-approximated. The velocity's is i w times that of the position, whose straight line between both ends is taken off
-first; poses at irregular stamps are joined by cubic splines. What both lack at the ends of the window is a smooth
-function of the frequency, and `frequency_bands` leaves it free.
+For held commands the Fourier integral over the window is a sum, so neither their hold nor their jitter is
+approximated. The velocity's integral is i w times that of the position, from which the straight line between both ends
+is subtracted first; poses at irregular stamps are interpolated by cubic splines. The effect of the ends of the window
+on both is a smooth function of the frequency, which `bands` leaves free.
 
-x and y are taken along the mean heading of the window, and the commands of both are turned there by the measured
-heading: right for a vehicle whose x and y answer alike. What the other axis adds to a vehicle of another kind goes, to
-first order, with its command times the turn.
+x and y are taken along the mean heading of the window, and the commands of both are rotated into it by the measured
+heading: right for a vehicle whose x and y respond alike. For other vehicles the contribution of the other axis is, to
+first order, its command times the turn.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,34 +28,34 @@ SHORTEST = 10.0
 """Shortest window [s]: a bin is then 0.6 rad/s."""
 
 HIGHEST = 15.0
-"""Highest frequency that is looked at [rad/s]."""
+"""Highest frequency that is used [rad/s]."""
 
 OF_NYQUIST = 0.4
 """The same as a share of half the rate of the poses."""
 
 STEP = 0.1
-"""Time between the samples of commands in which tones are looked for [s]."""
+"""Sampling period of the commands in which tones are searched [s]."""
 
 TURNED = np.radians(60.0)
-"""Deviation of the heading from its mean up to which x and y are taken along it."""
+"""Largest deviation of the heading from its mean for which x and y are taken along it [rad]."""
 
 TURNS = 0.05
-"""Time between the samples of a command that turns with the vehicle [s]."""
+"""Sampling period of a command that turns with the vehicle [s]."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Command, motion and reference of an axis over a time without a hole.
+    """Command, motion and reference of an axis over a time without a gap.
 
     Attributes:
         time: Stamps of the poses, shape (N,) [s].
-        position: Along the axis, shape (N,) [m or rad].
+        position: Position along the axis, shape (N,) [m or rad].
         switch: When each command begins to hold, and the end of the last, shape (M + 1,) [s]; from first to last pose.
         command: Shape (M,).
-        turned: What the other axis adds for each radian that the heading is off its mean, times the heading less its
-            mean, shape (M,); 0 of z and yaw.
+        turned: Change of the command due to the other axis per radian of heading off its mean, times the deviation of
+            the heading from its mean, shape (M,); 0 for z and yaw.
         turning: The same times the rate of the heading, shape (M,).
-        reference: What a position controller was told, along the axis, shape (M,); None where it was not recorded.
+        reference: Input of a position controller along the axis, shape (M,); None if it was not recorded.
     """
 
     time: Array
@@ -68,17 +68,17 @@ class Window:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Time from the first to the last pose [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def samples(self) -> Array:
-        """Regular times for what is no integral, shape (S,) [s]."""
+        """Regular times for signals that are sampled, not integrated, shape (S,) [s]."""
         return np.arange(self.time[0], self.time[-1] - STEP, STEP)
 
     @property
     def means(self) -> Array:
-        """Mean command of each step after the regular times, shape (S,)."""
+        """Mean command over the step after each of these times, shape (S,)."""
         total = np.append(0.0, np.cumsum(self.command * np.diff(self.switch)))
         ends = np.append(self.samples, self.samples[-1] + STEP)
         return np.asarray(np.diff(np.interp(ends, self.switch, total)) / STEP)
@@ -86,15 +86,16 @@ class Window:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Fourier integrals of a window at whole multiples of one turn over its duration.
+    """Fourier integrals of a window at the multiples of 2 pi over its duration.
 
     Attributes:
-        duration: [s].
+        duration: Duration of the window [s].
         frequency: Shape (F,) [rad/s].
-        motion: Of the velocity, shape (F,) [m or rad].
+        motion: Integral of the velocity, shape (F,) [m or rad].
         command: Shape (F,).
-        instrument: Of what moves the command from outside any loop, shape (F,); the command itself in an open loop.
-        turned: Of what the other axis adds for a vehicle whose x and y differ, shape (F,); 0 where it does not turn.
+        instrument: Integral of what moves the command from outside any loop, shape (F,); the command itself in an open
+            loop.
+        turned: Contribution of the other axis for a vehicle whose x and y differ, shape (F,); 0 where it does not turn.
         turning: Change of the command for each second by which the vehicle turns it later, shape (F,).
     """
 
@@ -107,17 +108,17 @@ class Spectra:
     turning: Spectrum
 
     def at(self, rows: Mask) -> "Spectra":
-        """Some of the frequencies."""
+        """The spectra at some of the frequencies."""
         parts = (self.motion, self.command, self.instrument, self.turned, self.turning)
         return Spectra(self.duration, self.frequency[rows], *(part[rows] for part in parts))
 
     def scaled(self, factor: Array) -> "Spectra":
-        """Each times a factor, shape (F,)."""
+        """The spectra times a factor, shape (F,)."""
         parts = (self.motion, self.command, self.instrument, self.turned, self.turning)
         return Spectra(self.duration, self.frequency, *(part * factor for part in parts))
 
     def turned_later(self, late: float) -> "Spectra":
-        """With commands that turn with the heading of a time after their own [s], to first order."""
+        """With commands that turn with the heading of a time after their own by `late` [s], to first order."""
         alike = self.instrument is self.command
         command = self.command + late * self.turning
         return replace(self, command=command, instrument=command if alike else self.instrument)
@@ -134,7 +135,7 @@ def windows_of(flight: Flight, axis: str) -> tuple[Window, ...]:
 
 
 def _without_holes(time: Array, start: float, end: float) -> Iterator[tuple[int, int]]:
-    """First and one past the last pose of each run between two times that is long enough."""
+    """First pose and one past the last of each long enough run between two times."""
     inside = np.flatnonzero((time >= start) & (time <= end))
     if inside.size < 2:
         return
@@ -170,7 +171,7 @@ def _window(flight: Flight, axis: str, first: int, last: int) -> Window | None:
 
 
 def highest_of(window: Window) -> float:
-    """Highest frequency that the poses of a window show [rad/s]."""
+    """Highest frequency that the poses of a window resolve [rad/s]."""
     return min(HIGHEST, OF_NYQUIST * np.pi / float(np.median(np.diff(window.time))))
 
 
@@ -184,7 +185,7 @@ def spectra_of(window: Window, instrument: Tones | Array | None = None) -> Spect
 
     Args:
         window: Command and motion.
-        instrument: What moves the command from outside of any loop: tones, or held values (M,); None for the command.
+        instrument: What moves the command from outside any loop: tones, or held values (M,); None for the command.
     """
     count = int(highest_of(window) * window.duration / (2 * np.pi))
     omega = np.asarray(2 * np.pi / window.duration * np.arange(1, count + 1), np.float64)
@@ -200,12 +201,12 @@ def spectra_of(window: Window, instrument: Tones | Array | None = None) -> Spect
 
 
 def held_integrals(switch: Array, values: Sequence[Array], count: int) -> list[Spectrum]:
-    """Integrals of v(t) exp(-i w t) of values that are held from one switch to the next, t from the first: exact.
+    """Exact integrals of v(t) exp(-i w t) of values held from one switch to the next, with t from the first switch.
 
     Args:
         switch: Shape (M + 1,) [s].
         values: Each of shape (M,).
-        count: Of the frequencies w, the first whole multiples of one turn from the first switch to the last.
+        count: Number of frequencies w, the first multiples of 2 pi over the time from the first switch to the last.
 
     Returns:
         Each of shape (count,).
@@ -226,12 +227,12 @@ def _regular(time: Array) -> Array:
 
 
 def _regular_integral(value: Array, duration: float, size: int) -> Spectrum:
-    """The same of a smooth function at regular times, at the first whole multiples of one turn over the duration."""
+    """The same for a smooth function at regular times, at the first multiples of 2 pi over the duration."""
     return np.asarray(np.fft.fft(value)[1 : size + 1] * (duration / value.size))
 
 
 def _velocity_integral(time: Array, position: Array, omega: Array) -> Spectrum:
-    """That of the rate of a position, less what the ends of the window add at each of these frequencies."""
+    """Integral of the rate of a position, minus what the ends of the window contribute at each of these frequencies."""
     from scipy.interpolate import CubicSpline
 
     slope = (position[-1] - position[0]) / (time[-1] - time[0])

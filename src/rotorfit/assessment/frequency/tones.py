@@ -1,8 +1,8 @@
 """The tones of a command: sines that stand out of its spectrum as lines, as those of a multisine do.
 
-Every peak of the spectrum behind a Hann window is taken for a line, all of them are fitted together, and those that
-stand far out of what is then left around them are tones. In a feedback loop they are what was added to the command
-from outside: what answers the motion has a spectrum without lines.
+Every peak of the spectrum with a Hann window is taken for a line, all lines are fitted together, and those that stand
+far above the residual around them are tones. In a feedback loop they are what was added to the command from outside:
+the response to the motion has a spectrum without lines.
 
 Source: F. J. Harris, Proc. IEEE 66 (1978), pp. 51-83 (the window, and what two lines must be apart behind it).
 """
@@ -17,28 +17,28 @@ from rotorfit.core.frames import Array, Mask
 from rotorfit.core.frequency_response import Spectrum
 
 STANDS_OUT = 25.0
-"""Power of a tone over the median of what is left around it. Of 1,000 frequencies of noise none exceeds 20 in 99 %."""
+"""Power of a tone over the median of the residual around it. Of 1,000 frequencies of noise none exceeds 20 in 99 %."""
 
 SURROUNDINGS = 8
-"""Bins, of one over the duration, to each side whose median is compared."""
+"""Bins to each side (one bin: 2 pi over the duration) whose median is compared."""
 
 APART = 1.2
-"""Bins to each side of a line that are its own."""
+"""Bins to each side of a line that belong to it."""
 
 SLOWEST = 2.5
 """Lowest frequency of a line, in bins: below, a drift looks like one."""
 
 LEAST = 1e-2
-"""Power of a line over that of the highest below which it is not looked at."""
+"""Power of a line, relative to the highest, below which it is ignored."""
 
 PADDING = 8
-"""Points of the spectrum a bin."""
+"""Points of the spectrum per bin."""
 
 CONVERGED = 1e-12
-"""Gradient of least squares, as a share of the first, at which a solution is taken."""
+"""Gradient of the sum of squares, relative to the first, at which a solution has converged."""
 
 MOST_STEPS = 200
-"""After which it is taken, too: two lines that nearly are one share their weight somehow."""
+"""Number of steps after which a solution is accepted anyway: two nearly equal lines share their weight arbitrarily."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Tones:
         frequency: Increasing, shape (K,) [rad/s].
         cosine: a, shape (K,).
         sine: b, shape (K,).
-        share: Of the signal's variance that they explain.
+        share: Share of the signal's variance that they explain.
     """
 
     frequency: Array
@@ -68,7 +68,7 @@ def tones_of(time: Array, signal: Array, highest: float) -> Tones:
     Args:
         time: Regular, shape (N,) [s].
         signal: Shape (N,).
-        highest: Frequency up to which lines are looked for [rad/s].
+        highest: Frequency up to which lines are searched [rad/s].
     """
     middle, step = time.mean(), float(time[1] - time[0])
     t, bin_ = time - middle, 2 * np.pi / (step * time.size)
@@ -84,7 +84,7 @@ def tones_of(time: Array, signal: Array, highest: float) -> Tones:
 
 
 def _peaks(t: Array, signal: Array, bin_: float, highest: float) -> Array:
-    """Peaks of the spectrum behind a Hann window, increasing, shape (K,) [rad/s]."""
+    """Peaks of the spectrum with a Hann window, increasing, shape (K,) [rad/s]."""
     power = np.abs(np.fft.rfft(signal * np.hanning(t.size), PADDING * t.size)) ** 2
     power = power[: int(PADDING * highest / bin_)]
     top = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
@@ -94,7 +94,7 @@ def _peaks(t: Array, signal: Array, bin_: float, highest: float) -> Array:
 
 
 def _stand_out(t: Array, signal: Array, rest: Array, lines: Array, bin_: float) -> Mask:
-    """Which lines are far above what is left around them; at its own place nothing is left."""
+    """Which lines are far above the residual around them; at a line's own frequency no residual is left."""
     beside = np.arange(-SURROUNDINGS, SURROUNDINGS + 1)
     around = lines[:, None] + bin_ * beside[np.abs(beside) > APART]
     left = np.abs(_Lines(t, around.ravel()).products(rest)).reshape(around.shape) ** 2
@@ -103,7 +103,7 @@ def _stand_out(t: Array, signal: Array, rest: Array, lines: Array, bin_: float) 
 
 
 def _refined(t: Array, signal: Array, frequency: Array, bin_: float) -> Array:
-    """Frequencies after a step of Gauss and Newton, no longer than a quarter of a bin."""
+    """Frequencies after a Gauss-Newton step of at most a quarter of a bin."""
     lines = _Lines(t, frequency)
     weights, rest = lines.fitted(signal)
     size = np.maximum(np.abs(weights), 1e-300) * np.sqrt(np.mean(t**2))  # of a column of the slope, beside the others
@@ -121,35 +121,35 @@ def _refined(t: Array, signal: Array, frequency: Array, bin_: float) -> Array:
 
 
 class _Lines:
-    """The columns cos(w_k t) and sin(w_k t) at regular times; weights a and b of the two are one number, a + i b."""
+    """The columns cos(w_k t) and sin(w_k t) at regular times; the weights a and b of a pair are one number, a + i b."""
 
     def __init__(self, t: Array, frequency: Array) -> None:
         self._start = np.exp(-1j * frequency * t[0])
         self._sums = IrregularFourier(frequency * (t[-1] - t[0]) / (t.size - 1), t.size)
 
     def sum(self, weights: Spectrum) -> Array:
-        """Of the weighted columns, shape (N,)."""
+        """Sum of the weighted columns, shape (N,)."""
         return np.asarray(self._sums.over_points(weights * self._start).real)
 
     def products(self, rows: Array) -> Spectrum:
-        """Of the columns with a signal, shape (K,): of the cosine plus i times that of the sine."""
+        """Products of the columns with a signal, shape (K,): that of the cosine plus i times that of the sine."""
         return np.asarray((self._sums.at_points(rows) * self._start).conj())
 
     def fitted(self, signal: Array) -> tuple[Spectrum, Array]:
-        """Weights by least squares, shape (K,), and what they leave of the signal, shape (N,)."""
+        """Least-squares weights, shape (K,), and the residual of the signal, shape (N,)."""
         return _least_squares(self.sum, self.products, signal)
 
 
 def _least_squares(
     forward: Callable[[Spectrum], Array], backward: Callable[[Array], Spectrum], target: Array
 ) -> tuple[Spectrum, Array]:
-    """Least squares by conjugate gradients, and what is left of the target.
+    """Least squares by conjugate gradients: the solution and the residual of the target.
 
-    Lines that are a bin or more apart are nearly orthogonal, so that some twenty steps give all digits.
+    Lines that are a bin or more apart are nearly orthogonal, so that some twenty steps reach full precision.
 
     Args:
-        forward: The matrix's product with unknowns, which are pairs of real numbers.
-        backward: Its transpose's product.
+        forward: Product of the matrix with the unknowns, which are pairs of real numbers.
+        backward: Product of its transpose.
         target: Shape (N,).
 
     Source: M. R. Hestenes, E. Stiefel, J. Res. Natl. Bur. Stand. 49 (1952), pp. 409-436, section 10.
