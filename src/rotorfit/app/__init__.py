@@ -1,5 +1,4 @@
-"""Compositions and faces: the workflows behind the verbs, the command line, the terminal, the local web page, the
-demo.
+"""Application: the workflows behind the verbs, the command line, the terminal, the local web page, and the demo.
 
-In go arguments and clicks; out come calls of the library and their results in words.
+Arguments and clicks go in; calls of the library come out, with their results in words.
 """

@@ -50,22 +50,22 @@ def simulate(
     pose: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
 ) -> Trajectory:
-    """Computes the motion under held commands from a given state; axes without numbers keep their velocity.
+    """Simulates the motion under held commands from a given state; axes without numbers keep their velocity.
 
     Args:
         model: A model, a fit, or a model file.
-        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first
-            and until its delay has passed there is none.
-        command: x, y, z, yaw commands in the heading frame, shape (M, 4).
-        time: Increasing times at which the motion is wanted, shape (N,) [s]; the motion starts at the first.
-        pose: World x, y, z, yaw at the first time, shape (4,); the origin by default.
-        velocity: Its rate, shape (4,); rest by default.
+        command_time: Increasing stamps, shape (M,) [s]. A command holds until the next; before the first, and until
+            its delay has passed, there is none.
+        command: x, y, z, yaw commands in the heading frame, shape (M, 4) [unit of the card's command].
+        time: Increasing times of the result, shape (N,) [s]; the motion starts at the first.
+        pose: World x, y, z [m] and yaw [rad] at the first time, shape (4,); the origin by default.
+        velocity: Rate of `pose`, shape (4,) [m/s, rad/s]; zero by default.
 
     Returns:
         Pose and velocity at these times, world frame, without trim and disturbance.
 
     Raises:
-        TypeError: No model, or arrays of another shape.
+        TypeError: `model` is not a model, or an array has another shape.
         ModelError: The model file cannot be used.
     """
     from rotorfit.dynamics import trajectory
@@ -79,7 +79,7 @@ def simulate(
 
 
 def state_space(model: ModelLike) -> StateSpace:
-    """Writes the model as a linear state space with an input delay, in a frame that keeps the heading.
+    """The model as a linear state space with input delays, at a fixed heading.
 
     Args:
         model: A model, a fit, or a model file.
@@ -88,8 +88,8 @@ def state_space(model: ModelLike) -> StateSpace:
         The matrices A, B and C, and the delay of each input.
 
     Raises:
-        TypeError: No model.
-        ModelError: No axis has numbers, or the structure of one is not linear; the file cannot be used.
+        TypeError: `model` is not a model.
+        ModelError: No axis has numbers, the structure of one is not linear, or the file cannot be used.
     """
     from rotorfit.dynamics import trajectory
 
@@ -101,15 +101,15 @@ def convert(model: ModelLike, limits: str | Mapping[str, Any]) -> Model:
 
     Args:
         model: A model, a fit, or a model file.
-        limits: Such as `tilt=20deg,vertical_speed=2`, or a mapping as `[limits]` of a card has it.
+        limits: A text such as `tilt=20deg,vertical_speed=2`, or a mapping as in `[limits]` of a card.
 
     Returns:
         The converted model.
 
     Raises:
-        TypeError: No model, or no limits.
-        ModelError: The model cannot be converted so, or its file not be used.
-        CardError: A limit that no card has.
+        TypeError: `model` is not a model, or `limits` are not limits.
+        ModelError: The model cannot be converted like this, or its file cannot be used.
+        CardError: There is no such limit.
     """
     from rotorfit.core.limits import limits_from_text
     from rotorfit.dynamics import other_limits
@@ -137,26 +137,26 @@ def plan(
     """Designs a flight and predicts what it will tell.
 
     Args:
-        card: With the limits of the vehicle; `sim:VEHICLE` for a simulated one. None with `after`.
-        after: A model, for the flight that adds most to it. None with `card`.
-        design: How the signals come about, such as `multisine` or `optimal`; None for the default.
-        room: Length, width and height [m], or `6x4x3`, the origin amid its floor.
+        card: The vehicle's card, with its limits; `sim:VEHICLE` for a simulated one. None with `after`.
+        after: A model, to design the flight that adds most to it. None with `card`.
+        design: Design of the signals, such as `multisine` or `optimal`; None for the default.
+        room: Length, width and height [m], or `6x4x3`; the origin is at the centre of its floor.
         box: The fence itself, x0, y0, z0, x1, y1, z1 [m], in place of `room`.
-        axes: To excite; None for all, or after a model for those that are worst known.
-        open_loop: No feedback on any axis.
-        duration: At most [s].
-        amplitude: Factor on the full amplitude; None for what fits.
-        speed: Largest speed along x and y [m/s]; None for 1.5.
-        seed: Of sequences and draws.
+        axes: Axes to excite; None for all, or after a model for those that are least known.
+        open_loop: Whether to leave out the feedback on all axes.
+        duration: Longest duration [s].
+        amplitude: Factor on the full amplitude; None for the largest that fits.
+        speed: Largest horizontal speed [m/s]; None for 1.5.
+        seed: Seed of sequences and draws.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
         The plan, to be saved, edited and flown.
 
     Raises:
-        TypeError: What `after` is no model.
-        PlanError: Neither or both of card and model, an unknown design, no space to fly in.
-        CardError, ModelError: Card or model file cannot be used.
+        TypeError: `after` is not a model, or another argument has the wrong type.
+        PlanError: Neither or both of card and model are given, the design is unknown, or there is no space to fly in.
+        CardError, ModelError: The card or the model file cannot be used.
     """
     from rotorfit.planning.request import Request, planned
 
@@ -184,27 +184,28 @@ def fly(
     real_vehicle: bool = False,
     status: Callable[[Status], None] | None = None,
 ) -> Flown:
-    """Flies a plan under guard and records it; Ctrl-C ends it in hover.
+    """Flies a plan under guard and records it; Ctrl-C ends the flight in hover.
 
     Args:
         plan: A plan, or its file.
         link: `sim`, `sim:VEHICLE,wind=1,gusts=0.3`, `replay:FILE`, `ros1`, `ros2`, `mavlink` or `tello`.
-        path: Of the recording, a file that does not exist yet.
-        card: How the vehicle is set and connected now; None for the plan's card.
+        path: Path of the recording, a file that does not exist yet.
+        card: The vehicle's settings and connection now; None for the plan's card.
         poses: `NAME:ADDRESS` of another link that gives the poses; empty for the vehicle's own.
-        land: Whether it lands at the end.
+        land: Whether the vehicle lands at the end.
         take_off: Whether it begins on the floor.
-        seed: Of a simulated vehicle.
-        real_vehicle: Allows a link to a real vehicle: without it only simulations and replays are flown.
-        status: Called with how the flight is going.
+        seed: Seed of a simulated vehicle.
+        real_vehicle: Whether a link to a real vehicle is allowed; without it only simulations and replays are flown.
+        status: Called with reports of progress a few times a second; it must return at once.
 
     Returns:
-        How it ended: look at `reason`, which is `completed` or what ended it.
+        How the flight ended; its `reason` is `completed`, or what ended it.
 
     Raises:
-        PlanError, CardError: One of them cannot be used.
-        LinkError: The link cannot be opened, the vehicle must not be flown as it stands, or it is a real one.
-        LogError: The recording would be written over something.
+        TypeError: An argument has the wrong type.
+        PlanError, CardError: The plan or the card cannot be used.
+        LinkError: The link cannot be opened, a preflight check failed, or the vehicle is real and not allowed.
+        LogError: The file of the recording exists already, or cannot be written.
     """
     from rotorfit.flying.mission import flown_mission, mission
     from rotorfit.flying.preflight import refuse
@@ -233,25 +234,26 @@ def tune(
     draws: int = 200,
     seed: int = 0,
 ) -> Tuning:
-    """Gains of a position controller, as fast as what is known of the vehicle allows.
+    """Gains of a position controller, as fast as the model's uncertainty allows.
 
     Args:
         model: A model, a fit, or a model file.
         design: `predictor`, `lqr` or `linearising`.
-        path: Of the gains file to write, `.toml` or `.yaml`; None writes nothing.
-        rate: Commands a second [1/s].
-        latency: From the exposure of a pose to the command that uses it [s].
-        axes: To tune.
-        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn.
-        draws: Vehicles drawn from the covariance, at least 20.
-        seed: Of the draws.
+        path: Path of the gains file to write, `.toml` or `.yaml`; None writes nothing.
+        rate: Command rate, 5 to 500 [1/s].
+        latency: Time from the exposure of a pose to the command that uses it, 0 to 0.5 [s].
+        axes: Axes to tune.
+        peak: Highest peak of the sensitivity for 95 % of the vehicles drawn, 1.2 to 3.
+        draws: Number of vehicles drawn from the covariance, at least 20.
+        seed: Seed of the draws.
 
     Returns:
         Gains and margins of the axes that the model knows well enough, and why the others have none.
 
     Raises:
-        TypeError: No model.
-        ModelError: No axis can be tuned, or what is asked cannot be.
+        TypeError: `model` is not a model, or another argument has the wrong type.
+        ModelError: No axis can be tuned, or the design, rate, latency, peak or number of draws is not possible.
+        RotorfitError: There is no such axis.
     """
     from rotorfit.control import tuning
     from rotorfit.exports.gains import save_gains
@@ -280,27 +282,27 @@ def export(
     validation: Validation | None = None,
     name: str | None = None,
 ) -> Export:
-    """Writes a model in the form that a controller, an estimator or a simulator takes.
+    """Exports a model for a controller, an estimator or a simulator.
 
     Args:
         model: A model, a fit, or a model file.
         to: Name of a format, as `rotorfit export` lists them.
-        path: Where to write, overwritten; None writes nothing.
-        dt: Sample period [s] of the C header, and of delays that are rounded.
-        predictor: Also export axes that the data cannot tell, by the point that predicts best.
-        physical: Take commands in SI where the card makes them fractions of a limit.
-        round_delay: Round delays to whole samples of dt; by how much is written down.
+        path: Path to write, which is overwritten; None writes nothing.
+        dt: Sample period of the C header, and of rounded delays [s].
+        predictor: Whether to also export axes that are not identifiable, at the point that predicts best.
+        physical: Whether commands are in SI units where the card has fractions of a limit.
+        round_delay: Whether to round delays to whole samples of dt; the file states by how much.
         training: The flights of the fit, for the speeds at which the model was trained; None for those of the fit, or
-            those whose logs are still where they were.
-        validation: Scores on other flights, for the header; None for the model's own proof.
-        name: Of the vehicle in the file; None for that of the path, else of the card.
+            those whose logs are still in place.
+        validation: Scores on other flights, for the header; None for the model's own leave-one-out scores.
+        name: Name of the vehicle in the file; None for that of the path, else of the card.
 
     Returns:
         The export, with its text and notes.
 
     Raises:
-        TypeError: No model.
-        ExportError: Unknown format, a structure that the format cannot hold, no axis left.
+        TypeError: `model` is not a model, or another argument has the wrong type.
+        ExportError: The format is unknown, it cannot hold a structure of the model, or no axis is left.
         ModelError: The model file cannot be used.
     """
     from rotorfit import exports

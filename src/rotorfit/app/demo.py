@@ -1,6 +1,6 @@
-"""The whole product without a drone: plan, fly, fit by two methods, prove on other flights, report.
+"""The whole workflow without a drone: plan, fly, fit by two methods, validate on other flights, report.
 
-The truth beside the estimates is that of the paper's law with a delay, so that law is fitted, and no other.
+The truth shown beside the estimates is that of the paper's law with a delay, so only this law is fitted.
 """
 
 import filecmp
@@ -34,7 +34,7 @@ from rotorfit.planning.request import space_of_room
 from rotorfit.simulation.vehicle import Linear, load_vehicle
 
 VEHICLE, AIR, ROOM = "bebop2", "gusts=0.2", "6x6x4"
-"""What flies, through which air, where [m]."""
+"""Vehicle, air, and room [m]."""
 
 FLIGHTS: Mapping[str, tuple[str, tuple[str, ...], float, float | None]] = {
     "train_xy": ("two_sines", ("x", "y"), 100.0, None),
@@ -60,8 +60,8 @@ class Recovered:
     """One coefficient: what was simulated and what came back.
 
     Attributes:
-        name: Such as `x.damping`.
-        truth: That of the simulated vehicle.
+        name: `AXIS.COEFFICIENT`, such as `x.damping`.
+        truth: The value of the simulated vehicle.
         ml: The likelihood's estimate; None where it gives none.
         ci95: Its 95 % interval.
         paper: The paper's estimate; None for the delay, which the paper leaves out.
@@ -79,11 +79,11 @@ class VelocityError:
     """Error of 1 s predictions of the velocity of one axis on a validation flight that moves it [m/s or rad/s].
 
     Attributes:
-        axis: Name.
-        path: Of the log.
-        ml: Of the likelihood's model.
-        paper: Of the paper's coefficients.
-        hold: Of keeping the velocity of the start.
+        axis: Name of the axis.
+        path: Path of the log.
+        ml: Error of the likelihood's model.
+        paper: Error of the paper's coefficients.
+        hold: Error of holding the initial velocity.
     """
 
     axis: str
@@ -98,10 +98,10 @@ class Demo:
     """What the demo did.
 
     Attributes:
-        truth: What the vehicle's parameters make of it for small slow motion.
+        truth: The coefficients that the vehicle's parameters imply for small, slow motion.
         ml: Model by the likelihood.
         paper: Model by the paper's method, from the same flights.
-        validation: Of `ml` on the three flights that were not fitted.
+        validation: Validation of `ml` on the three flights that were not fitted.
         written: Files: six plans, six logs, the rest.
     """
 
@@ -115,15 +115,15 @@ class Demo:
 def demo(directory: Path, progress: Progress | None = None) -> Demo:
     """Plans and flies six flights, fits both methods to three of them, validates on the others, writes everything.
 
-    The flights are flown by the very loop that flies a real vehicle, in simulated time, and the logs are read back as
-    those of a stranger are. Plans and logs of an earlier run of the same version stay as they are.
+    The flights are flown by the loop that flies a real vehicle, in simulated time, and the logs are read back like any
+    others. Plans and logs of an earlier run of the same version are kept.
 
     Args:
-        directory: Where plans, logs, `model.json`, `paper.json` and `report.html` go; made where it is not there.
+        directory: Where plans, logs, `model.json`, `paper.json` and `report.html` go; created if it does not exist.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        LogError: A file in the directory would have to be overwritten that the demo has not written.
+        LogError: A file that the demo has not written would have to be overwritten.
     """
     from rotorfit.assessment.case import Case
     from rotorfit.assessment.evidence import evidence_of
@@ -191,7 +191,7 @@ def demo_mapping(demo: Demo) -> dict[str, Any]:
 
 
 def _planned_and_flown(directory: Path, say: Progress) -> tuple[dict[str, Path], dict[str, Path]]:
-    """Plan files and recordings; one that is there stays if it is the same, else nothing is written at all."""
+    """Plan files and recordings; an existing file is kept if it is the same, otherwise nothing is written at all."""
     plans = {name: directory / f"{name}.toml" for name in FLIGHTS}
     logs = {name: directory / f"{name}.mcap" for name in FLIGHTS}
     with TemporaryDirectory(dir=directory) as folder:
@@ -210,7 +210,7 @@ def _planned_and_flown(directory: Path, say: Progress) -> tuple[dict[str, Path],
 
 
 def _planned(name: str, seed: int) -> Plan:
-    """For the card of the vehicle, which knows its limits and nothing of its dynamics."""
+    """A plan for the vehicle's card, which has its limits but none of its dynamics."""
     design, axes, duration, amplitude = FLIGHTS[name]
     card = card_from_mapping(load_vehicle(VEHICLE).card(), VEHICLE)
     space, belief = space_of_room(ROOM), belief_from_card(card)

@@ -1,8 +1,8 @@
-"""What a fit needs compiled, compiled side by side in processes of its own: once after an installation.
+"""Compiles the kernels that a fit needs in parallel processes, once after an installation.
 
-numba compiles what is called, when it is called, one after the other, and keeps it on the disk. Here each part calls
-what it is named after on a flight of six seconds; the parts are spread over the processors, and what they have left on
-the disk is then loaded. Who calls the kernels in another way has them compiled there: this saves time and nothing else.
+numba compiles each kernel when it is first called, one after the other, and caches it on the disk. Here each part calls
+its kernels on a flight of six seconds; the parts are spread over the processors, and the compiled code is then loaded
+from the cache. Any other call of a kernel compiles it as usual: this saves time and changes nothing else.
 """
 
 import gc
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 TEXT = "compiling the estimator, once after an installation"
 
 PATIENCE = 120.0
-"""Time after which what is not compiled yet is left to the fit itself [s]."""
+"""Time after which the rest of the compiling is left to the fit itself [s]."""
 
 _LOOK = 0.1
 
 
 def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] | None = None) -> None:
-    """Compiles what fit and validate need, where this installation has not done so yet.
+    """Compiles what fit and validate need, if this installation has not done so yet.
 
     Args:
         progress: Called with a fraction and a text.
@@ -63,7 +63,7 @@ def compile_beforehand(progress: Progress | None = None, wanted: Sequence[str] |
 
 
 def spread(costs: Mapping[str, float], processes: int) -> list[list[str]]:
-    """Spreads parts over processes, the dearest first, each to the one that has the least to do."""
+    """Spreads parts over processes, the most expensive first, each to the process with the least work."""
     shares: list[list[str]] = [[] for _ in range(min(processes, len(costs)))]
     for name in sorted(costs, key=lambda name: -costs[name]):
         min(shares, key=lambda share: sum(costs[one] for one in share)).append(name)
@@ -71,17 +71,17 @@ def spread(costs: Mapping[str, float], processes: int) -> list[list[str]]:
 
 
 def _processors() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _compiled(mark: Path) -> bool:
-    """Whether a mark is there, and the compiled code that it speaks of: who deletes that leaves the mark."""
+    """Whether a mark exists, and the compiled code too, which may have been deleted without the mark."""
     return mark.exists() and any(mark.parent.glob("*.nbi"))
 
 
 def _mark(part: str) -> Path:
-    """A file beside the compiled code, there where a part is compiled of these sources by this numba and Python."""
+    """A file beside the compiled code: it exists once this numba and Python have compiled a part from these sources."""
     import numba
 
     from rotorfit.dynamics import kinematics
@@ -129,7 +129,7 @@ def _likelihood(axes: tuple[str, ...], law: str) -> Callable[[], None]:
 
 
 def _checks() -> None:
-    """What is looked at before a fit."""
+    """The checks before a fit."""
     from rotorfit.diagnosis.command_response import answers_of
     from rotorfit.diagnosis.pose_checks import leaps
 
@@ -153,7 +153,7 @@ VALIDATION = "prediction", "axis", "lag", "checks"
 
 
 def _flight() -> "Flight":
-    """Six seconds in which every axis is commanded and the vehicle turns."""
+    """A flight of six seconds in which every axis is commanded and the vehicle turns."""
     import numpy as np
 
     from rotorfit.core.flight_data import Flight, Segment
@@ -171,7 +171,7 @@ def _flight() -> "Flight":
 
 def main(names: Sequence[str]) -> None:
     """Compiles some parts, in a process that does nothing else."""
-    gc.disable()  # compiling makes a great many small objects that live: searching them for rings is a tenth of it
+    gc.disable()  # compiling makes many long-lived objects: garbage collection would take a tenth of the time
     for name in names:
         PARTS[name][1]()
 

@@ -1,4 +1,7 @@
-"""What the public functions take: paths, flights, models and cards in any of their forms, or one clear error."""
+"""Arguments of the public functions: paths, flights, models and cards in any form are converted, or one error raised.
+
+Each raises a TypeError for an argument of the wrong type, and a RotorfitError for a value that is not possible.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -37,7 +40,7 @@ def path_text(path: object) -> str:
 
 
 def named(value: object) -> str:
-    """What a value is, for an error."""
+    """Type and value of an argument, for an error message."""
     try:
         return f"{type(value).__name__} {value!r:.60}"
     except ValueError:  # an integer of more digits than Python writes
@@ -45,12 +48,12 @@ def named(value: object) -> str:
 
 
 def as_card(card: CardLike | None) -> Card | None:
-    """A card that was given, or loaded."""
+    """The given card, or the one loaded by name or path."""
     return card if card is None or isinstance(card, Card) else load_card(path_text(card))
 
 
 def as_model(model: ModelLike) -> Model:
-    """A model that was given, of a fit, or loaded."""
+    """The given model, that of a fit, or the one loaded from a file."""
     if isinstance(model, Fit):
         return model.model
     if isinstance(model, Model):
@@ -61,7 +64,7 @@ def as_model(model: ModelLike) -> Model:
 
 
 def as_models(models: Iterable[ModelLike]) -> tuple[list[str], list[Model]]:
-    """Names and models; one that is in memory has no file and is called by its number."""
+    """Names and models; a model in memory has no file and is named by its number."""
     if isinstance(models, str | PathLike | Model | Fit) or not isinstance(models, Iterable):
         raise TypeError(f"a sequence of models, fits or model files is wanted, not {named(models)}")
     given = list(models)
@@ -97,14 +100,14 @@ def as_axes(axes: object) -> tuple[str, ...]:
 
 
 def as_word(word: object, what: str) -> str:
-    """A name of something."""
+    """A name; `what` says of what."""
     if not isinstance(word, str):
         raise TypeError(f"the name of a {what} is wanted, not {named(word)}")
     return word
 
 
 def as_span(span: object) -> Span:
-    """Start and end of a span, each in seconds or None."""
+    """Start and end of a span, each in seconds, or None for open."""
     if not isinstance(span, Sequence) or isinstance(span, str | bytes) or len(span) != 2:
         raise TypeError(f"a span is a start and an end in seconds, not {named(span)}")
     low, high = (None if end is None else as_number(end, "an end of a span") for end in span)
@@ -112,7 +115,7 @@ def as_span(span: object) -> Span:
 
 
 def as_horizons(horizons: object) -> tuple[float, ...]:
-    """Horizons in seconds; those of the protocol where none are given."""
+    """Horizons [s]; those of the protocol if none are given."""
     if horizons is None:
         return HORIZONS
     if not isinstance(horizons, Iterable) or isinstance(horizons, str | bytes):
@@ -143,7 +146,7 @@ def as_whole(value: object, what: str) -> int:
 
 
 def as_array(values: object, shape: tuple[int | None, ...], what: str) -> Array:
-    """Numbers as an array of a shape, in which None is any length."""
+    """Numbers as a float64 array of a given shape, in which None stands for any length."""
     try:
         array = np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
@@ -155,7 +158,7 @@ def as_array(values: object, shape: tuple[int | None, ...], what: str) -> Array:
 
 
 def joined(sizes: object, by: str) -> str | None:
-    """Sizes as the text of the command line."""
+    """Sizes as the command line has them: numbers [m] joined by `by`."""
     if sizes is None or isinstance(sizes, str):
         return sizes
     if not isinstance(sizes, Sequence) or not sizes:

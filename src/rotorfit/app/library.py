@@ -1,7 +1,7 @@
-"""The public functions from a log to a proved model: what the command line does, with values in place of files.
+"""The public functions from a log to a validated model: those of the command line, with values in place of files.
 
-Paths, flights, models and fits come in; nouns of `core` and the results of the packages go out. Nothing is decided
-here: each function calls what the verb of the same name calls, and imports it when it is first used.
+They take paths, flights, models and fits, and return nouns of `core` and results of the packages. No logic is here:
+each function calls what the verb of the same name calls, and imports it on first use.
 """
 
 from __future__ import annotations
@@ -49,17 +49,18 @@ if TYPE_CHECKING:
 def flight(
     log: Log | FilePath, card: CardLike | None = None, span: tuple[float | None, float | None] = (None, None)
 ) -> Flight:
-    """Makes a flight of a log: commands and pose on one clock in SI, repaired, with the findings about its data.
+    """Makes a flight from a log: commands and poses on one clock in SI units, repaired, with findings about the data.
 
     Args:
         log: A log, or its path: `LOG`, `LOG@T0:T1`, or `A+B` for two files of one flight.
-        card: What each column means; None for the log's own, or the one built-in card that fits.
-        span: Start and end [s], from the start of the time that commands and poses share; None for its ends.
+        card: What each column means; None for the log's own card, or the built-in card that fits.
+        span: Start and end [s], from the start of the common window of commands and poses; None for its ends.
 
     Returns:
         The flight; every repair is a note in it.
 
     Raises:
+        TypeError: An argument has the wrong type.
         LogError: The log cannot be read.
         CardError: The card is wrong, does not fit the log, or none fits.
         FlightError: The log holds no usable flight.
@@ -80,19 +81,20 @@ flight_from_log = flight
 def diagnose(
     log: Log | FilePath, card: CardLike | None = None, span: tuple[float | None, float | None] = (None, None)
 ) -> Survey:
-    """Looks through a log before any fit: tables, rates, gaps, which card fits, what each command excites, findings.
+    """Surveys a log before any fit: tables, rates, gaps, which card fits, what each command excites, findings.
 
     Args:
-        log: A log, or its path as of `flight`.
-        card: As of `flight`.
-        span: As of `flight`.
+        log: A log, or its path as in `flight`.
+        card: As in `flight`.
+        span: As in `flight`.
 
     Returns:
-        What was seen; where no card fits or there is no usable flight, its `problem` says why.
+        The survey; if no card fits or there is no usable flight, its `problem` says why.
 
     Raises:
+        TypeError: An argument has the wrong type.
         LogError: The log cannot be read.
-        CardError: The card that was given is none, or does not fit.
+        CardError: The given card is wrong, or does not fit.
     """
     from rotorfit.diagnosis.survey import survey
     from rotorfit.files.log_span import parse_log
@@ -122,23 +124,23 @@ def fit(
     Args:
         flights: Paths of logs, flights, or a sequence of them; they are fitted together.
         method: `ml`, `robust`, `paper`, `svf`, `weak`, `iv` or `oe`.
-        axes: To fit; a sequence, or names separated by commas.
-        card: For the logs that are read; None for each log's own, or the one built-in card that fits.
-        structure: Name of the law of every axis, or `auto`: what the data earn, axis by axis.
+        axes: Axes to fit: a sequence, or names separated by commas.
+        card: Card for the logs that are read; None for each log's own card, or the built-in card that fits.
+        structure: Name of the law of every axis, `averaged`, or `auto` to select the law of each axis by the data.
         uncertainty: Add the accuracy table.
         prior: Use the priors of the card.
-        leave_one_out: Also score each flight by a model of the others.
+        leave_one_out: Also score each flight with a model fitted to the others.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        The fit. Its `model` has the coefficients, intervals, profiles and findings; what the data cannot tell is a
+        The fit. Its `model` has the coefficients, intervals, profiles and findings; what is not identifiable has a
         status, never a number.
 
     Raises:
-        TypeError: Neither paths nor flights.
-        LogError, CardError, FlightError: As of `flight`; no flight; cards that differ.
-        ModelError: No such structure, or one that the method does not know.
-        RotorfitError: No such method or axis, or an option that the method does not have.
+        TypeError: `flights` are neither paths nor flights, or another argument has the wrong type.
+        LogError, CardError, FlightError: As in `flight`; there is no flight; the cards differ.
+        ModelError: There is no such structure, or the method does not support it.
+        RotorfitError: There is no such method or axis, or the method does not have an option.
     """
     from rotorfit.app import workflows
     from rotorfit.assessment.leave_one_out import require_two
@@ -165,25 +167,24 @@ def track(
     after: ModelLike | None = None,
     progress: Progress | None = None,
 ) -> Track:
-    """Follows the model through a flight as if it were live, as `rotorfit track` does.
+    """Tracks the model through a recorded flight as if it were live, as `rotorfit track` does.
 
     Args:
-        flight: A flight, a log, or the path of a log as of `flight`; at each second only what had come by then is
-            looked at.
-        card: For a log; None for its own, or the one built-in card that fits.
-        structure: As of `fit`.
-        false_alarms_per_hour: How many false alarms are to be expected at the most, above 0 and at most 60.
-        after: The model of an earlier flight: what the vehicle was, told until this flight tells, then compared with.
+        flight: A flight, a log, or the path of a log as in `flight`; each second sees only what had arrived by then.
+        card: Card for a log; None for its own card, or the built-in card that fits.
+        structure: As in `fit`.
+        false_alarms_per_hour: Bound on the expected number of false alarms [1/h], above 0 and at most 60.
+        after: The model of an earlier flight: reported until this flight tells as much, and compared with it.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        What was known at each second, the alarms, and the regimes of the vehicle with a model each.
+        What was known at each second, the alarms, and the regimes of the vehicle, each with a model.
 
     Raises:
-        TypeError: Neither a path, nor a log, nor a flight.
-        LogError, CardError, FlightError: As of `flight`.
-        ModelError: No such structure, or the earlier model cannot be used.
-        RotorfitError: A number of false alarms that cannot be promised.
+        TypeError: `flight` is neither a path, nor a log, nor a flight, or another argument has the wrong type.
+        LogError, CardError, FlightError: As in `flight`; the commands of the earlier model have another meaning.
+        ModelError: There is no such structure, or the earlier model cannot be used.
+        RotorfitError: `false_alarms_per_hour` is out of range.
     """
     from rotorfit.core.laws import structure_named
     from rotorfit.tracking.earlier import earlier_of
@@ -219,17 +220,18 @@ def ladder(
     """Fits by every method, side by side, and tests each against the likelihood.
 
     Args:
-        flights: As of `fit`.
-        axes: As of `fit`.
-        card: As of `fit`.
+        flights: As in `fit`.
+        axes: As in `fit`.
+        card: As in `fit`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
         Coefficients and prediction errors of every method, axis by axis.
 
     Raises:
-        TypeError: Neither paths nor flights.
-        LogError, CardError, FlightError: As of `fit`.
+        TypeError: `flights` are neither paths nor flights, or another argument has the wrong type.
+        LogError, CardError, FlightError: As in `fit`.
+        RotorfitError: There is no such axis.
     """
     from rotorfit.app import workflows
 
@@ -250,14 +252,14 @@ def validate(
         model: A model, a fit, or a model file.
         flights: Paths of logs, flights, or a sequence of them.
         horizons: How far to predict [s]; None for 0.5, 1, 2 and 5.
-        card: For the logs that are read; None for the log's own, else the model's.
+        card: Card for the logs that are read; None for the log's own card, else the model's.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        Errors of the predictions and of two baselines, paired tests, tests of the innovations, findings.
+        Prediction errors of the model and of two baselines, paired tests, tests of the innovations, findings.
 
     Raises:
-        TypeError: Neither paths nor flights, or no model.
+        TypeError: `flights` are neither paths nor flights, `model` is not a model, or `horizons` are not numbers.
         LogError, CardError: A log cannot be read, or its card differs from the model's.
         FlightError: No flight is given, or a horizon is not positive.
         ModelError: The model file cannot be used.
@@ -280,17 +282,17 @@ def compare(
 
     Args:
         models: Models, fits or model files.
-        flights: As of `validate`.
-        horizons: As of `validate`.
-        card: As of `validate`.
+        flights: As in `validate`.
+        horizons: As in `validate`.
+        card: As in `validate`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
-        The validation of each model, and every one against the first and against its baselines.
+        The validation of each model, and paired tests against the first model and against its baselines.
 
     Raises:
-        TypeError: Neither paths nor flights, or no models.
-        LogError, CardError, FlightError, ModelError: As of `validate`.
+        TypeError: `flights` are neither paths nor flights, or `models` are not a sequence of models.
+        LogError, CardError, FlightError, ModelError: As in `validate`; no model is given.
     """
     from rotorfit.app import workflows
 
@@ -308,13 +310,13 @@ def report(
     figures: FilePath | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Writes one self-contained page about a model and its proof, or about several side by side.
+    """Writes a self-contained page about a model and its validation, or about several side by side.
 
     Args:
         models: A model, a fit, a model file, or a sequence of them.
-        flights: As of `validate`; without any, nothing is proven.
-        path: Of the page; an earlier report is kept with a tilde behind its name, anything else stays.
-        card: As of `validate`.
+        flights: As in `validate`; without any, nothing is validated.
+        path: Path of the page. An earlier report is kept with a tilde appended to its name; any other file is refused.
+        card: As in `validate`.
         figures: Folder for figures of one model as PNG and PDF; None for none.
         progress: Called with a fraction and a text; raising in it cancels.
 
@@ -322,10 +324,10 @@ def report(
         The path of the page.
 
     Raises:
-        TypeError: Neither paths nor flights, or no models.
+        TypeError: `flights` are neither paths nor flights, or `models` are not models.
         LogError: The path is taken by something else, or a log cannot be read.
-        CardError, FlightError, ModelError: As of `validate`.
-        RotorfitError: Figures of several models.
+        CardError, FlightError, ModelError: As in `validate`.
+        RotorfitError: Figures are requested for several models.
     """
     from rotorfit.app import workflows
     from rotorfit.assessment.evidence import evidence_of
@@ -351,11 +353,12 @@ def save(result: Model | Fit | Plan, path: FilePath) -> None:
 
     Args:
         result: A model, the fit that holds it, or a plan.
-        path: Of the file. What is there is kept, with a tilde behind its name; a plan that somebody has edited stays.
+        path: Path of the file. An existing file is kept with a tilde appended to its name; a plan replaces only an
+            unedited plan.
 
     Raises:
-        TypeError: Neither model nor plan.
-        PlanError: An edited plan is in the place of a plan.
+        TypeError: `result` is neither a model nor a plan.
+        PlanError: The path of a plan is taken by something else, such as an edited plan, or its folder does not exist.
     """
     from rotorfit.files import models, plans
 

@@ -1,6 +1,6 @@
-"""Model files and logs -> Cases: each model with what speaks for it and against it.
+"""Workflows from logs to flights, fits and validations, shared by the command line, the studio and the library.
 
-Log -> Flight -> Fit -> Validation: the compositions that the command line and the report share.
+Model files and logs also become Cases: each model with the evidence for and against it.
 """
 
 from collections.abc import Sequence
@@ -51,12 +51,15 @@ if TYPE_CHECKING:
 
 
 def load_flight(log: LogSpan, card: str | Card | None = None, raw: Log | None = None) -> Flight:
-    """Makes a flight of a log, with the findings about its data.
+    """Makes a flight from a log, with the findings about its data.
 
     Args:
-        log: With its span.
-        card: Name, file or card; None for the log's own, or the one built-in card that fits.
-        raw: The log, where it has been read.
+        log: The log, with its span.
+        card: Name, file or card; None for the log's own card, or the built-in card that fits.
+        raw: The log, if it has been read already.
+
+    Raises:
+        LogError, CardError, FlightError: The log, or the card for it, cannot be used.
     """
     chosen = load_card(card) if isinstance(card, str) else card
     return _diagnosed(*_flown(log, raw or _read(log, chosen), chosen))
@@ -68,25 +71,28 @@ def load_flights(
     otherwise: Card | None = None,
     progress: Progress | None = None,
 ) -> tuple[Flight, ...]:
-    """Reads logs and applies a card to each; logs that only together hold what it names are one flight.
+    """Reads logs and applies a card to each; logs that only together have the columns of the card are one flight.
 
     Args:
-        logs: With their spans; a flight among them is taken as it is.
-        card: Name, file or card, for all of them.
-        otherwise: Where there is no such card: for the logs that carry none themselves.
-        progress: As of `read`.
+        logs: The logs, with their spans; a flight among them is taken as it is.
+        card: Name, file or card, for all logs.
+        otherwise: Without `card`: the card for logs that carry none.
+        progress: As in `read`.
+
+    Raises:
+        LogError, CardError, FlightError: A log, or the card for it, cannot be used.
     """
     chosen = load_card(card) if isinstance(card, str) else card
     return tuple(flight for _, flight in _all_flown(logs, chosen, otherwise, progress))
 
 
 def _diagnosed(raw: Log | None, flight: Flight) -> Flight:
-    """The flight with what its log tells before any fit; a flight that was given as such keeps what it has."""
+    """The flight with the findings about its log; a flight that was given as such keeps its own."""
     return flight if raw is None else replace(flight, findings=findings_of_flight(raw, flight))
 
 
 def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
-    """A log, and the flight that a card makes of it."""
+    """A log, and the flight made from it by a card, or by the built-in one that fits."""
     if card is not None:
         flight = flight_from_log(raw, card, log.span)
         told = another_card(raw, card)
@@ -100,12 +106,12 @@ def _flown(log: LogSpan, raw: Log, card: Card | None) -> tuple[Log, Flight]:
 
 
 def _read(log: LogSpan, card: Card | None, progress: Progress | None = None) -> Log:
-    """A log, with the tables that a card reads; with all where there is none."""
+    """A log, with the tables that a card names; with all tables if there is no card."""
     return read(log.path, tables_of(card) if card else None, progress)
 
 
 def _carried(raw: Log, otherwise: Card) -> Card:
-    """The card that a log carries, else the other one.
+    """The card that a log carries, or else the other one.
 
     Raises:
         CardError: The log's card gives the commands another meaning, or other limits.
@@ -124,7 +130,7 @@ def _all_flown(
     otherwise: Card | None = None,
     progress: Progress | None = None,
 ) -> list[tuple[Log | None, Flight]]:
-    """Every flight in some logs, in the order of its first log; flights among them as they are, without a log."""
+    """Every flight of the given logs, in the order of its first log; a given flight is returned without a log."""
     flown: dict[int, tuple[Log | None, Flight]] = {
         number: (None, one) for number, one in enumerate(given) if isinstance(one, Flight)
     }
@@ -138,7 +144,7 @@ def _all_flown(
         if applied is None and len(logs) > 1:
             flown[number] = _flown_alone(log, raw, list(logs.values()))
         elif applied is None or len(logs) == 1 or raw.file_of or fits(raw, applied):
-            flown[number] = _flown(log, raw, applied)  # at once, so that no two logs need be held
+            flown[number] = _flown(log, raw, applied)  # at once, so that only one log is in memory
         else:
             parts[number] = read(log.path)
     apart, shared = list(parts), card or otherwise
@@ -148,7 +154,7 @@ def _all_flown(
 
 
 def _flown_alone(log: LogSpan, raw: Log, logs: Sequence[LogSpan]) -> tuple[Log, Flight]:
-    """The same without a card for one of several logs; where two are halves of one flight, the error says so."""
+    """`_flown` for one of several logs without a card; if two are halves of one flight, the error says so."""
     try:
         return _flown(log, raw, None)
     except CardError as error:
@@ -167,7 +173,7 @@ def fit_logs(
     uncertainty: bool = False,
     prior: bool = False,
 ) -> Fit:
-    """Reads logs, fits them together, and says what was noticed; with the accuracy table and priors where wanted."""
+    """Reads logs and fits them together; the model gets its findings, and the accuracy table and priors if wanted."""
     compile_beforehand(progress)
     chosen = load_card(card) if isinstance(card, str) else card
     flights = [_diagnosed(*one) for one in _all_flown(logs, chosen, progress=progress)]
@@ -181,7 +187,7 @@ def fit_logs(
         for flight, fitted in zip(flights, result.flights, strict=True)
         for told in flight.findings
         if told.axis is None or (told.axis in axes and told.axis not in set(flight.axes) - set(fitted.axes))
-    ]  # nothing of an axis that a flight merely holds
+    ]  # without axes that a flight merely holds
     findings = by_gravity((*findings_of_fit(result, before), *findings_of_settings(result.model)))
     return replace(result, model=with_findings(result.model, findings))
 
@@ -189,7 +195,7 @@ def fit_logs(
 def leave_one_out_logs(
     fit: Fit, axes: Sequence[str] = AXES, progress: Progress | None = None, structure: str = AVERAGED
 ) -> tuple[Fit, LeaveOneOut]:
-    """Leaves out each flight of a fit in turn; the model keeps the result."""
+    """Leaves out each flight of a fit in turn; the result is stored in the model."""
     result = leave_one_out(fit.flights, fit.model.method, axes, progress=progress, structure=structure)
     return replace(fit, model=replace(fit.model, leave_one_out=leave_one_out_mapping(result))), result
 
@@ -212,9 +218,9 @@ def validate_logs(
     progress: Progress | None = None,
     beside: Sequence[Flight] = (),
 ) -> tuple[Validation, tuple[Flight, ...]]:
-    """Reads logs with the card given, or that which they carry, or the model's own, and scores the model on them.
+    """Reads logs with the given card, or their own, or the model's, and scores the model on them.
 
-    An axis that a log merely holds is left out, where another log or a flight of `beside` moves it.
+    An axis that a log merely holds is left out if another log, or a flight of `beside`, moves it.
     """
     compile_beforehand(progress, VALIDATION)
     own = card_from_mapping(model.card.raw, "the model's card")
@@ -225,9 +231,9 @@ def validate_logs(
 def usable_logs(
     models: Sequence[Model], logs: Sequence[LogSpan], card: str | Card | None = None
 ) -> tuple[list[LogSpan], list[str]]:
-    """The logs that all of some models can be scored on together, and one line about each of the others.
+    """The logs on which all models can be scored together, and one line about each of the others.
 
-    Logs that can only be read together, as parts of one flight, are tried once more as such.
+    Logs that fail alone are tried once more together, as parts of one flight.
     """
     kept: list[list[Flight]] = [[] for _ in models]
 
@@ -256,10 +262,10 @@ class Comparison:
     """Several models on the same logs.
 
     Attributes:
-        paths: Of the model files.
-        validations: One each model, in that order.
-        paired: `model 2` and on against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
-        notes: Of models that could not be paired, with the reason.
+        paths: Paths of the model files, or names of the models.
+        validations: One for each model, in that order.
+        paired: `model 2` and later against `model 1`, and each against the baselines `hold` and `paper` of `model 1`.
+        notes: One for each model that could not be paired, with the reason.
     """
 
     paths: tuple[str, ...]
@@ -279,7 +285,7 @@ class Comparison:
     @overload
     def to_frame(self, library: Literal["pandas"]) -> Any: ...
     def to_frame(self, library: FrameLibrary = "polars") -> Any:
-        """The errors of predictions as a data frame: the column `model`, then those of `Validation.to_frame`.
+        """The prediction errors as a data frame: the column `model`, then those of `Validation.to_frame`.
 
         Args:
             library: `polars`, or `pandas`, which must be installed.
@@ -299,12 +305,12 @@ def compare_logs(
 
     Args:
         paths: Model files and logs in any order, told apart by content; a log may be `LOG@T0:T1`.
-        horizons: [s].
+        horizons: How far to predict [s].
         progress: Called with a fraction and a text; raising in it cancels.
 
     Raises:
-        ModelError: No model among the paths.
-        FlightError: No log among them.
+        ModelError: There is no model among the paths.
+        FlightError: There is no log among them.
     """
     files = [path for path in paths if Path(path).is_file() and is_model_file(path)]
     logs = [parse_log(path) for path in paths if path not in files]
@@ -321,7 +327,7 @@ def compare_models(
     horizons: Sequence[float] = HORIZONS,
     progress: Progress | None = None,
 ) -> Comparison:
-    """The same for models that were read, with the names of their files or others."""
+    """As `compare_logs`, for models in memory; `names` are those of their files or others."""
     validations, flights = [], []
     for number, model in enumerate(models):
         part = _part(progress, number, names)
@@ -338,7 +344,7 @@ def compare_models(
 
 
 def _part(progress: Progress | None, number: int, names: Sequence[str]) -> Progress | None:
-    """Progress of one of several models, which names it."""
+    """Progress for one of several models, whose name it adds."""
     part = part_of(progress, number, len(names))
     return part and (lambda fraction, text: part(fraction, f"{names[number]} on {text}"))
 
@@ -374,12 +380,12 @@ def comparison_mapping(comparison: Comparison) -> dict[str, Any]:
 
 
 def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]:
-    """The flights that a model was fitted to, as far as their logs are still where they were, unchanged.
+    """The flights that a model was fitted to, if their logs are still in place and unchanged.
 
     Returns:
         The flights; and one line about each that is left out, with the reason.
     """
-    if model.conversion:  # its card no longer says what their commands were fractions of
+    if model.conversion:  # its card no longer has the limits of which their commands were fractions
         return (), ("training flights left out: the model was converted to limits that they were not flown under",)
     flights, left_out = [], []
     for source in model.flights:
@@ -396,15 +402,15 @@ def training_flights(model: Model) -> tuple[tuple[Flight, ...], tuple[str, ...]]
 
 
 MODEL_MARK, REPORT_MARK = b'"rotorfit-model"', b"<!doctype html"
-"""What the first bytes of a model file and of a report hold, in small letters."""
+"""Text in the first bytes of a model file and of a report, in lower case."""
 
 
 def check_destination(path: Path, mark: bytes) -> None:
-    """Refuses to write over what is not an earlier result of the same kind: never over a log.
+    """Refuses to overwrite anything but an earlier result of the same kind; a log is never overwritten.
 
     Args:
-        path: Where something will be written.
-        mark: What the first 4096 bytes of an earlier result hold, in small letters.
+        path: Path that will be written.
+        mark: Text in the first 4096 bytes of an earlier result, in lower case.
 
     Raises:
         LogError: The path is taken by something else, or its folder does not exist.
@@ -425,14 +431,14 @@ def cases_of(paths: Sequence[str], progress: Progress | None = None) -> tuple[tu
 
     Args:
         paths: A model file, then logs and further models in any order, told apart by content; a log may be
-            `LOG@T0:T1`. Without a log nothing is proven.
+            `LOG@T0:T1`. Without a log nothing is validated.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
         The cases, and one line about each training flight that could not be read again.
 
     Raises:
-        ModelError: The first path is no model.
+        ModelError: The first path is not a model.
         LogError: A log cannot be read.
     """
     files = [path for k, path in enumerate(paths) if k == 0 or (Path(path).is_file() and is_model_file(path))]
@@ -448,7 +454,7 @@ def cases_of_models(
     card: str | Card | None = None,
     progress: Progress | None = None,
 ) -> tuple[tuple[Case, ...], tuple[str, ...]]:
-    """The same for models that were read, with the names of their files or others."""
+    """As `cases_of`, for models in memory; `names` are those of their files or others."""
     cases: list[Case] = []
     notes: list[str] = []
     for number, (name, model) in enumerate(zip(names, models, strict=True)):

@@ -1,6 +1,6 @@
 """The command line: each verb parses, calls the library, and prints; a module holds verbs of one kind.
 
-What is heavy (numpy, numba, rich) is imported by the verb that needs it, so that `rotorfit --help` answers at once.
+Heavy packages (numpy, numba, rich) are imported by the verb that needs them, so that `rotorfit --help` is quick.
 """
 
 import io
@@ -24,34 +24,34 @@ from rotorfit.version import __version__
 VERBS = (
     demo, info, fit, ladder, validate, compare, report, convert, tune, export, plan, fly, track, cards, formats, studio,
 )  # fmt: skip
-"""In the order of the work."""
+"""All verbs, in the order of the work."""
 
 
 BLAS_THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
-"""What tells numpy's linear algebra how many threads it may use."""
+"""Environment variables that set the number of threads of numpy's linear algebra."""
 
 LONGEST_LINE = 2000
-"""Most characters of an error: values of a file are quoted in it."""
+"""Largest length of an error message, which may quote values of a file [characters]."""
 
 
 class _Verbs(click.Group):
-    """Verbs in the order of the work. A known error ends with one line and 1; a bug keeps its trace."""
+    """Verbs in the order of the work. A known error ends with one line and exit code 1; a bug prints its traceback."""
 
     def list_commands(self, _ctx: click.Context) -> list[str]:
         return list(self.commands)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Runs the verb; what the user can act on becomes one line."""
-        if isinstance(sys.stdout, io.TextIOWrapper):  # a file's name may be no text
+        """Runs the verb; a known error becomes one line."""
+        if isinstance(sys.stdout, io.TextIOWrapper):  # a file name may not be valid text
             sys.stdout.reconfigure(errors="backslashreplace")
-        for name in BLAS_THREADS:  # its matrices here are so small that threads only wait; no verb has imported it yet
+        for name in BLAS_THREADS:  # for matrices this small, threads only cost time; numpy is not imported yet
             os.environ.setdefault(name, "1")
         try:
             with safe_interrupts():
                 return super().invoke(ctx)
         except RotorfitError as error:
             raise click.ClickException(line_of(error, LONGEST_LINE)) from error
-        except BrokenPipeError:  # the reader of our output has seen enough: click ends quietly
+        except BrokenPipeError:  # the reader has closed the pipe: click ends quietly
             raise
         except OSError as error:
             if not error.strerror:

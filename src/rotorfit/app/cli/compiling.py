@@ -1,4 +1,4 @@
-"""The line that says why the first run after an installation takes longer: numba compiles for it."""
+"""The message that explains why the first run after an installation takes longer: numba compiles."""
 
 import sys
 from collections.abc import Iterator
@@ -9,14 +9,14 @@ from typing import Any
 import click
 
 WORTH_A_LINE = 1.0
-"""Seconds of compiling after which it is said."""
+"""Time of compiling after which the message is shown [s]."""
 
 LINE = "Compiling, once after an installation: this run takes longer than the next ones."
 
 
 @contextmanager
 def compiling_told() -> Iterator[None]:
-    """Says on stderr, where that is a terminal, that code is compiled where that takes its time."""
+    """Says on stderr, if that is a terminal, that code is being compiled if that takes long."""
     if not sys.stderr.isatty():
         yield
         return
@@ -28,13 +28,13 @@ def compiling_told() -> Iterator[None]:
 
 
 class _Compiling:
-    """A listener of numba: a compilation begins or ends, inside of others where functions call functions."""
+    """A listener for numba's events: compilations begin and end, nested if functions call functions."""
 
     def __init__(self) -> None:
         self._depth, self._since, self._spent, self._told = 0, 0.0, 0.0, False
 
     def notify(self, event: Any) -> None:
-        """Adds up the time; what comes out of the cache is no event."""
+        """Adds up the time; loading from the cache is not an event."""
         now = perf_counter()
         if event.is_start and not self._depth:
             self._since = now

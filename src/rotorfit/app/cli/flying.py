@@ -134,7 +134,7 @@ def fly(
 
 
 def _tracked(beside: "Beside | None") -> str:
-    """What the tracker beside a flight says, before the status."""
+    """The text of the tracker beside a flight, shown before the status."""
     if beside is None:
         return ""
     alarm = f"{beside.alarm} | " if beside.alarm else ""
@@ -142,7 +142,7 @@ def _tracked(beside: "Beside | None") -> str:
 
 
 def _told_late(beside: "Beside") -> None:
-    """What the tracker beside a flight has said at its end, and after it."""
+    """Shows the last alarms of the tracker beside a flight."""
     for text in beside.news():
         click.echo(text, err=True)
     left = f"; {beside.lost} samples came too fast for it" if beside.lost else ""
@@ -150,10 +150,10 @@ def _told_late(beside: "Beside") -> None:
 
 
 def _shown_first(view: "View") -> None:
-    """Shows what somebody must have seen before a vehicle moves.
+    """Shows what the user must see before a vehicle moves.
 
     Raises:
-        LinkError: Nobody reads the output.
+        LinkError: The output is closed.
     """
     from rotorfit.app.terminal import show
     from rotorfit.core.errors import LinkError

@@ -1,4 +1,4 @@
-"""Verbs that hand a model over: to a controller, an estimator or a simulator."""
+"""Verbs that hand a model over to a controller, an estimator or a simulator."""
 
 from collections.abc import Sequence
 from pathlib import Path

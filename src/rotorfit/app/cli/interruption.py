@@ -1,7 +1,7 @@
 """Ctrl-C that waits while LLVM calls back into Python.
 
-numba loads what it has compiled through callbacks from LLVM. No exception can pass through LLVM: one that is raised in
-a callback is dropped there, the function stays empty, and its first call ends the process with a segmentation fault.
+numba loads compiled code through callbacks from LLVM. Exceptions cannot propagate through LLVM: one that is raised in a
+callback is dropped there, the function stays empty, and its first call ends the process with a segmentation fault.
 """
 
 import signal
@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from types import FrameType
 
 RETRY = 0.01
-"""After which the interrupt is tried again [s]."""
+"""Time after which the interrupt is tried again [s]."""
 
 
 @contextmanager
 def safe_interrupts() -> Iterator[None]:
-    """Ctrl-C raises KeyboardInterrupt as ever, but never in a callback; whoever else handles it is left alone."""
+    """Ctrl-C raises KeyboardInterrupt as usual, but never in a callback; any other handler is left in place."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

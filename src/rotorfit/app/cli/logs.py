@@ -1,7 +1,4 @@
-"""What is known before any fit: logs, cards, formats; and the demo.
-
-The verb that serves the local web page.
-"""
+"""Verbs before any fit: logs, cards, formats; the demo; and the local web page."""
 
 from collections.abc import Sequence
 from pathlib import Path

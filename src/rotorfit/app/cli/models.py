@@ -1,4 +1,4 @@
-"""Verbs that make a model: from flights, or from another model."""
+"""Verbs that make a model, from flights or from another model."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Arguments and options that several verbs share, and what turns their text into values.
-
-What verbs print beside their tables: JSON, and a bar while the work lasts.
-"""
+"""Arguments and options that several verbs share, the conversion of their texts, JSON output and progress bar."""
 
 import json
 import os
@@ -21,7 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def span_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
-    """`T0:T1` as a Span; the whole log where none is given."""
+    """`T0:T1` as a Span; the whole log if none is given."""
     from rotorfit.files.log_span import WHOLE, parse_span
 
     try:
@@ -31,7 +28,7 @@ def span_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -
 
 
 def axes_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
-    """Names of axes, separated by commas; all of them where none is given."""
+    """Names of axes, separated by commas; all axes if none is given."""
     from rotorfit.core.frames import AXES
 
     axes = AXES if text is None else tuple(part.strip() for part in text.split(","))
@@ -42,12 +39,12 @@ def axes_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -
 
 
 def some_axes_of(ctx: click.Context, parameter: click.Parameter, text: str | None) -> Any:
-    """The same; None where none is given."""
+    """As `axes_of`, but None if none is given."""
     return None if text is None else axes_of(ctx, parameter, text)
 
 
 def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> Any:
-    """Name of a structure, `averaged` or `auto`; the first of these where none is given."""
+    """Name of a structure, `averaged` or `auto`; `averaged` if none is given."""
     from rotorfit.core.laws import AVERAGED, STRUCTURES
 
     names = (AVERAGED, "auto", *STRUCTURES)
@@ -57,7 +54,7 @@ def structure_of(ctx: click.Context, _parameter: click.Parameter, name: str | No
 
 
 def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | None) -> Any:
-    """Seconds, separated by commas; those of the protocol where none is given."""
+    """Horizons [s], separated by commas; those of the protocol if none is given."""
     from rotorfit.core.results import HORIZONS
 
     try:
@@ -70,7 +67,7 @@ def horizons_of(ctx: click.Context, _parameter: click.Parameter, text: str | Non
 
 
 def file_at(**more: Any) -> click.Path:
-    """A path on the disk; `more` as of `click.Path`."""
+    """A path on the disk; `more` as in `click.Path`."""
     return click.Path(path_type=Path, **more)
 
 
@@ -80,7 +77,7 @@ MODEL = click.argument("model_path", metavar="MODEL")
 
 
 def card_option(default: str) -> Callable[[Function], Function]:
-    """`--card`, with what is taken where none is given."""
+    """The option `--card`; `default` says in words what is used without it."""
     return click.option("--card", metavar="C", help=f"Name of a built-in card, or a TOML file; default: {default}.")
 
 
@@ -92,7 +89,7 @@ SPAN = click.option(
 
 
 def say_kept(kept: Path | None, lost: Sequence[str] = ()) -> None:
-    """Says, beside the result, where the file is that was replaced, and which axes only that one knew."""
+    """Says on stderr where a replaced file is kept, and which axes only that one knew."""
     if kept:
         only = f", which knew {', '.join(lost)}, too," if lost else ""
         click.echo(f"Note: the earlier {kept.name[:-1]}{only} is kept as {kept}.", err=True)
@@ -104,13 +101,13 @@ def print_json(result: Any) -> None:
 
 
 def silence() -> None:
-    """Stdout goes nowhere from now on: after a pipe was closed, every further line, the last flush too, would fail."""
+    """Redirects stdout to nowhere: after a pipe is closed, every further line and the last flush would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager
 def progress_bar() -> Iterator[Progress | None]:
-    """A bar on stderr where that is a terminal; nothing in a pipe."""
+    """A progress bar on stderr if that is a terminal; otherwise None."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -1,4 +1,4 @@
-"""The verb that follows a vehicle while it flies, or a log as if it did."""
+"""The verb that tracks a vehicle while it flies, or a log as if it were live."""
 
 import json
 import math
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from rotorfit.tracking.earlier import Earlier
 
 PORT = click.IntRange(0, 65535)
-PORT.name = "port number"  # as a mistake is told
+PORT.name = "port number"  # the name in error messages
 
 
 def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> str | None:
-    """The name of a gains file, before a LOG is taken for one; empty for messages alone."""
+    """Checks the name of a gains file, so that a LOG is not taken for one; empty for messages alone."""
     from rotorfit.core.errors import ModelError
 
     if name:
@@ -190,11 +190,11 @@ def track(
 
         raise LinkError(f"{link}: {lost}")
     if stopped:
-        raise SystemExit(1)  # what was seen is all there; the log is not
+        raise SystemExit(1)  # all results are complete, but the log was not read to its end
 
 
 def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
-    """What publishes new gains: each a line of JSON, or some for people."""
+    """Publishes new gains, each as a line of JSON or in words."""
     from rotorfit.app.live.regained import Regaining
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import line_cleared
@@ -214,7 +214,7 @@ def _replayed(
     log: str, card: str | None, pace: float | None, structure: Any, false_alarms: float, jsonl: bool, views: "Views",
     earlier: "Earlier | None", regaining: "Regaining | None",
 ) -> tuple["Track", "Flight", str]:  # fmt: skip
-    """A log, as if live, its flight, and who ended it before its end; empty where nobody did."""
+    """Tracks a log as if live; the track, the flight, and who ended it early, or an empty string."""
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
@@ -250,7 +250,7 @@ def _listened(
     pace: float, structure: Any, false_alarms: float, jsonl: bool, views: "Views", earlier: "Earlier | None",
     regaining: "Regaining | None",
 ) -> tuple["Track", "Flight | None", str]:  # fmt: skip
-    """A link, what of its flight is remembered, and why it was lost; empty where it was not."""
+    """Tracks a link; the track, the remembered part of the flight, and why the link was lost, or an empty string."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering
     from rotorfit.app.live.session import card_for_link, followed
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
@@ -299,7 +299,7 @@ def _listened(
 
 
 def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
-    """Prints each state, at once: as JSON, or what is new in it."""
+    """A function that prints each state at once, as JSON or as what is new in it."""
     from rotorfit.app.live.outlets import lines_of
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import line_cleared
@@ -333,7 +333,7 @@ def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> di
 
 
 def _written(result: "Track", output: Path) -> list[Path | None]:
-    """Writes the model of each regime that has one, with a number where there are several; None where there is none."""
+    """Writes the model of each regime, numbered if there are several; None for a regime without a model."""
     from rotorfit.files.models import save
 
     several = len(result.regimes) > 1

@@ -1,1 +1,1 @@
-"""A vehicle that is followed while it flies: where its states and alarms go, besides the terminal."""
+"""Live tracking of a vehicle: the outlets of its states and alarms besides the terminal."""

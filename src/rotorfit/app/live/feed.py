@@ -1,4 +1,4 @@
-"""The feed of a live page: states and alarms as they come, as server-sent events. A page only looks."""
+"""The feed of a live page: states and alarms as they come, as server-sent events. A page only reads."""
 
 import asyncio
 import json
@@ -14,26 +14,26 @@ from rotorfit.app.loopback.files import file_of, static
 from rotorfit.app.loopback.gate import FRAMED
 
 KEPT = 3600
-"""States that a page which is opened late is shown."""
+"""Number of past lines that a page gets when it is opened late."""
 
 PERIOD = 0.1
-"""Between two looks for something new [s]."""
+"""Time between two checks for new lines [s]."""
 
 BEAT = 5.0
-"""A page is told that nothing is new at the latest after so long [s]."""
+"""Longest time without an event; then a keep-alive is sent [s]."""
 
 PACKAGE = "rotorfit.app.live"
-"""Where the page lies."""
+"""Package with the files of the page."""
 
 
 class Feed:
-    """What pages are shown. One thread adds, the server reads.
+    """The lines that pages show. One thread adds, the server reads.
 
     Args:
-        vehicle: What is followed, for people; empty where nothing is.
+        vehicle: Name of the tracked vehicle for the user; empty if there is none.
 
     Attributes:
-        over: Whether nothing more will come; pages that are open say so.
+        over: Whether nothing more will come; open pages then say so.
     """
 
     def __init__(self, vehicle: str = "") -> None:
@@ -43,12 +43,12 @@ class Feed:
         self._count = 0
 
     def add(self, mapping: dict[str, Any]) -> None:
-        """A state, an alarm or new gains, as `rotorfit track --jsonl` prints it."""
+        """Adds a state, an alarm or new gains, as `rotorfit track --jsonl` prints it."""
         self._count += 1
         self._lines.append((self._count, json.dumps(mapping, allow_nan=False)))
 
     async def events(self, seen: int) -> AsyncIterator[str]:
-        """Lines after one that the page has seen; a browser that was cut off asks from there."""
+        """Events after the last line that the page has seen; a browser that was disconnected resumes from there."""
         quiet = 0.0
         yield f"retry: 1000\n\nevent: vehicle\ndata: {self._vehicle}\n\n"
         while True:
@@ -71,8 +71,8 @@ def live_routes(feed: Callable[[], Feed], under: str = "") -> list[Route]:
     """The page, its files and its events.
 
     Args:
-        feed: The feed as it is now.
-        under: Where they stand; empty for the root.
+        feed: Returns the current feed.
+        under: Path prefix of the routes; empty for the root.
     """
 
     def page(_: Request) -> Response:

@@ -22,8 +22,8 @@ class FoxgloveOutlet:
     """Serves poses, commands, states, alarms, new gains and the motion after each pose as JSON.
 
     Args:
-        port: To listen on; 0 for any that is free.
-        say: Told where it is.
+        port: Port to listen on; 0 for any free one.
+        say: Called with a line that has the address.
 
     Raises:
         LinkError: foxglove-sdk is missing, or the port is taken.

@@ -1,4 +1,4 @@
-"""Where samples and states go while a vehicle is followed: a recording, a file to go on from, a page, Foxglove."""
+"""Outlets of samples and states while a vehicle is tracked: a recording, and a file to resume from."""
 
 import errno
 import hashlib
@@ -24,41 +24,41 @@ from rotorfit.tracking.growing_flight import ONE_CLOCK
 from rotorfit.tracking.tracker import Tracker
 
 TRACKED, ALARM, GAINS = "/rotorfit/tracked", "/rotorfit/alarm", "/rotorfit/gains"
-"""Topics of states, alarms and new gains, JSON as the lines of `rotorfit track --jsonl`."""
+"""Topics of states, alarms and new gains, in JSON like the lines of `rotorfit track --jsonl`."""
 
 MOTION = "/rotorfit/motion"
-"""Topic of the motion after each pose, JSON: the names of a state, and no coefficients."""
+"""Topic of the motion after each pose, in JSON with the names of a state but no coefficients."""
 
 Moving = Callable[[Motion, int], None]
-"""Takes the motion after a pose, and when that came [ns]."""
+"""Takes the motion after a pose, and the pose's time of arrival [ns]."""
 
 REMEMBER_EVERY = 1.0
-"""Time between two writings of what is remembered [s]."""
+"""Time between two writes of the tracker's memory [s]."""
 
 
 class Outlet(Protocol):
-    """Where something goes."""
+    """A destination of samples, states and gains."""
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
-        """Samples as they came, and the link's clock [ns]."""
+        """Takes samples as they arrived, and the link's clock [ns]."""
 
     def state(self, state: Tracked, now: int) -> None:
-        """A new state, with its alarms, and the link's clock [ns]."""
+        """Takes a new state with its alarms, and the link's clock [ns]."""
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
-        """New gains, and the link's clock [ns]."""
+        """Takes new gains, and the link's clock [ns]."""
 
     def close(self) -> None:
-        """The end."""
+        """Ends the outlet."""
 
 
 class Recording:
     """An MCAP file that `fit` reads, with states and alarms beside the samples.
 
     Args:
-        path: Of a file that does not exist yet.
-        card: What the samples mean.
-        link: Name, for the file.
+        path: Path of a file that does not exist yet.
+        card: Meaning of the samples.
+        link: Name of the link, stored in the file.
     """
 
     def __init__(self, path: Path, card: Card, link: str) -> None:
@@ -67,7 +67,7 @@ class Recording:
         self._waiting: list[Sample] = []
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
-        """Writes; the file begins with the first pose, which tells by which clock poses are to be timed."""
+        """Writes samples; the file begins with the first pose, which determines the clock that times the poses."""
         self._waiting += samples
         pose = next((one for one in self._waiting if one.stream == "pose"), None)
         if self._recorder is None:
@@ -85,7 +85,7 @@ class Recording:
         self._waiting.clear()
 
     def state(self, state: Tracked, now: int) -> None:
-        """Writes a state and its alarms, these as events, too."""
+        """Writes a state and its alarms, the alarms also as events."""
         if self._recorder is None:
             return
         for alarm in state.alarms:
@@ -107,7 +107,7 @@ class Recording:
         """Ends the file.
 
         Raises:
-            LogError: The disk did not take all of it.
+            LogError: The disk failed before the end.
         """
         if self._recorder is not None:
             self._recorder.close()
@@ -116,18 +116,18 @@ class Recording:
 
 
 class Remembering:
-    """A file from which a tracker goes on after whatever ended it, written whole once a second by a thread of its own.
+    """A file from which a tracker can resume however it ended, rewritten once a second by a thread of its own.
 
     Args:
-        path: Of the file; where there is one, the tracker goes on from it.
-        tracker: What is remembered.
+        path: Path of the file; if it exists, the tracker resumes from it.
+        tracker: The tracker whose memory is stored.
 
     Attributes:
-        recalled: Whether the tracker goes on from the file.
-        fault: Why the last writing failed.
+        recalled: Whether the tracker has resumed from the file.
+        fault: Why the last write failed; empty if it did not.
 
     Raises:
-        LogError: It is another file, of another vehicle, or of a tracker that is running.
+        LogError: The file is of another kind, of another vehicle, or in use by a running tracker.
     """
 
     def __init__(self, path: Path, tracker: Tracker) -> None:
@@ -143,23 +143,23 @@ class Remembering:
         self._thread.start()
 
     def heard(self, _samples: Sequence[Sample], now: int) -> None:
-        """Hands over what is remembered, when it is time."""
+        """Hands the tracker's memory to the thread, if `REMEMBER_EVERY` has passed."""
         if now >= self._next:
             self._next = now + round(REMEMBER_EVERY * 1e9)
             self._memory = self._tracker.memory()
             self._due.set()
 
     def state(self, _state: Tracked, _now: int) -> None:
-        """Nothing: the samples say it all."""
+        """Does nothing: the memory is taken with the samples."""
 
     def gains(self, _message: Mapping[str, Any], _now: int) -> None:
-        """Nothing: they are not what is learnt."""
+        """Does nothing: gains are not part of the memory."""
 
     def close(self) -> None:
-        """Writes the last.
+        """Writes the memory a last time.
 
         Raises:
-            LogError: The disk did not take it.
+            LogError: The disk failed.
         """
         self._memory = self._tracker.memory()
         self._over.set()
@@ -170,7 +170,7 @@ class Remembering:
             raise LogError(self.fault)
 
     def _run(self) -> None:
-        """The thread; its only way to fail is told in `fault`."""
+        """Body of the thread; a failed write sets `fault`."""
         last = False
         while not last:
             self._due.wait()
@@ -189,7 +189,7 @@ class Remembering:
 
 
 def _held(path: Path) -> socket.socket:
-    """What no second tracker of the same file gets: a socket without a file, which Linux frees after a kill."""
+    """A lock on the file: a socket with an abstract name, which Linux frees even after a kill."""
     name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     held = socket.socket(socket.AF_UNIX)
     try:
@@ -198,11 +198,11 @@ def _held(path: Path) -> socket.socket:
         if error.errno == errno.EADDRINUSE:
             held.close()
             raise LogError(f"{path}: another tracker remembers in this file; name another") from None
-    return held  # other systems know no such names: there nobody is kept out
+    return held  # other systems have no abstract names: there is no lock
 
 
 def _recalled(path: Path, tracker: Tracker) -> bool:
-    """Lets a tracker go on from a file of `Remembering`; whether there was one."""
+    """Lets a tracker resume from a file of `Remembering`; whether there was one."""
     if not path.exists():
         return False
     try:

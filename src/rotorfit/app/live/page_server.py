@@ -13,9 +13,9 @@ class LivePage:
     """Serves the page from a thread of its own.
 
     Args:
-        port: To listen on; 0 for any that is free.
-        vehicle: What is followed, for people.
-        say: Told the address, with the key of this run.
+        port: Port to listen on; 0 for any free one.
+        vehicle: Name of the tracked vehicle for the user.
+        say: Called with a line that has the address, including the key of this run.
 
     Raises:
         LinkError: The studio's server is not installed, or the port is taken.
@@ -42,7 +42,7 @@ class LivePage:
         say(f"live page: {self._loopback.address}")
 
     def heard(self, _samples: Sequence[Sample], _now: int) -> None:
-        """Nothing: pages show states."""
+        """Does nothing: pages show states only."""
 
     def state(self, state: Tracked, _now: int) -> None:
         """Shows a state and its alarms."""

@@ -1,4 +1,4 @@
-"""Gains while a vehicle flies: published as a message and, where asked for, as a file; nothing is ever commanded."""
+"""New gains while a vehicle flies: published as a message and, if wanted, as a file; nothing is ever commanded."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ from rotorfit.core.tracked import Tracked
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
 
 OF_THE_VEHICLE = ("payload", "thrust", "limits", "delay", "other")
-"""Causes of alarms after which the vehicle is learnt anew."""
+"""Causes of alarms that mean a change of the vehicle itself."""
 
 Message = Mapping[str, Any]
 
@@ -22,20 +22,20 @@ Message = Mapping[str, Any]
 class Regaining:
     """Watches the states of a vehicle, and publishes new gains.
 
-    Gains that the file holds at the start are those that are flown, and its design, rate and latency hold.
+    The gains in the file at the start are taken as those in use, and its design, rate and latency are kept.
 
     Args:
-        path: Of the gains file, TOML or YAML; None for messages alone.
+        path: Path of the gains file, TOML or YAML; None for messages alone.
         told: The first of the listeners.
-        kept: Called with where the file that was there first is kept.
-        before: What the vehicle was on an earlier flight; None where nothing is known.
+        kept: Called with the path of the backup when the original file is first replaced.
+        before: The model of an earlier flight; None if there is none.
 
     Attributes:
         listeners: Called with each message and the link's clock [ns].
-        count: Messages so far.
+        count: Number of messages so far.
 
     Raises:
-        ModelError: A name of another kind of file, or a gains file that cannot be read.
+        ModelError: The file's name has another suffix, or the gains file cannot be read.
         LogError: The path is taken by something else.
     """
 
@@ -57,7 +57,7 @@ class Regaining:
         self._retuning = Retuning(*loop, flown, before)
 
     def state(self, state: Tracked, now: int) -> None:
-        """Publishes what a state calls for."""
+        """Publishes new gains if a state calls for them."""
         for alarm in state.alarms:
             if alarm.cause in OF_THE_VEHICLE:
                 self._retuning.changed(alarm.axes, alarm.cause)
@@ -72,7 +72,7 @@ class Regaining:
 
     @property
     def summary(self) -> str:
-        """What has come of it, one line."""
+        """One line about the gains published so far."""
         if not self.count:
             return "No gains published: those that are flown may stay, or nothing has settled."
         return f"Gains published {counted(self.count, 'time')}{f', in {self._path}' if self._path else ''}."

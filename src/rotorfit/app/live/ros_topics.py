@@ -1,7 +1,7 @@
-"""ROS topics of what is known, for either version: diagnostics, velocity, wind, and all of it as JSON. No commands.
+"""ROS topics of the tracked state, for either version: diagnostics, velocity, wind, and all of it as JSON. No commands.
 
-Messages are those of every installation, so that nothing has to be built to read them. What is not known is NaN, or has
-no message.
+The message types are part of every installation, so nothing has to be built to read them. Unknown values are NaN, or
+have no message.
 """
 
 import json
@@ -20,7 +20,7 @@ from rotorfit.flying.links import LINKS
 PREFIX = "/rotorfit"
 
 DIAGNOSTICS = "/diagnostics"
-"""Where tools look for them, whatever the prefix."""
+"""Topic where tools expect diagnostics, whatever the prefix."""
 
 TOPICS = {
     "tracked": "std_msgs/String",
@@ -33,28 +33,28 @@ TOPICS = {
 """Topic below the prefix to its type."""
 
 LEVELS = {"known": "OK", "learning": "WARN", "not_identifiable": "WARN", "holding": "STALE", "not_excited": "STALE"}
-"""What is known of an axis to the level of its diagnostics."""
+"""`TrackedAxis.knowledge` to the level of the axis' diagnostics."""
 
 ALARMING = 30.0
-"""After an alarm the vehicle's diagnostics are an error for so long [s]; a warning from then on."""
+"""How long the vehicle's diagnostics are an error after an alarm [s]; then they are a warning."""
 
 SECOND = 1_000_000_000
 
 
 class _Graph(Protocol):
-    """A node of either version that only publishes."""
+    """A publishing node of either version."""
 
     def advertise(self, topic: str, kind: str) -> None:
-        """A topic that will be published."""
+        """Announces a topic."""
 
     def message(self, kind: str) -> Any:
         """An empty message of a type such as `std_msgs/String`."""
 
     def stamp(self, message: Any, now: int) -> None:
-        """Stamps its header [ns]."""
+        """Sets the stamp of a message's header [ns]."""
 
     def publish(self, topic: str, message: Any) -> None:
-        """Sends it."""
+        """Publishes a message."""
 
     def close(self) -> None:
         """Publishes no more."""
@@ -84,7 +84,7 @@ class _Ros1:
 
 
 class _Ros2:
-    """In a context of its own: a link that breaks and is opened again does not touch it."""
+    """A node in a context of its own, which a link that breaks and is reopened does not affect."""
 
     def __init__(self) -> None:
         self._ros = import_module("rotorfit.flying.links.ros2")
@@ -121,11 +121,11 @@ class RosTopics:
     """Publishes states and alarms.
 
     Args:
-        where: `ros1` or `ros2`, perhaps with a prefix: `ros2:/bebop/model`.
-        vehicle: What is followed, for the diagnostics.
+        where: `ros1` or `ros2`, optionally with a prefix: `ros2:/bebop/model`.
+        vehicle: Name of the tracked vehicle, for the diagnostics.
 
     Raises:
-        LinkError: Neither of them, a prefix that is none, no such ROS in this shell, no master.
+        LinkError: It is neither of them, the prefix is invalid, this shell has no such ROS, or there is no master.
     """
 
     def __init__(self, where: str, vehicle: str) -> None:
@@ -147,7 +147,7 @@ class RosTopics:
             raise
 
     def heard(self, _samples: Sequence[Sample], _now: int) -> None:
-        """Nothing: samples come from topics that are there."""
+        """Does nothing: samples have topics already."""
 
     def state(self, state: Tracked, now: int) -> None:
         """Publishes a state and its alarms."""
@@ -166,7 +166,7 @@ class RosTopics:
             self._graph.publish(f"{self._prefix}/wind", message)
 
     def gains(self, message: Mapping[str, Any], _now: int) -> None:
-        """Publishes new gains, to be read: JSON, which no controller takes for a command."""
+        """Publishes new gains as JSON, which no controller can mistake for a command."""
         self._json("gains", message)
 
     def close(self) -> None:
@@ -185,7 +185,7 @@ class RosTopics:
         return message
 
     def _six(self, topic: str, field: str, frame: str, values: Sequence[float | None], now: int) -> None:
-        """Linear x, y, z and the turn about z; tilting is not known."""
+        """Publishes linear x, y, z and the rate about z; the other rates are unknown."""
         message = self._stamped(topic, frame, now)
         part = getattr(message, field)
         x, y, z, yaw = (math.nan if value is None else value for value in values)

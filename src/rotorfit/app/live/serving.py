@@ -1,4 +1,4 @@
-"""Views: the live page, the Foxglove server and ROS topics, for as long as a vehicle is followed."""
+"""Views: the live page, the Foxglove server and ROS topics, while a vehicle is tracked."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -11,17 +11,17 @@ from rotorfit.core.tracked import Tracked
 
 
 class Views:
-    """What was asked for of the three; an outlet itself.
+    """The requested views as one outlet.
 
     Args:
-        page: Port of the live page, 0 for any that is free; None for no page.
-        foxglove: The same of the Foxglove server.
-        publish: `ros1` or `ros2`, perhaps with a prefix; None for no topics.
-        vehicle: What is followed, for people.
-        say: Told where they are.
+        page: Port of the live page, 0 for any free one; None for no page.
+        foxglove: Port of the Foxglove server, 0 for any free one; None for no server.
+        publish: `ros1` or `ros2`, optionally with a prefix; None for no topics.
+        vehicle: Name of the tracked vehicle for the user.
+        say: Called with a line that has the address of each.
 
     Attributes:
-        moving: Those that take the motion after each pose.
+        moving: Functions that take the motion after each pose.
     """
 
     def __init__(
@@ -62,19 +62,19 @@ class Views:
         stack.callback(outlet.close)
 
     def heard(self, samples: Sequence[Sample], now: int) -> None:
-        """Hands samples on."""
+        """Passes samples on."""
         for outlet in self._outlets:
             outlet.heard(samples, now)
 
     def state(self, state: Tracked, now: int) -> None:
-        """Hands a state on."""
+        """Passes a state on."""
         for outlet in self._outlets:
             outlet.state(state, now)
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
-        """Hands new gains on."""
+        """Passes new gains on."""
         for outlet in self._outlets:
             outlet.gains(message, now)
 
     def close(self) -> None:
-        """Nothing: they last until the result has been shown."""
+        """Does nothing: the views stay open until the result has been shown."""

@@ -1,4 +1,4 @@
-"""A session: a link is heard, a tracker follows, and everything goes where it was asked to go."""
+"""A session: connects a link, a tracker and the outlets."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from rotorfit.app.live.outlets import Moving, Outlet
 
 KEPT = 4000
-"""States of a flight that are kept for its timeline; every second one goes where they are more."""
+"""Largest number of states kept for the timeline of a flight; beyond it, every second one is dropped."""
 
 
 def card_for_link(text: str, card: str | None) -> Card:
-    """The card that tells what a link's commands and poses are.
+    """The card of a link's commands and poses.
 
     Args:
         text: `NAME:ADDRESS` of the link.
-        card: Name or file; None for what the link itself says.
+        card: Name or file; None for the link's own card.
 
     Raises:
-        LinkError: No such link, or one whose topics only a card can name.
+        LinkError: There is no such link, or only a card can name its topics.
     """
     name, address = split(text)
     check_listens(text)
@@ -57,18 +57,18 @@ def followed(
     news: Callable[[str], None],
     moving: Sequence["Moving"] = (),
 ) -> Track:
-    """Follows a vehicle until the link ends.
+    """Tracks a vehicle until the link ends.
 
     Args:
-        tracker: New, or one that goes on.
+        tracker: A tracker, new or resumed.
         listening: The link.
-        outlets: Where all of it goes; they are closed at the end, whatever ends it.
+        outlets: Outlets of samples and states; they are closed at the end, whatever ends it.
         told: Called with each new state and the link's clock [ns].
-        news: Called with what happens to the link.
+        news: Called with a line whenever the link is lost or back.
         moving: Called with the motion after each pose that counts.
 
     Returns:
-        The states, thinned where they are more than `KEPT`, and the regimes.
+        The states, thinned if there are more than `KEPT`, and the regimes.
     """
     now, moved = 0, -math.inf
     states: list[Tracked] = []

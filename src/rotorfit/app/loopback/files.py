@@ -1,4 +1,4 @@
-"""The files of a page, by names that are theirs."""
+"""Serves the files of a page, by name."""
 
 from collections.abc import Callable
 from importlib import resources
@@ -9,10 +9,10 @@ from starlette.responses import Response
 from rotorfit.app.loopback.gate import refused
 
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
-"""Suffixes of what a page is made of."""
+"""Suffix of a page's file to its media type."""
 
 UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")
-"""The library that draws; it stands with the report."""
+"""The plotting library; its files are those of the report."""
 
 
 def file_of(package: str, name: str) -> Response:
@@ -22,7 +22,7 @@ def file_of(package: str, name: str) -> Response:
 
 
 def static(package: str) -> Callable[[Request], Response]:
-    """The endpoint of `/page/{name}`: files of a package's folder `page`, and what draws. No page itself."""
+    """The endpoint of `/page/{name}`: files of a package's folder `page` (no HTML), and the plotting library."""
 
     def endpoint(request: Request) -> Response:
         name = request.path_params["name"]

@@ -1,4 +1,4 @@
-"""The gate: what a request must show before anything behind it sees it. What is not plainly the user's own is refused.
+"""The gate: checks every request before it is served, and refuses those that are not clearly the user's own.
 
 The studio and the live page listen on the loopback interface only, but every web page that the user has open can send
 requests there. So a request needs the secret of this run, must name this server as its host (against DNS rebinding),
@@ -22,25 +22,25 @@ _OWN_FILES = (
 )
 
 POLICY, FRAMED = f"{_OWN_FILES}'none'", f"{_OWN_FILES}'self'"
-"""What a page of ours may load: its own files; and the policy of one that may be shown within another of them."""
+"""Content policy of our pages, which may load their own files only; and of those that may be framed by another one."""
 
 SANDBOX = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
-"""For pages that speak of what was uploaded: a world of their own, without the studio's cookie, without a network."""
+"""Policy of pages made from uploads: sandboxed, without the studio's cookie and without network access."""
 
 _SAFE = ("GET", "HEAD")
 
 
 class Gate:
-    """Lets through what carries the token, names this host, and comes from the studio's own page or no page at all.
+    """Passes requests that carry the token, name this host, and come from our own page or from no page at all.
 
     Args:
-        app: What stands behind.
+        app: The application behind the gate.
         token: The secret of this run.
-        port: That is listened on.
-        verb: Of the command line that prints the address: `studio`, `track`.
+        port: Port of the server.
+        verb: Verb of the command line that prints the address: `studio`, `track`.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int, verb: str = "studio") -> None:
@@ -49,7 +49,7 @@ class Gate:
         self._hosts = {f"{host}:{port}" for host in HOSTS} | (set(HOSTS) if port == 80 else set())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers itself what is refused."""
+        """Serves a request, or refuses it."""
         if scope["type"] == "lifespan":
             return await self._app(scope, receive, send)
         if scope["type"] != "http":  # no websockets here
@@ -62,7 +62,7 @@ class Gate:
         return await _guarded(self._app, scope, receive, send, kept if carried == "link" else "")
 
     def _refusal(self, scope: Scope, headers: Headers, carried: str | None) -> Response | None:
-        refuse = self._told if scope["path"] == "/" else refused  # a person reads it, or the page
+        refuse = self._told if scope["path"] == "/" else refused  # the first is read by a person, the second by a page
         if [value.lower() for value in headers.getlist("host")] not in [[host] for host in self._hosts]:
             return refuse(403, f"this is not the address of `rotorfit {self._verb}`; open the one that it printed")
         if carried is None:
@@ -73,11 +73,11 @@ class Gate:
         return None
 
     def _told(self, status: int, line: str) -> Response:
-        """A refusal for a person."""
+        """A refusal that a person can read."""
         return PlainTextResponse(f"rotorfit {self._verb}: {line}.\n", status)
 
     def _carried(self, scope: Scope, headers: Headers) -> str | None:
-        """How a request carries the token: `link`, `cookie` or `header`; None where it does not."""
+        """How a request carries the token: `link`, `cookie` or `header`; None if it does not."""
         query = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
         if scope["path"] == "/" and scope["method"] == "GET" and len(query) == 1 and self._is_token(query[0]):
             return "link"
@@ -104,21 +104,21 @@ class Gate:
             return set(sites) <= {"same-origin", "none"}
         if set(sites) - {"same-origin"}:
             return False
-        return bool(origins or sites) or carried == "header"  # a browser always names one; a program has the header
+        return bool(origins or sites) or carried == "header"  # browsers always send one; a program uses the header
 
 
 def cookie_name(port: int) -> str:
-    """Name of the cookie: cookies know no ports, so that two studios would take each other's."""
+    """Name of the cookie. It has the port, because cookies are shared between the ports of a host."""
     return f"rotorfit-studio-{port}"
 
 
 def refused(status: int, line: str) -> Response:
-    """One line of JSON: what the user can do."""
+    """A refusal as one line of JSON that says what the user can do."""
     return JSONResponse({"error": line}, status)
 
 
 async def _guarded(app: ASGIApp, scope: Scope, receive: Receive, send: Send, cookie: str = "") -> None:
-    """Every answer with the headers that keep a browser careful, and with the cookie; a policy of its own is kept."""
+    """Adds security headers and the cookie to an answer; its own content policy is kept."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -1,4 +1,4 @@
-"""One listener on 127.0.0.1 with a key for this run, and the server behind it: for the studio and for the live page."""
+"""A listener on 127.0.0.1 with a key for this run, and its server: for the studio and for the live page."""
 
 import secrets
 import socket
@@ -11,11 +11,11 @@ from rotorfit.app.loopback.gate import Gate
 
 
 class Loopback:
-    """A socket that listens, and the secret that lets in.
+    """A listening socket, and the secret that grants access.
 
     Args:
-        port: To listen on; 0 for any that is free.
-        verb: Of the command line that prints the address.
+        port: Port to listen on; 0 for any free one.
+        verb: Verb of the command line that prints the address.
 
     Raises:
         OSError: The port is taken.
@@ -23,7 +23,7 @@ class Loopback:
 
     def __init__(self, port: int, verb: str) -> None:
         self._verb, self.token = verb, secrets.token_urlsafe(32)
-        # The protocol is named because asyncio turns off waiting for full packets only where it is: 40 ms an answer.
+        # Naming the protocol makes asyncio disable Nagle's algorithm, which would cost 40 ms an answer.
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -44,19 +44,19 @@ class Loopback:
 
     @property
     def address(self) -> str:
-        """To open in a browser; it holds the key."""
+        """The address to open in a browser, including the key."""
         return f"http://127.0.0.1:{self.port}/?token={self.token}"
 
     def gated(self, app: ASGIApp) -> Gate:
-        """What is served, behind the gate."""
+        """An application behind the gate."""
         return Gate(app, self.token, self.port, self._verb)
 
     def server(self, app: ASGIApp, patience: int) -> uvicorn.Server:
-        """A server, to be run on the socket.
+        """A server to run on the socket.
 
         Args:
-            app: What it serves, behind the gate.
-            patience: How long open answers are waited for at the end [s].
+            app: The application, which is put behind the gate.
+            patience: How long it waits for open answers at the end [s].
         """
         config = uvicorn.Config(
             app,

@@ -1,4 +1,4 @@
-"""What the terminal shows, a module a noun: text and tables that fit 80 columns."""
+"""Terminal output, one module for each kind of result: text and tables that fit 80 columns."""
 
 import re
 from collections.abc import Iterable
@@ -10,11 +10,11 @@ from rotorfit.core.plain import visible
 
 _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
 
-_UNBROKEN = 2000  # columns: more than any line has
+_UNBROKEN = 2000  # columns, more than any line has
 
 
 def show(view: Iterable[RenderableType]) -> None:
-    """Prints a view on stdout: as wide as the terminal, and without broken lines in a pipe."""
+    """Prints a view on stdout, wrapped to the terminal's width, and not wrapped in a pipe."""
     console = Console(markup=False, highlight=False, emoji=False)
     if not console.is_terminal:
         console.width = _UNBROKEN
@@ -25,5 +25,5 @@ def show(view: Iterable[RenderableType]) -> None:
 
 
 def _harmless(line: str) -> str:
-    """A line with its colours; what else would steer a terminal, from a file's names, as its escape."""
+    """A line with its colours; other control characters, as from names in a file, are escaped."""
     return "".join(part if _COLOUR.fullmatch(part) else visible(part) for part in _COLOUR.split(line))

@@ -1,4 +1,4 @@
-"""What the terminal shows of a flight: the preflight list, a line while it lasts, how it ended."""
+"""Terminal output of a flight: the preflight list, a status line, and how it ended."""
 
 import sys
 import threading
@@ -18,7 +18,7 @@ PERIOD = 0.2  # s between two lines
 
 
 def preflight_view(plan: "Plan", link: str, ready: "Ready", fail_safe: str) -> View:
-    """The preflight list, and what a lost link leaves to the vehicle."""
+    """The preflight list, and what the vehicle does if the link is lost."""
     yield title(f"{plan.name}: {plan.duration:g} s at {plan.rate:g} commands a second, by {link}")
     for check in ready.checks:
         line = Text("  ok   " if check.ok else "  NOT  ", style="green" if check.ok else "bold red")
@@ -29,7 +29,7 @@ def preflight_view(plan: "Plan", link: str, ready: "Ready", fail_safe: str) -> V
 
 
 def flown_view(flown: "Flown", live: bool) -> View:
-    """How a flight ended; how late its commands were where the link is live: simulated time is never late."""
+    """How a flight ended, and for a live link how late its commands were: simulated time is never late."""
     yield title(f"Flown: {flown.text}.")
     yield indented(
         f"{flown.duration:.1f} s of the plan, {flown.commands} commands, {flown.poses} poses; "
@@ -49,7 +49,7 @@ def ended_early(flown: "Flown") -> str:
 
 
 def jitter_line(jitter: "Jitter", count: int) -> str:
-    """By how much commands came later than they were due, and how many by more than three periods."""
+    """How late commands were, and how many by more than three periods."""
     p50, p99, most = (1e3 * value for value in (jitter.p50, jitter.p99, jitter.max))
     late = f", {count} more than three periods" if count else ""
     return f"commands late by {p50:.2f} ms (median), {p99:.2f} ms (99 %), {most:.2f} ms (most){late}"
@@ -65,7 +65,7 @@ def status_line(said: Callable[[], str] = lambda: "") -> Iterator[Callable[["Sta
     """Shows the last status of a flight in one line.
 
     Args:
-        said: What else there is to say, before it.
+        said: Returns a text to show before the status.
     """
     last: list[Any] = [None]
 
@@ -78,12 +78,12 @@ def status_line(said: Callable[[], str] = lambda: "") -> Iterator[Callable[["Sta
 
 @contextmanager
 def shown_line(text: Callable[[], str]) -> Iterator[bool]:
-    """Shows a line on stderr, where that is a terminal, again and again, from a thread of its own.
+    """Shows a line on stderr, if that is a terminal, and refreshes it from a thread of its own.
 
-    A terminal that does not keep up must not hold up what is shown.
+    A slow terminal therefore does not delay the caller.
 
     Args:
-        text: The line now; empty while there is none.
+        text: Returns the current line; empty if there is none.
 
     Yields:
         Whether there is a terminal.
@@ -112,7 +112,7 @@ def shown_line(text: Callable[[], str]) -> Iterator[bool]:
 
 
 def line_cleared() -> None:
-    """Makes room for a line of text where a line is shown again and again."""
+    """Clears the refreshed line, to make room for a line of text."""
     if sys.stderr.isatty():
         with suppress(OSError):
             sys.stderr.write("\r\033[K")
@@ -120,7 +120,7 @@ def line_cleared() -> None:
 
 
 def status_text(status: "Status") -> str:
-    """The line while a flight lasts."""
+    """The status line of a flight."""
     of = f" of {status.duration:g}" if status.phase == "plan" else ""
     place = "no pose"
     if status.pose is not None:

@@ -1,4 +1,4 @@
-"""What the terminal shows of a model: coefficients, accuracy, physics, structures, findings."""
+"""Terminal output of a model: coefficients, accuracy, physics, structures, findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -26,13 +26,13 @@ from rotorfit.core.physics import PhysicsRow, implied_limits, physics_rows
 from rotorfit.reporting.accuracy import ERROR_HEADS, PERCENT_HEADS, accuracy_lines, error_rows, percent_rows
 
 _AS_LIKELY, _FAR_LESS_LIKELY = 1.0, 5.0
-"""Differences of the log-likelihood: below the first nobody could tell, beyond the second nobody would doubt."""
+"""Differences of the log-likelihood: below the first, two optima are equally likely; above the second, one is clear."""
 
 _MOST_OTHERS = 3
 
 
 def model_view(model: Model, axes: Sequence[str]) -> View:
-    """Verdict, coefficients, how sure the search is, repairs of the flights, findings."""
+    """Verdict, coefficients, other optima, repairs of the flights, findings."""
     wanted = [axis for axis in AXES if axis in axes]
     concerned = [finding for finding in model.findings if finding.axis is None or finding.axis in wanted]
     for finding in concerned:
@@ -66,7 +66,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
         yield ""
         start, end = flight.span
         yield title(f"{flight.path}, {start:.2f} to {end:.2f} s, commands {', '.join(flight.axes) or 'nothing'}")
-        yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # said first
+        yield from bullets([note.text for note in flight.notes if note.code != "damage"])  # shown first
     for finding in concerned:
         if finding.code != DAMAGED:
             yield ""
@@ -74,7 +74,7 @@ def model_view(model: Model, axes: Sequence[str]) -> View:
 
 
 def _lags(known: Mapping[str, Axis]) -> str:
-    """What laws with more to them add to the total lag or take from it."""
+    """What laws with further parameters add to the total lag, or subtract from it."""
     laws = [structure_named(axis.structure) for axis in known.values()]
     lag = ", with a lag before the velocity + lag" if any(law.order == 1 for law in laws) else ""
     zero = ", with a zero - zero" if any(extra.name == "zero" for law in laws for extra in law.extras) else ""
@@ -107,7 +107,7 @@ def _coefficient_table(model: Model, axes: Sequence[str]) -> RenderableType:
 
 
 def _physics_table(rows: Sequence[PhysicsRow]) -> RenderableType:
-    """Coefficients in physics, at full command, beside what the card makes one expect."""
+    """Physical meaning of the coefficients, at full command, beside the values expected from the card."""
     out = table("axis", "in physics", "estimate", "95 % interval", "unit", "expect", "ratio", left=(0, 1, 4), gap=1)
     shown = ""
     for row in rows:
@@ -132,7 +132,7 @@ def _words(name: str) -> str:
 
 
 def _law_lines(axis: str, known: Axis) -> Iterator[str]:
-    """Between which laws the data cannot decide, and how much of the lag is a prior's."""
+    """The laws between which the data cannot decide, and how far the lag depends on its prior."""
     if len(known.laws) > 1:
         parts = ", ".join(f"{law.structure} {100 * law.weight:.0f} %" for law in known.laws)
         yield f"{axis}: the data do not decide between laws ({parts}): intervals hold what all of them say"
@@ -141,7 +141,7 @@ def _law_lines(axis: str, known: Axis) -> Iterator[str]:
 
 
 def _structure_view(axis: str, known: Axis) -> View:
-    """The law of an axis where it is not the default, the default's coefficients, and what it was chosen from."""
+    """The law of an axis if it is not the default, the default's coefficients, and the alternatives."""
     if known.plain:
         yield ""
         numbers = [
@@ -170,9 +170,9 @@ def _structure_view(axis: str, known: Axis) -> View:
 
 
 def _search_lines(known: Mapping[str, Axis]) -> Iterator[str]:
-    """Whether other delays explain the flights as well: a line for each axis where some do, one for the others.
+    """Whether other delays explain the flights as well: a line for each axis where some do, and one for the others.
 
-    How likely each is, how many starts ended there and what it predicts is in the report and with --json.
+    The report and --json have the likelihood of each, the number of starts that ended there, and its predictions.
     """
     alone: list[str] = []
     for axis, one in known.items():
@@ -191,7 +191,7 @@ def _search_lines(known: Mapping[str, Axis]) -> Iterator[str]:
 
 
 def _beside(chosen: Mode, mode: Mode) -> str:
-    """What an optimum that was not chosen has for it, in words; nothing where it is far less likely."""
+    """How an optimum that was not chosen compares, in words; empty if it is far less likely."""
     above = mode.log_likelihood - chosen.log_likelihood
     if above < -_FAR_LESS_LIKELY:
         return ""

@@ -1,7 +1,4 @@
-"""What the terminal shows of a log: tables, cards that fit, the flight.
-
-What the terminal shows of what is known: cards and formats.
-"""
+"""Terminal output of a log (tables, cards that fit, the flight), and of the lists of cards and formats."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
@@ -20,17 +17,17 @@ if TYPE_CHECKING:
     from rotorfit.diagnosis.survey import CommandActivity, FlightSurvey, Survey, TableSurvey
 
 MANY_TABLES = 12
-"""Tables beyond which only those that matter are listed."""
+"""Number of tables above which only the relevant ones are listed."""
 
 OF_THE_FILE = ("damage", "reading")
-"""Notes that the list of tables has shown already."""
+"""Codes of notes that are shown with the list of tables."""
 
 LEAST_JITTER = 0.01
-"""Jitter below which its figures say nothing [ms]."""
+"""Jitter below which it is not shown [ms]."""
 
 
 def survey_view(survey: "Survey") -> View:
-    """What the flight is like, which cards fit, and what is in the log."""
+    """The flight, the cards that fit, and the contents of the log."""
     tables = "1 table" if len(survey.tables) == 1 else f"{len(survey.tables)} tables"
     yield title(f"{survey.path}: {survey.format}, {tables}")
     if survey.damage:
@@ -49,7 +46,7 @@ def survey_view(survey: "Survey") -> View:
             yield indented(f"Proposed: {survey.why}")
         yield from _flight_view(survey.flight)
         for finding in survey.flight.findings:
-            if finding != survey.damage:  # said first
+            if finding != survey.damage:  # shown first
                 yield ""
                 yield from finding_view(finding)
     yield ""
@@ -57,7 +54,7 @@ def survey_view(survey: "Survey") -> View:
 
 
 def _tables_view(survey: "Survey") -> View:
-    """Tables with their columns; of a log of many those that matter for a flight, where any does."""
+    """Tables with their columns; for a log with many, only those that are relevant to a flight, if any are."""
     shown = [one for one in survey.tables if one.used]
     if len(survey.tables) <= MANY_TABLES or not shown:
         shown = list(survey.tables)
@@ -79,7 +76,7 @@ def _table_line(table: "TableSurvey") -> str:
 
 
 def _rate(rate: Rate) -> str:
-    """How regularly a stream was stamped, what is in order left out."""
+    """Irregularities in the stamps of a stream."""
     if rate.period is None or rate.jitter is None:
         return f"{rate.count} samples"
     troubles = {"repeat a stamp": rate.repeated, "go back in time": rate.reversed, "have no stamp": rate.missing}
@@ -119,7 +116,7 @@ def _flight_view(flight: "FlightSurvey") -> View:
 
 
 def _percent(share: float) -> str:
-    """A share in whole per cent; what is little is not nothing, and what is most is not all."""
+    """A share in whole per cent; a small share is not shown as 0 %, and a large one not as 100 %."""
     if 0 < share < 0.005:
         return "<1 %"
     return ">99 %" if 0.995 <= share < 1 else f"{100 * share:.0f} %"
@@ -152,7 +149,7 @@ def cards_view(cards: Mapping[str, Card]) -> View:
 
 
 def _columns(channels: Mapping[str, Channel]) -> str:
-    """Columns with the table named once."""
+    """Columns, with their table named once."""
     tables = {split_source(channel.source)[0] for channel in channels.values()}
     if len(tables) > 1:
         return ", ".join(str(channel.source) for channel in channels.values())
@@ -162,7 +159,7 @@ def _columns(channels: Mapping[str, Channel]) -> str:
 
 
 def formats_view(formats: Mapping[str, Format]) -> View:
-    """Formats of logs that can be read."""
+    """The log formats that can be read."""
     out = table("format", "what it is", left=(0, 1))
     for name, form in formats.items():
         out.add_row(name, form.text)

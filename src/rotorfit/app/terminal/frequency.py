@@ -1,4 +1,4 @@
-"""What the terminal shows of frequency responses: the flight's own beside the model's. Tables that fit 80 columns."""
+"""Terminal output of frequency responses: the flight's beside the model's, in tables that fit 80 columns."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 def responses_view(responses: Sequence[Mapping[str, "ResponseComparison"]], flights: Sequence["FlightScores"]) -> View:
-    """Gain and delay at each frequency, flight by flight, and what the test of the law says.
+    """Gain and delay at each frequency, flight by flight, and the result of the test of the law.
 
     Args:
-        responses: Of the same flights.
-        flights: Their scores, for their paths.
+        responses: Axis name to its response, for each flight.
+        flights: Scores of the same flights, for their paths.
     """
     from rotorfit.reporting.frequency import response_line, response_rows
 

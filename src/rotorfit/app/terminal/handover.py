@@ -1,7 +1,4 @@
-"""What the terminal shows of exports: the formats, and what was written.
-
-What the terminal shows of gains: a table of the numbers, a table of the margins.
-"""
+"""Terminal output of exports (the formats, and what was written), and of gains (a table of numbers, one of margins)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,7 +17,7 @@ from rotorfit.exports.gains import LAWS
 
 
 def export_formats_view(formats: Mapping[str, Format]) -> View:
-    """Every format with what it holds and needs."""
+    """Every format, with its contents and requirements."""
     out = table("--to", "file", "what it is", left=(0, 1, 2))
     for name, form in formats.items():
         out.add_row(name, form.suffix, Text(f"{form.text}; {form.needs}" if form.needs else form.text))
@@ -35,7 +32,7 @@ def export_view(made: Export, where: str) -> View:
 
 
 def export_mapping(made: Export, where: str) -> dict[str, Any]:
-    """The same as plain JSON types, with the numbers."""
+    """An export as plain JSON types, with the numbers."""
     points = {axis: made.model.axes[axis].predictor for axis in made.axes}
     return {
         "format": made.format,
@@ -57,7 +54,7 @@ def export_mapping(made: Export, where: str) -> dict[str, Any]:
 
 
 def tuning_view(tuning: Tuning) -> View:
-    """Gains, margins of the model itself and under its covariance, what had to be assumed, and what is refused."""
+    """Gains, margins at the estimate and under its covariance, assumptions, and refused axes."""
     yield title(f"{tuning.kind}, {tuning.rate:g} commands a second, poses {1000 * tuning.latency:g} ms old")
     yield Text(LAWS[tuning.kind], style="dim")
     observed = any(one.law.observer for one in tuning.axes.values())
@@ -112,7 +109,7 @@ def trial_view(scores: Sequence[PathScore], address: str) -> View:
 
 
 def _steps(scores: Sequence[PathScore]) -> str:
-    """How large the steps are; empty without."""
+    """The size of the steps; empty without steps."""
     sizes = [one.path.size for one in scores if one.path.shape == "steps"]
     if not sizes:
         return ""

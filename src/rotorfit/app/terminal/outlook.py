@@ -1,7 +1,4 @@
-"""What the terminal shows of a plan: its signals, where it is expected to lead, what it is expected to tell.
-
-What the terminal shows of the demo: the truth beside the estimates.
-"""
+"""Terminal output of a plan (signals, predicted path, predicted accuracy), and of the demo (truth beside estimates)."""
 
 import math
 from collections.abc import Iterator
@@ -46,7 +43,7 @@ def plan_view(plan: Plan) -> View:
 
 
 def _loop(plan: Plan) -> str:
-    """What the feedback does, in a sentence."""
+    """The feedback, in a sentence."""
     if plan.feedback is None:
         return "Open loop: nothing holds the vehicle back."
     excited = {each.axis for each in plan.excitations}
@@ -65,8 +62,8 @@ def _loop(plan: Plan) -> str:
 
 
 RUN_ON = (0.5, 1.0, 3.0)
-"""How long vehicles go on as last told, as `rotorfit fly` reads it of the link: of the Bebop's driver and the flight
-room, PX4's and ArduPilot's default [s]."""
+"""How long vehicles keep executing the last command, as `rotorfit fly` gets it from the link: the Bebop's driver and
+the flight room, PX4's default, ArduPilot's default [s]."""
 
 
 def _run_on(plan: Plan) -> list[str]:
@@ -139,7 +136,7 @@ def _motion(plan: Plan) -> Table:
 
 
 def _leaving(plan: Plan) -> str:
-    """How many leave the space, and past which sides; they may all do so on one, so that its 2.5 % lie outside."""
+    """The share of vehicles that leave the space, and on which sides; all may do so on one side."""
     draws, share = plan.predicted["draws"], plan.predicted["leaving"]
     ends = zip(AXES[:3], plan.space.lower, plan.space.upper, strict=True)
     sides = [
@@ -162,7 +159,7 @@ def _range(low: float, high: float, digits: int = 2) -> str:
 
 
 def _errors(plan: Plan) -> Table:
-    """Table of what is believed and how well it will be known."""
+    """Table of the belief, and of the accuracy that the flight will give."""
     shown = table("known after", *EXPECTED_HEADS, gap=3)
     for row in expected_rows(plan):
         shown.add_row(*row)
@@ -170,7 +167,7 @@ def _errors(plan: Plan) -> Table:
 
 
 def next_view(proposal: NextFlight) -> View:
-    """Why this flight comes next, and what it changes."""
+    """Why this flight is proposed, and what it improves."""
     yield title("Next flight")
     yield indented(f"{proposal.reason}.")
     if len(proposal.tried) > 1:

@@ -1,4 +1,4 @@
-"""What the terminal shows as proof: paired tests, residual tests, flights left out. Tables that fit 80 columns."""
+"""Terminal output of a validation: paired tests, residual tests, flights left out, in tables that fit 80 columns."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rotorfit.core.results import Difference, FlightScores, PairedTest, Quantity, Validation
 
 SHORT_HORIZON = "1"
-"""Horizon at which velocities are compared in the table, where there is one [s]."""
+"""Horizon at which velocities are compared in the table, if it was scored [s]."""
 
 VERDICTS = {
     "better": "better",
@@ -27,15 +27,15 @@ VERDICTS = {
     "no_difference_shown": "none shown",
     "too_short": "too short",
 }
-"""Of a paired test, in words that fit a column."""
+"""Verdict of a paired test to words that fit a column."""
 
 
 def paired_view(tests: Sequence["PairedTest"], flights: Sequence["FlightScores"]) -> View:
-    """Is the difference real? Flight by flight on the axes that it moves, and all together where there are several.
+    """Whether differences are significant: for each flight on the axes that it moves, and pooled if there are several.
 
     Args:
-        tests: Of the same flights.
-        flights: Their scores.
+        tests: Paired tests on the flights.
+        flights: Scores of the flights.
     """
     if not tests or not any(tests[0].axes.values()):
         return
@@ -91,7 +91,7 @@ def _difference(found: "Difference | None", axis: str) -> tuple[str, str]:
 
 
 def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quantity", str]]) -> View:
-    """Where the pooled difference hides that the first is better on one flight and worse on another."""
+    """Cases in which the pooled difference hides that the first is better on one flight and worse on another."""
     for test in tests:
         for axis in AXES:
             for what, key in columns:
@@ -107,7 +107,7 @@ def _disagreements(tests: Sequence["PairedTest"], columns: Sequence[tuple["Quant
 
 
 def bands_view(validation: "Validation") -> View:
-    """How wide the predicted error bands are and how often they held, flight by flight; the 95 % band and the 50 %."""
+    """Width and coverage of the predicted 95 % and 50 % error bands, flight by flight."""
     for flight, axes in zip(validation.flights, validation.bands, strict=True):
         shown = [axis for axis in flight.moved if any(score.velocity for score in axes.get(axis, {}).values())]
         if not shown:
@@ -138,7 +138,7 @@ def _band(found: "Sequence[Coverage]", axis: str) -> str:
 
 
 def residuals_view(validation: "Validation") -> View:
-    """One line an axis with the verdict of its innovations, flight by flight, then the findings."""
+    """The tests of the innovations, one line for each axis and flight, then the findings."""
     for flight, axes in zip(validation.flights, validation.residuals, strict=True):
         if axes:
             yield ""
@@ -161,11 +161,11 @@ def residual_line(tests: "ResidualTests") -> str:
 
 
 def leave_one_out_view(result: "LeaveOneOut", stated: Mapping[str, Mapping[str, float | None]]) -> View:
-    """Tests against the baselines and the spread of the coefficients; the scores are shown as any others.
+    """Tests against the baselines, and the spread of the coefficients; the scores are shown elsewhere.
 
     Args:
-        result: Of leaving out.
-        stated: Axis name to coefficient to the standard error of the fit to all flights.
+        result: Result of leaving out each flight in turn.
+        stated: Axis name to coefficient to its standard error in the fit to all flights.
     """
     yield from paired_view(result.paired, result.flights)
     yield ""

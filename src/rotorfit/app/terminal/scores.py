@@ -1,7 +1,4 @@
-"""What the terminal shows of the ladder: every method below the other, axis by axis.
-
-What the terminal shows of predictions: errors over horizons, flight by flight.
-"""
+"""Terminal output of the ladder (every method, axis by axis) and of predictions (errors over horizons, by flight)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def ladder_view(ladder: Ladder) -> View:
-    """All rungs of each axis, one below the other, with what they say of themselves."""
+    """All rungs of each axis, one below the other, with their remarks."""
     yield title(f"Every method on {', '.join(ladder.paths)}")
     for axis, rows in ladder.axes.items():
         shown = table(axis, *COEFFICIENTS, "1 s", "against ml", left=(0, 5), gap=3)
@@ -55,7 +52,7 @@ def _plus_minus(value: float | None, error: float | None) -> str:
 
 
 def _verdict(row: MethodRow, best: str) -> str:
-    """What an agreement test says of a rung."""
+    """The verdict of the agreement test on a rung."""
     if all(getattr(row.axis, name) is None for name in COEFFICIENTS):
         return row.axis.status["input"]
     if not row.agreement:
@@ -68,7 +65,7 @@ _AT_ONCE = 4  # horizons beside each other in 80 columns
 
 
 def validation_view(validation: "Validation") -> View:
-    """Errors of the model and of the baselines, flight by flight; whether they differ; what the residuals say."""
+    """Errors of the model and of the baselines, flight by flight; paired tests; tests of the residuals."""
     yield from _scores_view({"model": validation.flights, **validation.baselines}, ("model",))
     yield ""
     yield from paired_view(validation.paired, validation.flights)

@@ -1,4 +1,4 @@
-"""Pieces that all text of the terminal is made of: tables without frames, titles, indented text, bullets, findings."""
+"""Building blocks of terminal output: tables without frames, titles, indented text, bullets, findings."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,11 +15,11 @@ from rotorfit.core.model import Interval
 View = Iterator[RenderableType]
 
 COLOURS = {"error": "bold red", "warning": "yellow", "info": "cyan"}
-"""Of the severities."""
+"""Severity to its colour."""
 
 
 def table(*heads: str, left: Sequence[int] = (0,), gap: int = 2) -> Table:
-    """A table without frame; columns are right-aligned except those that are named."""
+    """A table without frame; columns are right-aligned, except those in `left`."""
     out = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap - 1, 0, 0), header_style="bold")
     for place, head in enumerate(heads):
         text = place in left
@@ -33,12 +33,12 @@ def title(text: str) -> Text:
 
 
 def indented(text: str, by: int = 2, style: str = "") -> RenderableType:
-    """Text that keeps its distance from the left edge when it is broken."""
+    """Text that stays indented when it is wrapped."""
     return Padding(Text(text, style=style), (0, 0, 0, by), expand=False)
 
 
 def bullets(lines: Iterable[str]) -> View:
-    """Bullets whose text hangs behind them."""
+    """A bulleted list with hanging indents."""
     for line in lines:
         grid = Table.grid(padding=(0, 1, 0, 0))
         grid.add_row(Text("  -"), Text(line))
@@ -55,7 +55,7 @@ def finding_view(finding: Finding) -> View:
 
 
 NOTHING = 1e-7
-"""Below this a number is that of rounding, in whatever unit is shown."""
+"""Numbers below this are rounding errors, in whatever unit is shown."""
 
 
 def three_digits(value: float) -> str:
@@ -64,12 +64,12 @@ def three_digits(value: float) -> str:
 
 
 def number_text(value: float, interval: Interval) -> str:
-    """A number with the digits that its interval earns: two of the half width."""
+    """A number rounded to two digits of the half width of its interval."""
     return f"{value:z.{_decimals(value, interval)}f}"
 
 
 def interval_text(interval: Interval) -> str:
-    """A 95 % interval; `open` where the data set no end."""
+    """A 95 % interval; `open` for an end that the data do not bound."""
     low, high = interval
     if low is None and high is None:
         return "-"

@@ -1,4 +1,4 @@
-"""What the terminal shows of a vehicle that is followed: what is new, second by second, and the end in a table."""
+"""Terminal output of tracking: what is new, second by second, and a table at the end."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -13,14 +13,14 @@ from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, Tracke
 _LENGTH = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
 
 UNITS = {"input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "steady_gain": "{}/s", "total_lag": "s"}
-"""By quantity, with the axis' unit of length in place of `{}`; input and steady gain are per command of 1."""
+"""Quantity to its unit, with `{}` for the axis' unit of length; input and steady gain are per command of 1."""
 
 SAID = ("known", "not_identifiable")
-"""Of axes that are this, the numbers are given as soon as they are; of others, where they are those of before."""
+"""States in which numbers are shown at once; in other states only if they are those of an earlier model."""
 
 
 def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
-    """Alarms, and the axes of which something else is known than a second ago."""
+    """Alarms, and the axes whose state of knowledge has changed since a second ago."""
     for alarm in state.alarms:
         yield from alarm_view(alarm)
     for name, axis in state.axes.items():
@@ -34,7 +34,7 @@ def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
 
 
 def _numbers(axis: TrackedAxis) -> str:
-    """The coefficients with their intervals, where they are told."""
+    """The coefficients that are told, with their intervals."""
     known = [
         f"{name.replace('_', ' ')} {number_text(value, axis.ci95[name])} ({interval_text(axis.ci95[name])})"
         for name, value in axis.values.items()
@@ -44,7 +44,7 @@ def _numbers(axis: TrackedAxis) -> str:
 
 
 def _apart(axis: TrackedAxis) -> str:
-    """How an axis differs from what it was."""
+    """How an axis differs from the earlier model."""
     return ", ".join(
         f"{name.replace('_', ' ')} {_times(name, change)} ({_times(name, low)} to {_times(name, high)})"
         for name, (change, low, high) in axis.against.items()
@@ -56,13 +56,13 @@ def _times(name: str, change: float) -> str:
 
 
 def line_of(state: Tracked) -> str:
-    """The state in one line, while it is followed."""
+    """The state in one line."""
     axes = ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
     return f"{state.time:.0f} s: {axes or 'listening'}  (Ctrl-C ends)"
 
 
 def alarm_view(alarm: Alarm) -> View:
-    """What changed, since when, by how much, and why it is probably that."""
+    """What changed, when, by how much, and the reason for the named cause."""
     low, high = alarm.since
     head = Text(f"{alarm.time:7.1f} s  ALARM {', '.join(alarm.axes)}: {alarm.cause}", style="bold red")
     head.append(f", since {low:.1f} to {high:.1f} s", style="default")
@@ -126,7 +126,7 @@ def track_view(result: Track) -> View:
 
 
 def _wind(air: Air) -> str:
-    """The mean wind with its intervals; of air that may be still, how much it is at the most."""
+    """The mean wind with its intervals; if the air may be still, only the largest possible speed."""
     if not air.told:
         return f"Mean wind below {number_text(air.speed_ci95[1], air.speed_ci95)} m/s"
     speed = f"{number_text(air.speed, air.speed_ci95)} m/s ({interval_text(air.speed_ci95)})"

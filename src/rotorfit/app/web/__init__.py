@@ -1,4 +1,4 @@
-"""The studio: a local web page from dropped logs to a model that is proved. Loopback only, a secret for every run."""
+"""The studio: a local web page, from dropped logs to a validated model. Loopback only, with a new secret every run."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,15 +7,15 @@ from rotorfit.core.errors import RotorfitError
 
 
 class StudioError(RotorfitError):
-    """The studio cannot start: a package is missing, the port is taken."""
+    """The studio cannot start: a package is missing, or the port is taken."""
 
 
 def studio(folder: str | Path | None = None, port: int = 0, ready: Callable[[str, Path], None] | None = None) -> None:
     """Serves the studio on 127.0.0.1 until it is interrupted.
 
     Args:
-        folder: Of the session: a new one, or one that an earlier run has left; None for the user's own.
-        port: To listen on; 0 takes a free one.
+        folder: Folder of the session, a new one or that of an earlier run; None for the user's own.
+        port: Port to listen on; 0 for any free one.
         ready: Called with the address to open, which holds the secret of this run, and the folder.
 
     Raises:

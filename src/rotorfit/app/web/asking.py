@@ -1,4 +1,4 @@
-"""What a page may ask for, checked: ranges, changes of the card, fits, windows. All else is refused in one line."""
+"""Checks what a page requests: ranges, changes of the card, fits, windows. All else is refused in one line."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,14 +18,14 @@ MOST_RANGES = 50
 LONGEST_CARD = 100_000
 
 SESSION_CARD = "session"
-"""In place of a card's name: the session's own."""
+"""Stands for the session's own card in place of a name."""
 
 WIDEST = 4096
-"""Pixels of a plot."""
+"""Largest width of a plot [pixels]."""
 
 
 class RequestError(RotorfitError):
-    """A page asked for what there is not: another page's version, or a hand that wrote the request."""
+    """A request that is not valid: from another version of the page, or written by hand."""
 
 
 def ranges_from(body: Any) -> tuple[tuple[Range, ...], int]:
@@ -84,7 +84,7 @@ def edits_from(body: Any, drafted: Callable[[str], str]) -> tuple[Callable[[str]
 def fit_request(
     body: Any, session: Session, path_of: Callable[[Upload], str]
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """What the worker is told, and the stretches in words."""
+    """The request for the worker, and the ranges of the logs in words."""
     spans: dict[str, list[tuple[str, float | None, float | None]]] = {"train": [], "validate": []}
     for upload in session.uploads:
         for part in upload.ranges:
@@ -150,7 +150,7 @@ def _one_of(body: Mapping[str, Any], name: str, known: tuple[str, ...], otherwis
 
 
 def window_from(query: Mapping[str, str], time: Array) -> tuple[float, float, int]:
-    """Start, end and pixels of a window; the whole series where none is given."""
+    """Start and end [s] and width [pixels] of a window; the whole series if none is given."""
     try:
         start, end = (float(query[name]) if name in query else None for name in ("from", "to"))
         width = int(query.get("width", "800"))

@@ -1,4 +1,4 @@
-"""The text of a card, one value changed and everything else left as its author wrote it, comments too."""
+"""Changes one value in the text of a card and leaves everything else as its author wrote it, including comments."""
 
 import json
 import re
@@ -26,14 +26,14 @@ QUANTITIES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("velocity", "time", "time of the velocity", _STAMP),
     *(("velocity", axis, f"velocity {axis}", _RATE if axis == "yaw" else _SPEED) for axis in AXES),
 )
-"""Section, key, words, units: what the studio's table of a card asks for, in its order."""
+"""Section, key, words, units: the rows of the studio's table of a card, in order."""
 
 
 def parsed(text: str) -> dict[str, Any]:
     """The sections and keys of a card, as plain types.
 
     Raises:
-        CardError: It is not TOML, or holds what JSON cannot say.
+        CardError: It is not TOML, or has values without a counterpart in JSON.
     """
     try:
         raw = plain_toml(text)
@@ -50,7 +50,7 @@ def card_from_text(text: str) -> Card:
     """The card of a text.
 
     Raises:
-        CardError: As `parsed` and `card_from_mapping`.
+        CardError: As in `parsed` and `card_from_mapping`.
     """
     return card_from_mapping(parsed(text), "of the studio")
 
@@ -58,17 +58,17 @@ def card_from_text(text: str) -> Card:
 def with_value(text: str, section: str, key: str, value: Any) -> str:
     """A card's text with one value set, or removed.
 
-    The line of the key is changed and keeps the comment behind it; a line that was commented out for being edited takes
-    its place where there is none. Where the text is written in a way that lines cannot show, all of it is written anew.
+    The line of the key is changed and keeps its trailing comment; without such a line, one that was commented out takes
+    its place. If the text cannot be edited line by line, all of it is written anew.
 
     Args:
-        text: TOML.
+        text: The card as TOML.
         section: Name of a section; empty for the keys on top.
-        key: In it.
+        key: Key in the section.
         value: A string, a number, a boolean, a list or a mapping of these; None removes the key.
 
     Raises:
-        CardError: The text is not TOML, or the section is no section.
+        CardError: The text is not TOML, or the section is not a table.
     """
     wanted = parsed(text)
     place = wanted.setdefault(section, {}) if section else wanted
@@ -93,10 +93,10 @@ def with_value(text: str, section: str, key: str, value: Any) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value as it stands behind `=`.
+    """A value as TOML.
 
     Raises:
-        CardError: There is no such value in a card.
+        CardError: No card has a value of this type.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -147,13 +147,13 @@ def _section(lines: list[str], section: str) -> tuple[int | None, int]:
 
 
 def _last(lines: list[str], begin: int, end: int) -> int:
-    """Behind the last line of a section that says something."""
+    """Index after the last line of a section that is not blank."""
     return max((i + 1 for i in range(begin, end) if lines[i].strip() and not lines[i].startswith("#")), default=begin)
 
 
 def _comment(line: str) -> str:
     """The comment at the end of a line, with the space before it."""
-    for match in re.finditer(r"\s*#", line):  # the first mark that leaves a whole value before it
+    for match in re.finditer(r"\s*#", line):  # the first # that leaves a complete value before it
         try:
             tomllib.loads(line[: match.start()])
         except tomllib.TOMLDecodeError:

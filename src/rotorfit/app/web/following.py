@@ -1,6 +1,6 @@
-"""The follower: `rotorfit track --link` in a process of its own, what it says for the live page, and its recording.
+"""The follower: runs `rotorfit track --link` in a process of its own, and feeds its output to the live page.
 
-What is commanded is none of it: the verb only listens. The recording becomes a log of the session.
+Nothing is commanded: the process only listens. Its recording becomes a log of the session.
 """
 
 import signal
@@ -21,25 +21,25 @@ from rotorfit.core.plain import line_of, plain_json
 from rotorfit.core.writing import write_whole
 
 SAID = 20
-"""Lines of what the process says that are kept."""
+"""Number of lines of the process' other output that are kept."""
 
 PATIENCE = 10.0
-"""How long it may take to end when the studio ends [s]."""
+"""How long the process may take to end with the studio [s]."""
 
 CARD = "followed.toml"
 
 
 @dataclass
 class Run:
-    """One vehicle that is, or was, followed.
+    """A tracking run, going on or ended.
 
     Attributes:
-        number: From 1.
-        link: As the user gave it.
-        process: That follows it.
-        feed: What a page is shown of it.
-        said: What it said besides: where it listens, what it lacks, that it ended.
-        running: Whether it goes on.
+        number: Number of the run, from 1.
+        link: The link as the user gave it.
+        process: The process that tracks.
+        feed: The feed of the page.
+        said: Other output of the process: where it listens, what is missing, that it ended.
+        running: Whether it is going on.
     """
 
     number: int
@@ -51,11 +51,11 @@ class Run:
 
 
 class Follower:
-    """At most one vehicle at a time.
+    """Tracks at most one vehicle at a time.
 
     Args:
-        incoming: A name to a place for a log that is being received, and its id, as `Workspace.incoming`.
-        kept: Keeps what came there: id, name, path.
+        incoming: Reserves an id and a path for a log of a given name, as `Workspace.incoming`.
+        kept: Adds that log to the session; takes id, name and path.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class Follower:
 
     @property
     def feed(self) -> Feed:
-        """Of the vehicle that is, or was last, followed."""
+        """The feed of the current or last run."""
         return self._run.feed if self._run else self._none
 
     def to_mapping(self) -> dict[str, Any] | None:
-        """What the page shows besides; None before the first."""
+        """What else the page shows of the run; None before the first run."""
         run = self._run
         if run is None:
             return None
@@ -84,12 +84,12 @@ class Follower:
         """Starts to listen.
 
         Args:
-            link: As of `rotorfit track --link`.
-            card: Name of a built-in card, or text of one; empty for what the link says itself.
-            text: Which of the two.
+            link: The link, as in `rotorfit track --link`.
+            card: Name of a built-in card, or the text of a card; empty for the link's own card.
+            text: Whether `card` is a text.
 
         Raises:
-            BusyError: A vehicle is followed already.
+            BusyError: A vehicle is tracked already.
             WorkspaceError: There is no room for another log.
         """
         with self._lock:
@@ -104,12 +104,12 @@ class Follower:
         Thread(target=self._listen, args=(run, place, log_id, name, path), daemon=True).start()
 
     def stop(self) -> None:
-        """Asks it to end: it makes a last fit, and its recording is kept."""
+        """Asks the process to end: it makes a last fit, and its recording is kept."""
         if self._run is not None and self._run.running:
             self._run.process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
-        """Ends it with the studio."""
+        """Ends the run with the studio."""
         run = self._run
         if run is None or not run.running:
             return
@@ -120,7 +120,7 @@ class Follower:
             run.process.kill()
 
     def _listen(self, run: Run, place: ExitStack, log_id: str, name: str, path: Path) -> None:
-        """The thread: takes what the process prints, and its recording at the end."""
+        """Body of the thread: reads the output of the process, and keeps its recording at the end."""
         with place, run.process as process:
             assert process.stdout is not None
             for line in process.stdout:
@@ -157,7 +157,7 @@ def _process(link: str, card: str, text: bool, record: Path) -> subprocess.Popen
 
 
 def _told(line: str) -> dict[str, Any]:
-    """A state or an alarm; nothing where it is anything else."""
+    """The state or alarm in a line of output; empty for any other line."""
     try:
         told = plain_json(line)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The routes: what the page may ask for. Ids only, never paths; every known error is one line of JSON."""
+"""The routes of the studio. Requests have ids only, never paths; every known error is one line of JSON."""
 
 import json
 import os
@@ -35,7 +35,7 @@ from rotorfit.exports import export
 from rotorfit.exports.formats import FORMATS
 
 LARGEST_REQUEST = 1 << 20
-"""Bytes of a request that is not a log."""
+"""Largest size of a request that is not a log [bytes]."""
 
 RESULTS = {
     "model.json": "application/json",
@@ -43,11 +43,11 @@ RESULTS = {
     "result.json": "application/json",
     "report.html": "text/html; charset=utf-8",
 }
-"""Files of a fit that may be asked for."""
+"""Files of a fit that may be requested."""
 
 
 class Studio:
-    """A workspace and what serves it."""
+    """The application that serves a workspace."""
 
     def __init__(self, workspace: Workspace, gated: Callable[[ASGIApp], ASGIApp]) -> None:
         self.workspace = workspace
@@ -59,7 +59,7 @@ class Studio:
         self.app = gated(Starlette(routes=self._routes(), exception_handlers=handlers))
 
     def close(self) -> None:
-        """Ends whatever runs."""
+        """Ends all running work."""
         self.follower.close()
         self.runner.close()
 
@@ -90,7 +90,7 @@ class Studio:
         ]
 
     def session(self, request: Request) -> Any:
-        """The session, or nothing new since the revision that the page knows."""
+        """The session, unless it is unchanged since the revision that the page knows."""
         session, running = self.workspace.session, self.runner.running
         if request.query_params.get("seen") == str(session.revision):
             now: dict[str, Any] = {
@@ -142,12 +142,12 @@ class Studio:
         self.shelf.forget(upload)
 
     def flight(self, request: Request) -> Any:
-        """What the card makes of a log."""
+        """The flight that the card makes from a log."""
         upload, card = self._upload(request), self._card()
         return self.shelf.computed(("flight", upload.id, card), lambda: flight_mapping(self.shelf.flight(upload, card)))
 
     def findings(self, request: Request) -> Any:
-        """What the data doctor says, and which way the motion says that each command leads."""
+        """The findings about a log, and the direction of each command as the motion shows it."""
         upload, card = self._upload(request), self._card()
 
         def make() -> Any:
@@ -159,7 +159,7 @@ class Studio:
                 "answers": {axis: asdict(told[axis]) for axis in flight.axes if axis in told},
             }
 
-        with self._looking:  # one after the other: edits come faster than findings of a long flight
+        with self._looking:  # one at a time: edits may come faster than the findings about a long flight
             if card != self._card():
                 raise StaleError("the card has changed meanwhile")
             return self.shelf.computed(("findings", upload.id, card), make)
@@ -176,15 +176,15 @@ class Studio:
         return self.shelf.column(self._upload(request), request.query_params.get("source", ""))
 
     def ranges(self, request: Request, body: Any) -> Any:
-        """Says which stretches of a log are for training and for validation."""
+        """Sets the ranges of a log for training and for validation."""
         upload = self._upload(request)
         ranges, seen = ranges_from(body)
         self.workspace.set_ranges(upload.id, ranges, seen)
 
     def card(self, _: Request, body: Any) -> Any:
-        """Changes the card by a text, single values, a built-in card or a draft for a log; answers its revision."""
+        """Changes the card by a text, single values, a built-in card or a draft for a log; returns its revision."""
         workspace = self.workspace
-        if "draft" in body and body.get("seen") == 0:  # on a session without a card, by every page that looks at it
+        if "draft" in body and body.get("seen") == 0:  # every page does so on a session without a card
             there = workspace.session
             revision = there.card_revision if there.card else workspace.first_card(self._drafted(str(body["draft"])))
         else:
@@ -193,13 +193,13 @@ class Studio:
         return {"card_revision": revision}
 
     def _drafted(self, log_id: str) -> str:
-        """The card that a log carries, if it is one, else one drafted from its names and its motion."""
+        """The card that a log carries, if it is valid; else one drafted from its column names and its motion."""
         log = self.shelf.log(self.workspace.upload(log_id))
         carried = log.attached.get("card", "")
         return carried if carried and raw_of(carried) is not None else draft_card(log)
 
     def card_file(self, _: Request) -> Response:
-        """The card, to keep."""
+        """The card, for download."""
         return Response(
             self.workspace.session.card.encode("utf-8", "replace"),
             media_type="application/toml",
@@ -221,19 +221,19 @@ class Studio:
         self.workspace.remove_fit(self._fit(request).id)
 
     def follow(self, _: Request, body: Any) -> Any:
-        """Starts to follow a vehicle."""
+        """Starts to track a vehicle."""
         self.follower.start(*live_request(body, self.workspace.session))
 
     def _followed(self, log_id: str, name: str, path: Path) -> None:
-        """Keeps the recording of a vehicle that was followed."""
+        """Keeps the recording of a tracked vehicle."""
         self._kept(Upload(log_id, name, path.name, path.stat().st_size, ""))
 
     def follow_no_more(self, _: Request, _body: Any) -> Any:
-        """Ends it."""
+        """Ends the tracking."""
         self.follower.stop()
 
     def result(self, request: Request) -> Response:
-        """A file of a fit, to show or to keep."""
+        """A file of a fit, to show or download."""
         name, fit = request.path_params["file"], self._fit(request)
         path = self.workspace.fit_folder(fit) / name
         if name not in RESULTS or fit.status != "done" or not path.is_file():
@@ -247,7 +247,7 @@ class Studio:
         return FileResponse(path, media_type=RESULTS[name], headers=headers)
 
     def exported(self, request: Request) -> Response:
-        """The model of a fit in the form that a controller or a simulator takes, to keep."""
+        """The model of a fit, exported for a controller or a simulator, for download."""
         fit, wanted = self._fit(request), request.path_params["format"]
         path = self.workspace.fit_folder(fit) / "model.json"
         if fit.status != "done" or not path.is_file():
@@ -273,7 +273,7 @@ class Studio:
 
 
 def _said_by_the_page(refusal: str) -> str:
-    """A refusal of an export with the page's name for what is an option on the command line."""
+    """A refusal of an export, with the page's name for an option of the command line."""
     return refusal.replace("--predictor", f"'{UNTOLD}'").replace("export --to ", "export to ")
 
 
@@ -306,7 +306,7 @@ def _drawing(answer: Callable[[Request], Series]) -> Callable[[Request], Respons
 
 
 def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]:
-    """A route that changes the session, by JSON of a small size."""
+    """A route that changes the session by a small JSON body."""
 
     async def endpoint(request: Request) -> Response:
         body = b""
@@ -326,7 +326,7 @@ def _changing(change: Callable[[Request, Any], Any]) -> Callable[[Request], Any]
 
 
 def _synced(file: BinaryIO) -> None:
-    """What was received reaches the disk before it is called kept."""
+    """Flushes a received file to the disk."""
     file.flush()
     os.fsync(file.fileno())
 

@@ -1,4 +1,4 @@
-"""The runner: starts a fit in a process of its own, listens to it, cancels it. One at a time."""
+"""The runner: starts a fit in a process of its own, reads its progress, cancels it. One at a time."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ class BusyError(RotorfitError):
 
 
 class Runner:
-    """At most one worker of a workspace."""
+    """Runs at most one worker for a workspace."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
@@ -35,7 +35,7 @@ class Runner:
         """Starts a fit or a comparison.
 
         Raises:
-            BusyError: One is running.
+            BusyError: A fit or comparison is running.
         """
         with self._lock:
             if self._running is not None:
@@ -75,7 +75,7 @@ class Runner:
                 self._process.kill()
 
     def close(self) -> None:
-        """Ends whatever runs."""
+        """Ends the running fit, if there is one."""
         if self._running is not None:
             self.cancel(self._running.id)
 
@@ -92,7 +92,7 @@ class Runner:
         process.stdin.close()
         process.stdout.close()
         status, text = self._outcome(fit, code, said)
-        with self._lock:  # both at once: a fit that nobody runs must not be called running
+        with self._lock:  # together: a fit without a process must not be shown as running
             try:
                 self._workspace.end_fit(fit.id, status, text)
             finally:
@@ -115,7 +115,7 @@ class Runner:
 
 
 def _told(line: str) -> dict[str, Any]:
-    """What the worker says in a line; nothing where a library printed it."""
+    """The worker's message in a line of output; empty if a library printed the line."""
     try:
         told = plain_json(line)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The shelf: what was computed of logs and cards, kept as long as there is room, so that every page draws at once."""
+"""The shelf: a cache of what was computed from logs and cards, so that every page draws at once."""
 
 import sys
 from collections import OrderedDict
@@ -23,13 +23,13 @@ from rotorfit.flights.columns import clock_of, raw_column, table_of
 from rotorfit.flights.stamps import MISSING_STAMP, stamps_of
 
 BUDGET = 1 << 30
-"""Bytes of arrays that are kept."""
+"""Largest total size of the cached arrays [bytes]."""
 
 Made = TypeVar("Made")
 
 
 class Shelf:
-    """Logs, flights and series of a workspace; the least used go first."""
+    """Cache of logs, flights and series of a workspace; the least recently used are dropped first."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
@@ -38,7 +38,7 @@ class Shelf:
         self._lock = Lock()
 
     def log(self, upload: Upload) -> Log:
-        """A log, as read; errors and findings call it by the user's name for it.
+        """A log; errors and findings use the user's name for it.
 
         Raises:
             LogError: It cannot be read.
@@ -55,7 +55,7 @@ class Shelf:
         return self._keep(("log", upload.id), make)
 
     def flight(self, upload: Upload, card: str) -> Flight:
-        """What a card makes of a log.
+        """The flight that a card makes from a log.
 
         Raises:
             RotorfitError: The card is wrong or does not fit, or there is no usable flight.
@@ -72,7 +72,7 @@ class Shelf:
         return self._keep(("motion", upload.id, card), make)[AXES.index(axis)]
 
     def column(self, upload: Upload, source: str) -> Series:
-        """A column as recorded over the clock of its table, or over its rows where the table has no clock.
+        """A column as recorded, over the clock of its table, or over its rows if the table has no clock.
 
         Raises:
             CardError: There is no such column.
@@ -80,17 +80,17 @@ class Shelf:
         return self._keep(("column", upload.id, source), lambda: _column(self.log(upload), source))
 
     def computed(self, key: tuple[Hashable, ...], make: Callable[[], Made]) -> Made:
-        """Anything else that takes long."""
+        """Any other expensive result."""
         return self._keep(("computed", *key), make)
 
     def forget(self, upload: Upload) -> None:
-        """Drops what was kept of a log."""
+        """Drops everything cached for a log."""
         with self._lock:
             for key in [key for key in self._kept if isinstance(key, tuple) and upload.id in key]:
                 del self._kept[key]
 
     def _keep(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """What was made before, or is made now: once, however many ask; a refusal is remembered, too."""
+        """The cached result; computed once, however many threads ask. Known errors are cached too."""
         with self._lock:
             making = self._making.setdefault(key, Lock())
         with making:
@@ -118,7 +118,7 @@ def _given(made: Any) -> Any:
 
 
 def size_of(thing: Any) -> int:
-    """Bytes of the arrays in a noun."""
+    """Size of the arrays in a noun [bytes]."""
     if isinstance(thing, np.ndarray):
         return thing.nbytes
     if isinstance(thing, Log):
@@ -147,7 +147,7 @@ def _column(log: Log, source: str) -> Series:
 
 
 def _zero(log: Log, own: int) -> int:
-    """The first stamp of any table within a day of the own one: tables of one clock share their time 0."""
+    """The first stamp of any table within a day of `own`: tables of one clock share their time 0."""
     day = 86_400_000_000_000
     firsts = []
     for table in log.tables.values():

@@ -1,4 +1,4 @@
-"""Windows of long series: what a plot of so many pixels can show, and no more; every value where it can show them."""
+"""Windows of long series, reduced to what the pixels of a plot can show; all samples if they fit."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ from rotorfit.core.frames import Array
 from rotorfit.reporting.views import extremes
 
 DENSE = 4
-"""Samples a pixel up to which a window is given whole."""
+"""Largest number of samples per pixel at which a window is not reduced."""
 
 COARSE = 64
-"""Samples a stretch of the coarse series, from which windows of more than that a pixel are made."""
+"""Number of samples behind a point of the coarse series, which serves windows with more samples per pixel than that."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Window:
     Attributes:
         time: Non-decreasing stamps, shape (N,) [s].
         values: Shape (N, K), NaN where there is none.
-        exact: Whether these are all the samples; else the smallest and the largest of each of `width` stretches.
-        count: Samples in the window.
+        exact: Whether these are all samples; otherwise they are the minimum and maximum for each pixel.
+        count: Number of samples in the window.
     """
 
     time: Array
@@ -47,7 +47,7 @@ class Window:
 
 
 def series_over(time: Array, values: Array) -> Series:
-    """A series, with what makes long windows quick."""
+    """A series, with the coarse series that makes long windows quick."""
     values = np.asfortranarray(values)
     if time.size < COARSE * COARSE or not time[-1] > time[0]:
         return Series(time, values)
@@ -55,16 +55,16 @@ def series_over(time: Array, values: Array) -> Series:
 
 
 def window_of(series: Series, start: float, end: float, width: int) -> Window:
-    """The samples of a window, reduced to the extremes of its pixels where there are many.
+    """The samples of a window, reduced to the extremes in each pixel if there are many.
 
-    One sample on each side goes with it, so that lines run to the edges. Where a pixel holds more than `COARSE` samples
-    its extremes may stand in the neighbouring one.
+    One sample on each side is included, so that lines run to the edges. If a pixel holds more than `COARSE` samples,
+    its extremes may appear in the neighbouring one.
 
     Args:
-        series: Whole.
-        start: Of the window [s].
-        end: Of the window [s].
-        width: Pixels.
+        series: The whole series.
+        start: Start of the window [s].
+        end: End of the window [s].
+        width: Width of the plot [pixels].
     """
     first, last = _between(series.time, start, end)
     count = last - first
@@ -79,11 +79,11 @@ def window_of(series: Series, start: float, end: float, width: int) -> Window:
 
 
 def _between(time: Array, start: float, end: float) -> tuple[int, int]:
-    """First sample and one past the last of a window, with one more on each side."""
+    """Index of the first sample and one past the last of a window, with one more sample on each side."""
     first = int(np.searchsorted(time, start, side="left")) - 1
     return max(first, 0), min(int(np.searchsorted(time, end, side="right")) + 1, time.size)
 
 
 def packed(window: Window) -> bytes:
-    """Little-endian bytes: the stamps as float64, then column after column as float32."""
+    """The window as little-endian bytes: the stamps as float64, then column after column as float32."""
     return window.time.astype("<f8").tobytes() + window.values.T.astype("<f4").tobytes()

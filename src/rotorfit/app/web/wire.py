@@ -1,4 +1,4 @@
-"""The wire: nouns as the plain JSON that the page draws. Nothing is computed here that the library does not compute."""
+"""The wire: nouns as plain JSON for the page. Nothing is computed here that the library does not compute."""
 
 import base64
 import re
@@ -33,14 +33,14 @@ from rotorfit.reporting.views import Chart, FlightView, flight_view
 from rotorfit.version import __version__
 
 MOST_POINTS = 6000
-"""Points of a line of a result: what stands in a file; the report holds more."""
+"""Largest number of points of a line in a result; the report has more."""
 
 UNTOLD = "also axes that the data cannot tell"
 """The page's words for `--predictor` of an export."""
 
 
 def session_mapping(session: Session, running: Running | None) -> dict[str, Any]:
-    """What every page shows of a session."""
+    """The session as every page shows it."""
     return {
         **asdict(session),
         "running": None if running is None else asdict(running),
@@ -50,7 +50,7 @@ def session_mapping(session: Session, running: Running | None) -> dict[str, Any]
 
 
 def constants_mapping() -> dict[str, Any]:
-    """What does not change while the studio runs."""
+    """Constants of a run of the studio."""
     from rotorfit.core.card import LIMIT_UNITS
     from rotorfit.core.laws import AVERAGED, STRUCTURES
     from rotorfit.files.cards import builtin_cards
@@ -76,7 +76,7 @@ def constants_mapping() -> dict[str, Any]:
 
 
 def problem_of(card: str) -> str | None:
-    """What is wrong with a card's text whatever the log, one line; None where nothing is."""
+    """What is wrong with a card's text, independently of a log, in one line; None if nothing is."""
     if not card:
         return None
     try:
@@ -87,7 +87,7 @@ def problem_of(card: str) -> str | None:
 
 
 def raw_of(card: str) -> dict[str, Any] | None:
-    """The keys of a card's text; None where it cannot be parsed."""
+    """The keys of a card's text; None if it cannot be parsed."""
     try:
         return parsed(card)
     except CardError:
@@ -123,7 +123,7 @@ def log_mapping(log: Log) -> dict[str, Any]:
 
 
 def flight_mapping(flight: Flight) -> dict[str, Any]:
-    """What a card makes of a log."""
+    """A flight as the page shows it."""
     return {
         "span": flight.span,
         "duration": flight.duration,
@@ -138,7 +138,7 @@ def flight_mapping(flight: Flight) -> dict[str, Any]:
 
 
 def command_unit(card: Card, axis: str) -> str:
-    """What a command of an axis is counted in, for people."""
+    """The unit of an axis' command, for the user."""
     meaning = meaning_of(card, axis)
     if meaning.limit:
         return f"share of the {meaning.limit.replace('_', ' ')} limit"
@@ -147,7 +147,7 @@ def command_unit(card: Card, axis: str) -> str:
 
 
 def result_mapping(evidence: Evidence) -> dict[str, Any]:
-    """What the page shows of a fit."""
+    """The result of a fit as the page shows it."""
     model, validation, scores = evidence.case.model, evidence.case.validation, evidence.scores
     verdict = verdict_of(model, scores, validation.paired, validation.residuals)
     return {
@@ -179,7 +179,7 @@ def result_mapping(evidence: Evidence) -> dict[str, Any]:
 
 
 def _view_mapping(view: FlightView) -> dict[str, Any]:
-    """The velocity charts of a flight; those of the acceleration stand in the report."""
+    """The velocity charts of a flight; the report has those of the acceleration."""
     return {
         "path": view.path,
         "role": view.role,
@@ -216,7 +216,7 @@ def _numbers(values: Array) -> str:
 def compared_mapping(
     comparison: Comparison, fits: Sequence[str], models: Sequence[Model], whole: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Errors of several models and of the baselines, flight by flight, and whether the differences are real."""
+    """Errors of several models and of the baselines, flight by flight, and whether the differences are significant."""
     columns = {
         **{f"fit {fit}": each.flights for fit, each in zip(fits, comparison.validations, strict=True)},
         **{name: comparison.validations[0].baselines[name] for name in ("paper", "coast", "hold")},
@@ -255,11 +255,11 @@ def compared_mapping(
 
 
 def _is_the_baseline(model: Model, first: Model) -> bool:
-    """Whether a model is the baseline `paper`, which is made of the first model's flights."""
+    """Whether a model is the baseline `paper`, which is fitted to the first model's flights."""
     pairs = zip(model.paper, first.paper, strict=True)
     return model.method == "paper" and all(a == b for a, b in pairs if a is not None and b is not None)
 
 
 def _fitted(number: int, models: Iterable[Sequence[Any]]) -> list[bool]:
-    """Which models were fitted to part of this stretch, so that their scores prove nothing."""
+    """Which models were fitted to a part of this flight, so that their scores there are no validation."""
     return [flights[number].fitted for flights in models]

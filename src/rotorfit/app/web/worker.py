@@ -1,10 +1,10 @@
-"""The worker: a fit or comparison in a process of its own, which may be cancelled or die without taking the page along.
+"""The worker: a fit or comparison in a process of its own, which can be cancelled or die without affecting the page.
 
     python -m rotorfit.app.web.worker WORKSPACE FIT
 
-It reads `request.json` and `card.toml` of the fit's folder, says how far it is on its standard output (a line of JSON
-each), and writes `model.json`, `validation.json`, `result.json` and `report.html`. It ends when its standard input
-does: it does not outlive the studio.
+It reads `request.json` and `card.toml` in the fit's folder, reports progress as lines of JSON on standard output, and
+writes `model.json`, `validation.json`, `result.json` and `report.html`. It ends with its standard input, so it does not
+outlive the studio.
 """
 
 import json
@@ -33,19 +33,19 @@ from rotorfit.files.models import load, save
 from rotorfit.reporting import write_report
 
 FITTING, PROVING = 0.75, 0.93
-"""Where the fit and the validation end on the bar of progress."""
+"""Fractions of the progress at which the fit and the validation end."""
 
 UNPROVEN = Validation((), dict.fromkeys(BASELINES, ()), dict.fromkeys(("model", *BASELINES), ()))
-"""Scores on no flight at all."""
+"""The validation on no flights."""
 
 _PLACE = re.compile(r"logs/\d+/")
 
 
 def run(workspace: Path, fit_id: str, progress: Progress) -> str:
-    """Does what the request of a fit's folder asks for.
+    """Carries out the request in a fit's folder.
 
     Returns:
-        One line: what came of it.
+        One line about the result.
     """
     os.chdir(workspace)  # so that models and reports name logs by short paths
     folder = Path("fits") / fit_id
@@ -116,17 +116,17 @@ def _compare(folder: Path, request: dict[str, Any], progress: Progress) -> str:
 
 
 def _without(left: list[str]) -> str:
-    """The end of the line that says what came of it."""
+    """The end of the line about the result: what was left out."""
     return _PLACE.sub("", f"; left out: {' / '.join(left)}") if left else ""
 
 
 def _write_result(folder: Path, result: dict[str, Any]) -> None:
-    """Writes what the page shows, which calls logs by their names."""
+    """Writes the result for the page, with logs by their names."""
     write_whole(folder / "result.json", _PLACE.sub("", json.dumps(result, allow_nan=False)))
 
 
 def main(workspace: str, fit_id: str) -> int:
-    """Runs and reports; a known error is one line, a bug keeps its trace on the standard error."""
+    """Runs the worker; a known error is reported in one line, a bug prints its traceback on standard error."""
     os.nice(5)  # the page comes first
     Thread(target=_end_with_the_studio, daemon=True).start()
     try:
@@ -146,7 +146,7 @@ def _say(**what: Any) -> None:
 
 
 def _end_with_the_studio() -> None:
-    os.read(0, 1)  # not sys.stdin: its lock would be in the way at the end
+    os.read(0, 1)  # not sys.stdin, whose lock would block the exit
     os._exit(3)
 
 

@@ -1,7 +1,7 @@
-"""The workspace: a folder that holds a session whole: logs, card, ranges, fits. Pages come and go, the folder stays.
+"""The workspace: a folder with a whole session: logs, card, ranges, fits. Pages come and go, the folder stays.
 
-Every change raises a revision, by which pages see that something is new. Card and ranges have revisions of their own:
-who changes them says which one was seen, and is refused where another page was faster.
+Every change increments a revision, by which pages see that something is new. Card and ranges have revisions of their
+own: a change names the revision it is based on, and is refused if another page was faster.
 """
 
 import fcntl
@@ -22,19 +22,19 @@ from rotorfit.core.plain import LARGEST_JSON, is_number, line_of, plain_json, sh
 from rotorfit.core.writing import sync_folder, write_whole
 
 MOST_LOGS = 50
-"""Logs of a session."""
+"""Largest number of logs in a session."""
 
 MOST_FITS = 100
-"""Fits of a session."""
+"""Largest number of fits in a session."""
 
 LARGEST_LOG = 2 << 30
-"""Bytes of one log."""
+"""Largest size of one log [bytes]."""
 
 LARGEST_WORKSPACE = 16 << 30
-"""Bytes of all logs together."""
+"""Largest size of all logs together [bytes]."""
 
 CONTENT = ("session.json", "session.new", "lock", "logs", "fits", "set-aside")
-"""What a workspace consists of."""
+"""Names of everything in the folder of a workspace."""
 
 VERSION = 1
 
@@ -44,16 +44,16 @@ Status = Literal["running", "done", "failed", "stopped"]
 
 
 class WorkspaceError(RotorfitError):
-    """The workspace cannot be used, or has no room: in use, damaged, full, without the log that was asked for."""
+    """The workspace cannot be used: it is in use, damaged or full, or lacks the requested log or fit."""
 
 
 class StaleError(RotorfitError):
-    """Another page has changed the same thing meanwhile."""
+    """Another page has changed the same thing in the meantime."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """A stretch of a log and what it is for; an open end is that of the flight [s]."""
+    """A part of a log and its role; an open end is that of the flight [s]."""
 
     role: Role
     start: float | None = None
@@ -65,13 +65,13 @@ class Upload:
     """A log of the session.
 
     Attributes:
-        id: Names it in the API and is the name of its folder.
-        name: As the user's file was called: text, never a path.
-        file: Its name in its folder: harmless characters only.
-        size: Bytes.
-        format: As `sources.FORMATS` names it.
-        ranges: What is used of it.
-        revision: Of the ranges.
+        id: Its id in the API, and the name of its folder.
+        name: Name of the user's file: text, never used as a path.
+        file: Name of the file in its folder: safe characters only.
+        size: Size [bytes].
+        format: Name of its format in `files.logs.formats.FORMATS`.
+        ranges: The parts of it that are used.
+        revision: Revision of the ranges.
     """
 
     id: str
@@ -88,11 +88,11 @@ class FitEntry:
     """A fit of the session.
 
     Attributes:
-        id: Names it in the API and is the name of its folder.
-        settings: What was asked for.
-        logs: Names and ranges of the logs, for people.
+        id: Its id in the API, and the name of its folder.
+        settings: The requested settings.
+        logs: Names and ranges of the logs, for the user.
         status: `running`, `done`, `failed`, or `stopped` by the user or with the studio.
-        text: One line: what came of it.
+        text: One line about the result.
     """
 
     id: str
@@ -104,7 +104,7 @@ class FitEntry:
 
 @dataclass(frozen=True)
 class Running:
-    """How far the running fit is."""
+    """Progress of the running fit."""
 
     id: str
     fraction: float
@@ -114,14 +114,14 @@ class Running:
 
 @dataclass(frozen=True)
 class Session:
-    """All that a page shows, but for what can be computed from it.
+    """The state of a session; all else that a page shows is computed from it.
 
     Attributes:
-        revision: Raised by every change.
-        uploads: In the order in which they came.
+        revision: Incremented by every change.
+        uploads: Logs, in the order of arrival.
         card: Text of the card as edited; empty before there is one.
-        card_revision: Of that text.
-        fits: In the order in which they were begun.
+        card_revision: Revision of that text.
+        fits: Fits, in the order in which they were started.
         next_log: Id of the next log.
         next_fit: Id of the next fit.
     """
@@ -143,13 +143,13 @@ class Workspace:
     """A session and its folder.
 
     Args:
-        folder: Made where it is missing, for its owner only.
+        folder: The folder; created if it is missing, for its owner only.
 
     Attributes:
-        told: What happened to the session that was here, one line; empty where nothing did.
+        told: One line about a session that had to be set aside; empty if there was none.
 
     Raises:
-        WorkspaceError: Another studio uses it, a newer one wrote it, or no workspace can be there.
+        WorkspaceError: Another studio uses the folder, a newer one wrote it, or it cannot hold a workspace.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -188,12 +188,12 @@ class Workspace:
             raise WorkspaceError(f"{folder}: another studio uses this workspace; close it, or name another") from None
 
     def close(self) -> None:
-        """Lets another studio use the folder."""
+        """Releases the folder for another studio."""
         self._held.close()
 
     @property
     def session(self) -> Session:
-        """As it stands."""
+        """The current session."""
         return self._session
 
     def upload(self, log_id: str) -> Upload:
@@ -213,19 +213,19 @@ class Workspace:
         return _one_of(self._session.fits, fit_id, "fit")
 
     def path_of(self, upload: Upload) -> Path:
-        """Where a log lies."""
+        """Path of a log."""
         return self.folder / "logs" / upload.id / upload.file
 
     def fit_folder(self, fit: FitEntry) -> Path:
-        """Where a fit lies."""
+        """Folder of a fit."""
         return self.folder / "fits" / fit.id
 
     @contextmanager
     def incoming(self, name: str) -> Iterator[tuple[str, Path]]:
-        """An id and a place for a log that is being received; what is not kept by `add_log` is removed.
+        """An id and a path for a log that is being received; it is removed unless `add_log` keeps it.
 
         Raises:
-            WorkspaceError: The session has as many logs as it may.
+            WorkspaceError: The session is full.
         """
         with self._lock:
             if len(self._session.uploads) >= MOST_LOGS:
@@ -241,7 +241,7 @@ class Workspace:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def add_log(self, upload: Upload) -> Upload:
-        """Keeps a log that was received: the first is for training, those after it are for validation.
+        """Keeps a received log: the first is for training, later ones are for validation.
 
         Raises:
             WorkspaceError: The session is full.
@@ -265,7 +265,7 @@ class Workspace:
             self._removed(folder, uploads=tuple(one for one in self._session.uploads if one.id != log_id))
 
     def set_ranges(self, log_id: str, ranges: tuple[Range, ...], seen: int) -> None:
-        """Says what of a log is used.
+        """Sets the ranges of a log.
 
         Raises:
             StaleError: They were changed since revision `seen`.
@@ -278,10 +278,10 @@ class Workspace:
             self._changed(uploads=tuple(new if one.id == log_id else one for one in self._session.uploads))
 
     def first_card(self, text: str) -> int:
-        """Gives a session without a card its first one; a card that is there stands, for another page was faster.
+        """Sets the first card of a session; an existing card is kept, because another page was faster.
 
         Returns:
-            The revision that the card has then.
+            The revision of the card afterwards.
         """
         with self._lock:
             if not self._session.card:
@@ -289,13 +289,13 @@ class Workspace:
             return self._session.card_revision
 
     def set_card(self, change: Callable[[str], str], seen: int) -> int:
-        """Changes the text of the card; what it says already is no change, and may be said on any revision.
+        """Changes the text of the card; a change without effect is accepted on any revision.
 
         Returns:
-            The revision that the card has then.
+            The revision of the card afterwards.
 
         Raises:
-            StaleError: It was changed since revision `seen`.
+            StaleError: The card was changed since revision `seen`.
         """
         with self._lock:
             text = change(self._session.card)
@@ -306,22 +306,22 @@ class Workspace:
             return self._session.card_revision
 
     def begin_fit(self, settings: Mapping[str, Any], logs: tuple[str, ...]) -> FitEntry:
-        """A new fit and its folder.
+        """Adds a new fit, with its folder.
 
         Raises:
-            WorkspaceError: The session has as many fits as it may.
+            WorkspaceError: The session has too many fits.
         """
         with self._lock:
             if len(self._session.fits) >= MOST_FITS:
                 raise WorkspaceError(f"a session holds at most {MOST_FITS} fits; remove one first")
             number = self._session.next_fit
             fit = FitEntry(str(number), settings, logs)
-            self.fit_folder(fit).mkdir(exist_ok=True)  # of a beginning that the disk refused
+            self.fit_folder(fit).mkdir(exist_ok=True)  # it may be left from an attempt that failed on a full disk
             self._changed(fits=(*self._session.fits, fit), next_fit=number + 1)
             return fit
 
     def end_fit(self, fit_id: str, status: Status, text: str) -> None:
-        """Says what came of a fit."""
+        """Sets the status and the text of a fit that has ended."""
         with self._lock:
             self._happened(
                 fits=tuple(
@@ -338,23 +338,23 @@ class Workspace:
             self._removed(self.fit_folder(fit), fits=tuple(one for one in self._session.fits if one.id != fit_id))
 
     def room(self) -> int:
-        """Bytes that may still be uploaded."""
+        """Size of what may still be uploaded [bytes]."""
         return LARGEST_WORKSPACE - sum(upload.size for upload in self._session.uploads)
 
     def _changed(self, **parts: Any) -> None:
-        """A change that somebody wants: it holds once it is on the disk."""
+        """Makes a requested change, which takes effect once it is on the disk."""
         session = replace(self._session, revision=self._session.revision + 1, **parts)
         self._write(session)
         self._session = session
 
     def _happened(self, **parts: Any) -> None:
-        """A change that has happened, whether or not the disk has room for it: the next one writes it, too."""
+        """Notes a change that has happened, whether or not the disk has room: the next change writes it too."""
         self._session = replace(self._session, revision=self._session.revision + 1, **parts)
         with suppress(OSError, WorkspaceError):
             self._write(self._session)
 
     def _removed(self, folder: Path, **parts: Any) -> None:
-        """A change after which a folder is not wanted; on a full disk it goes first, and makes room for the change."""
+        """Makes a change that removes a folder; on a full disk the folder goes first, to make room."""
         try:
             self._changed(**parts)
         except OSError:
@@ -369,7 +369,7 @@ class Workspace:
         write_whole(self.folder / "session.json", text, keep=False)
 
     def _loaded(self) -> Session:
-        """The session of the folder, or a new one; what cannot be shown is set aside with its logs and fits.
+        """The session in the folder, or a new one; a session that cannot be read is set aside with its logs and fits.
 
         Raises:
             WorkspaceError: A newer studio wrote it.
@@ -385,7 +385,7 @@ class Workspace:
         aside.mkdir(exist_ok=True)
         place = next(new for n in range(1, sys.maxsize) if not (new := aside / str(n)).exists())
         place.mkdir()
-        for name in ("logs", "fits", "session.json"):  # the session last: a kill between them ends here again
+        for name in ("logs", "fits", "session.json"):  # the session last: after a kill in between, this runs again
             with suppress(FileNotFoundError):
                 (self.folder / name).rename(place / name)
         self.told = (
@@ -394,7 +394,7 @@ class Workspace:
         return Session()
 
     def _sweep(self) -> None:
-        """Removes what an interrupted upload, removal or write has left."""
+        """Removes the remains of an interrupted upload, removal or write."""
         for half in self.folder.glob(".session.json.*"):
             half.unlink(missing_ok=True)
         for place, entries in (("logs", self._session.uploads), ("fits", self._session.fits)):
@@ -412,7 +412,7 @@ def _one_of(entries: Sequence[Entry], identity: str, what: str) -> Entry:
 
 
 def safe_name(name: str) -> str:
-    """A file name of harmless characters: no separator, no leading dot, no plus (which joins files), at most 80."""
+    """A file name of at most 80 safe characters: no separator, no leading dot, no plus (which joins files)."""
     return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._-")[-80:].lstrip("._-") or "log"
 
 
@@ -423,11 +423,11 @@ def default_folder() -> Path:
 
 
 def _session_from(raw: Any) -> Session:
-    """A session as it was written.
+    """A session from its file.
 
     Raises:
-        ValueError: It is none, with what is wrong.
-        WorkspaceError: Of a newer version.
+        ValueError: It is not a session; the message says why.
+        WorkspaceError: A newer version wrote it.
     """
     version = _part(raw, "version", int)
     if version > VERSION:
