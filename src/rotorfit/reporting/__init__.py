@@ -1,6 +1,6 @@
-"""Evidence to one HTML page to send on, and figures for a paper.
+"""Reporting: from evidence to one HTML page that can be passed on, and to figures for a paper.
 
-In go the values that the assessment computed; out come a self-contained page, PNG and PDF. Nothing is estimated,
+The values that the assessment computed go in; a self-contained page, PNG and PDF come out. Nothing is estimated,
 filtered or predicted here.
 """
 
@@ -18,15 +18,15 @@ __all__ = ["write_figures", "write_report", "write_timeline"]
 def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
     """Writes one self-contained HTML page: verdict, evidence, what to fly next, coefficients, findings, repairs.
 
-    The page asks nothing of the network, works from a mail attachment, prints, and follows the reader's light or dark
-    setting. Charts of flights zoom where scripts may run and are pictures where they may not.
+    The page needs no network, works from a mail attachment, prints, and follows the reader's light or dark setting.
+    Charts of flights can be zoomed if scripts may run, and are static pictures otherwise.
 
     Args:
         evidences: As `evidence_of` gives them, for one model or for several on the same flights, side by side.
-        path: Of the page.
+        path: Path of the page.
 
     Returns:
-        Where the page that it replaces is kept; None where there was none.
+        Path at which a replaced page is kept; None if there was none.
     """
     from rotorfit.reporting.page import page
 
@@ -34,16 +34,16 @@ def write_report(evidences: Sequence[Evidence], path: Path) -> Path | None:
 
 
 def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Path | None] = ()) -> Path | None:
-    """Writes one self-contained HTML page about a tracked flight: what is known now, over time, alarms, regimes.
+    """Writes one self-contained HTML page about a tracked flight: final state, estimates over time, alarms, regimes.
 
     Args:
-        track: Of the flight.
-        flight: As it was recorded.
-        path: Of the page.
-        files: Of each regime its model's, where it was written.
+        track: The track.
+        flight: The flight as recorded.
+        path: Path of the page.
+        files: Model file of each regime, or None.
 
     Returns:
-        Where the page that it replaces is kept; None where there was none.
+        Path at which a replaced page is kept; None if there was none.
     """
     from rotorfit.reporting.timeline import timeline_page
 
@@ -53,12 +53,12 @@ def write_timeline(track: Track, flight: Flight, path: Path, files: Sequence[Pat
 def write_figures(evidence: Evidence, directory: Path) -> list[Path]:
     """Writes figures for a paper, each as PNG and PDF; those without content are left out.
 
-    Among them is the layout of the paper's Figure 4: measured against modelled acceleration in world axes for x, y, z
-    and yaw, each on the validation flight that moves it most; on the training flights where there are no others.
+    One has the layout of the paper's Figure 4: measured against modelled acceleration in world axes for x, y, z and
+    yaw, each on the validation flight that moves it most, or on a training flight if there are no others.
 
     Args:
-        evidence: Of one model.
-        directory: Where to write; made where it is missing.
+        evidence: Evidence of one model.
+        directory: Where to write; created if it is missing.
 
     Returns:
         The files written.

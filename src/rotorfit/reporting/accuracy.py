@@ -1,4 +1,4 @@
-"""How well a model is known, in rows of text."""
+"""The accuracy of a model, as rows of text."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ ERROR_HEADS = ("axis", "standard error", "expected", "observed", "sandwich", "bo
 
 
 def percent_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
-    """Cells under `PERCENT_HEADS`; what is beyond its limit carries a mark."""
+    """Cells under `PERCENT_HEADS`; values beyond their limit are marked."""
     for axis, one in table.axes.items():
         for i, (name, known) in enumerate(one.coefficients.items()):
             yield (
@@ -27,7 +27,7 @@ def percent_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
 
 
 def error_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
-    """Cells under `ERROR_HEADS`; a ragged one carries a mark."""
+    """Cells under `ERROR_HEADS`; ragged values are marked."""
     for axis, one in table.axes.items():
         for i, (name, known) in enumerate(one.coefficients.items()):
             observed = "-" if known.observed is None else f"{known.observed:.2g}"
@@ -42,7 +42,7 @@ def error_rows(table: Uncertainty) -> Iterator[tuple[str, ...]]:
 
 
 def accuracy_lines(table: Uncertainty) -> Iterator[str]:
-    """How the table was made, what cannot be told apart, and how the flights agree."""
+    """How the table was made, which coefficients cannot be separated, and how well the flights agree."""
     yield (
         f"error %: expected (Cramer-Rao); ! beyond {COEFFICIENT_ERROR_LIMIT:g}, insensitivity beyond "
         f"{INSENSITIVITY_LIMIT:g}, correlation beyond {CORRELATION_LIMIT:g}"

@@ -1,4 +1,4 @@
-"""Evidence -> small charts: errors over the horizon, profiles of the delay, correlations of the residuals."""
+"""From evidence to small charts: errors over the horizon, profiles of the delay, correlations of the residuals."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,13 +12,13 @@ from rotorfit.core.results import PairedTest, Quantity
 from rotorfit.reporting.views import Chart, Line, Mark
 
 FALL = 1.92
-"""Fall of the profile at the ends of an interval: half the 95 % point of chi-squared with one degree of freedom."""
+"""Drop of the profile at the ends of an interval: half the 95 % quantile of chi-squared with one degree of freedom."""
 
 PROFILE_REACH = 25.0
-"""How far above and below its maximum a profile is drawn: beyond, all delays are equally impossible."""
+"""Range of log-likelihood around its maximum in which a profile is drawn: below, all delays are equally impossible."""
 
 NAMES = {"hold": "hold the velocity", "paper": "paper's coefficients", "model": "this model"}
-"""Predictors that are compared, in the order of drawing."""
+"""Predictors that are compared, with their names, in the order of drawing."""
 
 
 def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest] = ()) -> tuple[Chart, ...]:
@@ -26,7 +26,7 @@ def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest]
 
     Args:
         scores: As `scores_of` gives them.
-        paired: Tests of the model against the baselines, for the band of what cannot be told from it.
+        paired: Tests of the model against the baselines, for the band of errors that do not differ significantly.
     """
     charts = []
     for axis in AXES:
@@ -38,9 +38,9 @@ def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest]
 
 
 def _band(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest], what: Quantity) -> Array:
-    """Half width of the 95 % interval of the difference from the nearest baseline that was tested; NaN without."""
+    """Half width of the 95 % interval of the difference from a baseline, at each horizon; NaN without a test."""
     half = np.full(len(scores), np.nan)
-    for test in sorted(paired, key=lambda test: test.second == "paper"):  # the paper's, where there is one, stays
+    for test in sorted(paired, key=lambda test: test.second == "paper"):  # the paper's, the last, has precedence
         for i, score in enumerate(scores):
             found = test.axes[score.axis].get(f"{score.horizon:g}", {}).get(what)
             if found and found.pooled and (ends := found.pooled.rmse_ci95) is not None:
@@ -133,8 +133,8 @@ def residual_charts(white: Mapping[str, Correlogram], free: Mapping[str, Correlo
     """Correlations of the residuals with 95 % bands; see `correlograms`.
 
     Args:
-        white: Axis to their autocorrelation.
-        free: Axis to their correlation with past commands.
+        white: Axis to the autocorrelation of the residuals.
+        free: Axis to the correlation of the residuals with past commands.
     """
     return (
         *(_colour_chart(axis, found) for axis, found in white.items()),

@@ -1,4 +1,4 @@
-"""Sections -> one self-contained HTML page: nothing in it is fetched, and everything that is not ours is escaped."""
+"""From sections to one self-contained HTML page: it loads nothing, and everything that is not ours is escaped."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +10,7 @@ from rotorfit.reporting.words import AXIS, TERMS, slug
 from rotorfit.version import __version__
 
 Sections = Mapping[str, tuple[str, str, Mapping[str, Any]]]
-"""Anchor to title, template and what the template speaks of, in the order of the page."""
+"""Anchor to title, template and the template's values, in the order of the page."""
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,11 @@ class Heading:
     """The head of a page.
 
     Attributes:
-        title: Of the window.
-        kind: What page it is, beside the name of the program.
-        name: What it is about.
-        origins: A name, or none, and a sentence on where what is shown comes from.
-        first: What the first section is, for those who skip to it.
+        title: Title of the window.
+        kind: Kind of page, shown beside the name of the program.
+        name: What the page is about.
+        origins: Pairs of a name, or an empty one, and a sentence on the origin of the results.
+        first: Name of the first section, for the link that skips to it.
     """
 
     title: str
@@ -38,10 +38,10 @@ def document(
     """The whole page.
 
     Args:
-        heading: Of it.
-        sections: Of it.
-        series: What the charts need to zoom, flight by flight.
-        shared: What all templates speak of.
+        heading: Head of the page.
+        sections: Its sections.
+        series: Data for zooming the charts, flight by flight.
+        shared: Values for all templates.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
@@ -53,7 +53,7 @@ def document(
         loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
     )
     known = {**shared, "terms": TERMS, "slug": slug, "axis_words": AXIS}
-    # Our own files and JSON without "<" may stand in <style> and <script> as they are; everything else is escaped.
+    # Our own files and JSON without "<" are safe in <style> and <script>; everything else is escaped.
     text = environment.get_template("page.html.j2").render(
         **known,
         heading=heading,
@@ -76,7 +76,7 @@ def _file(name: str) -> str:
 
 
 def _plot_library() -> str:
-    """uPlot with its licence in front; its banner, an address, is left out."""
+    """uPlot, preceded by its licence; its banner, which has an address, is left out."""
     code = _file("uplot/uPlot.iife.min.js")
     banner, _, rest = code.partition("\n")
     version = banner[banner.find("(") : banner.find(")") + 1]
@@ -84,6 +84,6 @@ def _plot_library() -> str:
 
 
 def _json(parts: Iterable[Any]) -> str:
-    """JSON that may stand inside a script element, whatever text it holds."""
+    """JSON that is safe inside a script element, whatever text it has."""
     text = json.dumps(list(parts), separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,4 +1,4 @@
-"""Chart -> Drawing: coordinates, ticks and paths of a small vector picture; the template writes them down."""
+"""From Chart to Drawing: coordinates, ticks and paths of a small vector picture, for a template."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ FINENESS = 4
 """Steps of a path's integer coordinates per unit of the picture: keeps paths short."""
 
 COLUMNS = 250
-"""Stretches of a long line, each drawn by its extremes."""
+"""Number of stretches of a long line, each drawn by its extremes."""
 
 MIN_SPACE = 18
-"""Least distance of two horizons that are both written below the axis."""
+"""Least distance of two horizons that both get a tick label [units of the picture]."""
 
 FEW_HORIZONS = 5
-"""So many horizons at the most are each written below the axis; more are a curve with plain ticks."""
+"""Largest number of horizons that each get a tick label; more are drawn as a curve with regular ticks."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """Place along an axis [units of the picture] and its text."""
+    """A tick: its place along an axis [units of the picture] and its label."""
 
     at: float
     text: str
@@ -31,7 +31,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Dot:
-    """A marked point with what it says."""
+    """A marked point with its text."""
 
     x: float
     y: float
@@ -41,7 +41,7 @@ class Dot:
 
 @dataclass(frozen=True)
 class Stop:
-    """A place where pointer and arrow keys find figures: along the x axis, or of a chart of rows along y."""
+    """A place where pointer and arrow keys show figures: along the x axis, or along y for a chart of rows."""
 
     at: float
     text: str
@@ -52,26 +52,26 @@ class Drawing:
     """A picture in its own units, y downwards; paths and dots are relative to the frame's upper left corner.
 
     Attributes:
-        width: Of the picture.
-        height: Of the picture.
-        left: Of the frame.
-        top: Of the frame.
-        inner_width: Of the frame.
-        inner_height: Of the frame.
-        fineness: Steps of the paths' coordinates per unit.
+        width: Width of the picture.
+        height: Height of the picture.
+        left: Left edge of the frame.
+        top: Top edge of the frame.
+        inner_width: Width of the frame.
+        inner_height: Height of the frame.
+        fineness: Integer steps of the paths' coordinates per unit.
         paths: Role and path, in the order of drawing.
         dots: Points.
         levels: Horizontal lines.
         shade: Left end and width of the marked range; None for none.
-        x_ticks: Along the bottom.
-        y_ticks: Along the left.
-        x_label: With unit.
-        y_label: With unit.
-        stops: In the order of their places.
+        x_ticks: Ticks along the bottom.
+        y_ticks: Ticks along the left.
+        x_label: Label of x, with its unit.
+        y_label: Label of y, with its unit.
+        stops: Stops, in the order of their places.
         along: The axis of the stops.
         areas: Filled paths, behind all others.
-        shaded: Left ends and widths of the ranges that are set apart.
-        moments: Upright lines.
+        shaded: Left ends and widths of the shaded ranges.
+        moments: Vertical lines.
     """
 
     width: int
@@ -101,9 +101,9 @@ def draw_chart(chart: Chart, width: int, height: int, columns: int = COLUMNS) ->
 
     Args:
         chart: What to draw.
-        width: Of the picture, in its own units, about a pixel each.
-        height: Likewise.
-        columns: Stretches of a long line, each drawn by its extremes.
+        width: Width of the picture, in its own units of about a pixel.
+        height: Height of the picture.
+        columns: Number of stretches of a long line, each drawn by its extremes.
     """
     left, top, inner_width, inner_height = 46, 8, width - 46 - 10, height - 8 - 38
     x_range, y_range = _x_range(chart), _y_range(chart)
@@ -170,7 +170,7 @@ def drawn_rows(chart: RowChart, width: int) -> Drawing:
 
     Args:
         chart: What to draw.
-        width: Of the picture, in its own units, about a pixel each.
+        width: Width of the picture, in its own units of about a pixel.
     """
     left, top, row = min(170, 18 + round(7.0 * max((len(each.name) for each in chart.rows), default=0))), 4, 24
     inner_width, inner_height = width - left - 14, row * len(chart.rows)
@@ -213,7 +213,7 @@ def drawn_rows(chart: RowChart, width: int) -> Drawing:
 
 
 def _stops(chart: Chart, place: Callable[[Array | float], Array]) -> tuple[Stop, ...]:
-    """What the lines say at each x."""
+    """The values of the lines at each x."""
     name, _, unit = chart.x_label.partition(" [")
     unit = unit.rstrip("]")
     shown = [line for line in chart.lines if line.role != "band"]
@@ -249,7 +249,7 @@ def _x_range(chart: Chart) -> tuple[float, float]:
 
 
 def _y_range(chart: Chart) -> tuple[float, float]:
-    """What to show: what the chart says, else all finite values and levels with a margin."""
+    """The range of y: that of the chart, else all finite values and levels with a margin."""
     if chart.y_range is not None:
         return chart.y_range
     values = np.concatenate([np.array([level for level, _ in chart.levels]), *(line.y for line in chart.lines)])
@@ -262,7 +262,7 @@ def _y_range(chart: Chart) -> tuple[float, float]:
 
 
 def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
-    """Relative path in integer steps; broken at NaN, long lines by their peaks."""
+    """Relative path in integer steps, broken at NaN; long lines are reduced to their peaks."""
     if x.size > 2 * columns:
         kept = peaks(y, columns)
         x, y = x[kept], y[kept]
@@ -280,11 +280,11 @@ def _path(x: Array, y: Array, height: float, columns: int = COLUMNS) -> str:
 
 
 def peaks(y: Array, stretches: int) -> Indices:
-    """Where a line has its smallest and its largest value in each of equal stretches, its ends, where holes begin.
+    """Indices of the minimum and maximum of a line in each of equal stretches, of its ends, and of the starts of holes.
 
     Args:
-        y: Shape (N,); NaN in holes.
-        stretches: How many.
+        y: Values, shape (N,); NaN in holes.
+        stretches: Number of stretches.
     """
     place = np.arange(y.size) * stretches // y.size
     order, known = np.lexsort((y, place)), np.isfinite(y)
@@ -295,7 +295,7 @@ def peaks(y: Array, stretches: int) -> Indices:
 
 
 def _filled(x: Array, low: Array, high: Array, height: float) -> str:
-    """Closed paths between two lines, one for each stretch in which both are known."""
+    """Closed paths between two lines, one for each run in which both are finite."""
     known = np.isfinite(low) & np.isfinite(high)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     out = []
@@ -309,7 +309,7 @@ def _filled(x: Array, low: Array, high: Array, height: float) -> str:
 
 
 def _bars(x: Array, y: Array, zero: float) -> str:
-    """One upright stroke for each value."""
+    """One vertical stroke for each value."""
     fine = [np.round(np.asarray(part) * FINENESS).astype(int) for part in (x, y, zero)]
     return "".join(f"M{a} {fine[2]}V{b}" for a, b in zip(fine[0], fine[1], strict=True))
 
@@ -327,7 +327,7 @@ def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
 
 
 def log_ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
-    """1, 2 and 5 times the powers of ten between two positive ends, or the powers alone where those are too many."""
+    """1, 2 and 5 times the powers of ten between two positive ends, or the powers alone if those are too many."""
     powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
         values = [f * power for power in powers for f in factors if low <= f * power <= high]

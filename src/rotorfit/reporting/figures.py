@@ -1,4 +1,4 @@
-"""Views -> static figures for a paper, each as PNG and PDF, in the sizes of a two-column page."""
+"""From views to static figures for a paper, each as PNG and PDF, in the sizes of a two-column page."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 7,
     "legend.frameon": False,
     "lines.linewidth": 0.9,
-    "pdf.fonttype": 42,  # journals want real fonts, not outlines drawn letter by letter
+    "pdf.fonttype": 42,  # TrueType: journals require embedded fonts, not outlines
     "savefig.dpi": 300,
     "path.simplify": True,
 }
@@ -54,7 +54,7 @@ LOOK: Mapping[str, Mapping[str, Any]] = {
     "hold": {"color": "#6f42c1", "linewidth": 0.9, "linestyle": (0, (1, 1.5))},
     "band": {"color": "#59636e", "linewidth": 0.5},
 }
-"""Role of a line to how it is drawn; told apart without colour, too."""
+"""Role of a line to its style, which is distinct without colour too."""
 
 
 def figures(evidence: Evidence, directory: Path) -> list[Path]:
@@ -80,12 +80,12 @@ def figures(evidence: Evidence, directory: Path) -> list[Path]:
 
 
 def _by_label(charts: Sequence[Chart]) -> list[Chart]:
-    """Charts whose rows are told apart by what they show, not by how."""
+    """Charts whose y labels distinguish the rows, in place of titles."""
     return [replace(chart, kind=f"{chart.kind} {chart.y_label}") for chart in charts]
 
 
 def _widest(flights: Sequence[FlightMotion]) -> list[Chart]:
-    """Charts of motion, each axis from the flight in which its measured velocity varies most."""
+    """Charts of motion, each axis from the flight on which its measured velocity varies most."""
     chosen: dict[str, tuple[float, list[Chart]]] = {}
     for motion in flights:
         charts = flight_view(motion, "validation").charts
@@ -109,7 +109,7 @@ def _saved(figure: Figure, stem: Path) -> list[Path]:
 
 
 def _stacked(charts: Sequence[Chart]) -> Figure:
-    """One chart below the other, as in the paper's Figure 4: x, y, z, yaw."""
+    """Charts one below the other, as in the paper's Figure 4: x, y, z, yaw."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(TWO_COLUMNS, 0.35 + 1.3 * len(charts)), layout="constrained")
@@ -124,7 +124,7 @@ def _stacked(charts: Sequence[Chart]) -> Figure:
 
 
 def _in_a_row(charts: Sequence[Chart]) -> Figure:
-    """Small charts side by side, one row a kind."""
+    """Small charts side by side, one row for each kind."""
     from matplotlib.figure import Figure
 
     kinds = list(dict.fromkeys(chart.kind for chart in charts))

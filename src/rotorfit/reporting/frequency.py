@@ -1,4 +1,4 @@
-"""Frequency responses for people: rows of a table, a line about the test, charts."""
+"""Presentation of frequency responses: rows of a table, a line about the test, charts."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +12,7 @@ Comparisons = Sequence[Mapping[str, ResponseComparison]]
 
 
 def response_rows(comparison: ResponseComparison) -> list[list[str]]:
-    """Frequency, gain, its band, the model's, delay, its band, the model's, coherence; a star where it lies outside."""
+    """Frequency, gain, its band, the model's, delay, its band, the model's, coherence; a star marks values outside."""
     flight, rows = comparison.flight, []
     for k, omega in enumerate(flight.frequency):
         gain = [f"{flight.gain[k]:.3f}", f"{flight.gain_band[k, 0]:.3f} to {flight.gain_band[k, 1]:.3f}"]
@@ -36,7 +36,7 @@ def _star(value: float, band: Array) -> str:
 
 
 def response_line(comparison: ResponseComparison) -> str:
-    """What the test of the law says, or why there is nothing to say."""
+    """The result of the test of the law, or why there is none."""
     law, flight = comparison.law, comparison.flight
     if not flight.frequency.size:
         return f"no frequency response: {flight.why_none}"
@@ -50,9 +50,9 @@ def response_line(comparison: ResponseComparison) -> str:
 
 
 def response_charts(comparisons: Comparisons) -> tuple[Chart, ...]:
-    """Gain and delay over the frequency, the flight's with its bands beside the model's: of each axis one flight.
+    """Gain and delay over frequency, the flight's with its bands beside the model's, one flight for each axis.
 
-    It is the flight on which the most frequencies are told.
+    It is the flight on which the most frequencies are known.
     """
     charts: list[Chart] = []
     for axis in AXES:

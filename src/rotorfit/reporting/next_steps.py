@@ -1,4 +1,4 @@
-"""What to fly next: short, concrete, with the line to type; and which coefficients are known less well than wanted."""
+"""What to fly next, with the line to type; and which coefficients are less accurate than a controller needs."""
 
 import shlex
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from rotorfit.reporting.views import ChartRow, RowChart
 from rotorfit.reporting.words import and_list, figure, sentences
 
 ROOM = "6x4x3"
-"""Of the lines to type [m]: the reader puts in his own."""
+"""Room in the lines to type [m], for the reader to replace."""
 
 MOST_REMEDIES = 3
-"""So many findings that forbid the use of numbers become steps of their own."""
+"""Largest number of findings that become steps of their own, among those that forbid the use of numbers."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do: what, why, and the line to type; empty where there is none."""
+    """One thing to do: what, why, and the line to type, which may be empty."""
 
     what: str
     why: str
@@ -34,11 +34,11 @@ class Step:
 
 
 def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
-    """What helps most, first: axes without a model, axes without proof, what is vague, what is left in the residuals.
+    """The most helpful steps first: axes without a model, axes without validation, wide intervals, residuals.
 
     Args:
         case: The model with its flights.
-        verdict: On it.
+        verdict: The verdict on it.
     """
     model = case.model
     commanded = [axis for axis in AXES if axis in model.card.command]
@@ -70,7 +70,7 @@ def next_steps(case: Case, verdict: Verdict) -> tuple[Step, ...]:
 
 
 def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
-    """A flight to keep out of the fit, for axes whose predictions are not proven."""
+    """A flight for validation, for axes whose predictions are not proven."""
     unproven = [use.axis for use in uses if use.answer == "unproven"]
     short = [use.axis for use in uses if use.answer == "limited"]
     steps = []
@@ -86,7 +86,7 @@ def _proof(case: Case, uses: Sequence[Use]) -> list[Step]:
 
 
 def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Step]:
-    """The flight that `plan --after` would take: for the group that is worst known beside what is wanted."""
+    """The flight that `plan --after` would choose: for the axes whose accuracy is furthest from what is wanted."""
     ratio = beside_wanted(case)
     if ratio is None or not known:
         return []
@@ -116,7 +116,7 @@ def _plan(case: Case, axes: Sequence[str]) -> str:
 
 
 def beside_wanted(case: Case) -> Array | None:
-    """Standard errors of the twelve coefficients over what is wanted, shape (12,); None where they are not known."""
+    """Standard errors of the twelve coefficients over the wanted ones, shape (12,); None if they are unknown."""
     model = case.model
     if not maximises_likelihood(model.method) or not any(axis.predictor for axis in model.axes.values()):
         return None
@@ -129,7 +129,7 @@ def beside_wanted(case: Case) -> Array | None:
 
 
 def wanted_chart(case: Case) -> RowChart | None:
-    """How well each coefficient is known beside what a controller wants; None where that is not known."""
+    """The accuracy of each coefficient beside what a controller needs; None if it is unknown."""
     ratio = beside_wanted(case)
     rows = _rows(case.model, ratio) if ratio is not None else []
     if not rows:

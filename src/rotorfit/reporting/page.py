@@ -1,4 +1,4 @@
-"""Evidence -> the page about a model and its proof, or about several side by side."""
+"""From evidence to the page about a model and its validation, or about several side by side."""
 
 from collections.abc import Sequence
 
@@ -14,10 +14,10 @@ from rotorfit.reporting.views import look_of
 
 
 def page(evidences: Sequence[Evidence]) -> str:
-    """The whole page, of one model or of several on the same flights.
+    """The whole page, for one model or for several on the same flights.
 
     Args:
-        evidences: Of the models.
+        evidences: Evidence of each model.
     """
     cases = [evidence.case for evidence in evidences]
     names = names_of(cases)
@@ -45,7 +45,7 @@ def page(evidences: Sequence[Evidence]) -> str:
 
 
 def _roles(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
-    """Roles of the lines that predict, and their names, for the legends."""
+    """Roles and names of the predicted lines, for the legends."""
     if len(cases) > 1:
         return [(look_of(k), name) for k, name in enumerate(names)]
     return [("model", "this model"), *([("paper", "paper's coefficients")] if cases[0].model.method != "paper" else [])]
@@ -58,7 +58,7 @@ def _verdict(evidence: Evidence, tested: Sequence[FlightPanels]) -> Verdict:
 
 
 def _origin(case: Case) -> str:
-    """What was fitted to what, and tested on what."""
+    """The method, the flights of the fit, and the flights of the validation, in a sentence."""
     model = case.model
     fitted = sum(end - start for start, end in (source.span for source in model.flights))
     first = f"Fitted by {label_of(model.method)} ({model.method}) to {_count(len(model.flights))}, {fitted:.0f} s"

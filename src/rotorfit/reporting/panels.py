@@ -1,4 +1,4 @@
-"""Charts with their pictures, and the series that let the charts of flights zoom, within the budget of the page."""
+"""Charts with their pictures, and the data for zooming the charts of flights, within the size budget of the page."""
 
 import base64
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from rotorfit.reporting.drawing import COLUMNS, Drawing, draw_chart
 from rotorfit.reporting.views import MOST_POINTS, Chart, FlightView, RowChart, flight_view, overlaid
 
 MOST_VALUES = 200_000
-"""Numbers that all charts that zoom may hold together: 1.1 MB of the page."""
+"""Largest number of values in all charts that zoom: 1.1 MB of the page."""
 
 MOST_STRETCHES = 7_000
-"""Stretches of all lines that are drawn as pictures of long flights: a few hundred kB of the page."""
+"""Largest number of stretches in all pictures of long flights: a few hundred kB of the page."""
 
 OPEN_FLIGHTS = 6
-"""So many flights are unfolded from the start, where they prove something, and have accelerations."""
+"""Number of validation flights that are unfolded initially, and have charts of the acceleration."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class FlightPanels:
 
     Attributes:
         number: Its place among the flights of the page.
-        view: What is drawn.
+        view: The data of the charts.
         velocity: Measured against predicted velocities.
         acceleration: Measured against modelled accelerations.
-        open: Whether it is unfolded from the start.
-        fitted: Whether the model was fitted to it, though it is given for the proof.
+        open: Whether it is unfolded initially.
+        fitted: Whether the model was fitted to it although it is given for validation.
     """
 
     number: int
@@ -53,16 +53,16 @@ class FlightPanels:
 
     @property
     def panels(self) -> tuple[Panel, ...]:
-        """All, in the order of their numbers."""
+        """All panels, in the order of their numbers."""
         return (*self.velocity, *self.acceleration)
 
 
 def flight_panels(evidences: Sequence[Evidence], names: Sequence[str]) -> tuple[list[FlightPanels], list[FlightPanels]]:
-    """Charts of the validation flights and of the training flights; of several models the former only, over each other.
+    """Charts of the validation flights and of the training flights; for several models only the former, overlaid.
 
     Args:
-        evidences: Of the models on the same flights.
-        names: Of them.
+        evidences: Evidence of the models on the same flights.
+        names: Names of the models.
     """
     first = evidences[0]
     fitted = [scores.fitted for scores in first.case.validation.flights] or [False] * len(first.validation)
@@ -85,7 +85,7 @@ def flight_panels(evidences: Sequence[Evidence], names: Sequence[str]) -> tuple[
 
 
 def _values_per_second(motion: FlightMotion, models: int) -> int:
-    """Lines of a flight, its stamps among them."""
+    """Values per second of time that the charts of a flight hold: the number of its lines, with the stamps."""
     each = 4 + ("paper" in motion.velocity) if models == 1 else 1 + models
     return 1 + len(motion.moved) * each
 
@@ -93,7 +93,7 @@ def _values_per_second(motion: FlightMotion, models: int) -> int:
 def _view(
     evidences: Sequence[Evidence], names: Sequence[str], number: int, motion: FlightMotion, role: str, points: int
 ) -> FlightView:
-    """Of one model, or the velocities that several predict."""
+    """The view of a flight for one model, or the velocities that several models predict."""
     if len(evidences) == 1:
         return flight_view(motion, role, points)
     views = [flight_view(evidence.validation[number], role, points) for evidence in evidences]
@@ -103,7 +103,7 @@ def _view(
 
 
 def speeds_of(flights: Sequence[FlightPanels]) -> dict[str, float]:
-    """Axis to the speed that 99 % of the measured speeds of all flights stay below [m/s or rad/s]."""
+    """Axis to the 99 % quantile of the measured speeds of all flights [m/s or rad/s]."""
     measured: dict[str, list[Array]] = {}
     for flight in flights:
         for panel in flight.velocity:
@@ -115,7 +115,7 @@ def speeds_of(flights: Sequence[FlightPanels]) -> dict[str, float]:
 
 
 def series(flight: FlightPanels) -> dict[str, Any]:
-    """What the charts of a flight need to zoom."""
+    """The data for zooming the charts of a flight."""
     charts = []
     for panel in flight.panels:
         assert isinstance(panel.chart, Chart)

@@ -1,4 +1,4 @@
-"""How to get the same report again: commands, versions, fingerprints of the logs, the card in full."""
+"""How to reproduce a report: command lines, versions, hashes of the logs, the card in full."""
 
 import json
 import platform
@@ -16,7 +16,7 @@ from rotorfit.version import __version__
 
 @dataclass(frozen=True)
 class LogUsed:
-    """A log, what it served, its fingerprint, and the seconds of its common window."""
+    """A log, its role, its hash, and its common window [s]."""
 
     path: str
     role: str
@@ -26,13 +26,13 @@ class LogUsed:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that is needed to get the same numbers again.
+    """Everything that is needed to reproduce the numbers.
 
     Attributes:
         commands: Lines for a shell.
         versions: Program to version.
-        logs: What was read.
-        card: As TOML.
+        logs: The logs that were read.
+        card: The card as TOML.
     """
 
     commands: tuple[str, ...]
@@ -42,10 +42,10 @@ class Recipe:
 
 
 def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
-    """How the model and its report came about.
+    """The recipe of a model and its report.
 
     Args:
-        model: With the flights that it was fitted to.
+        model: The model, with the flights that it was fitted to.
         flights: The validation flights.
     """
     training = [LogUsed(f.path, "training", f.sha256, f.span) for f in model.flights]
@@ -68,7 +68,7 @@ def recipe_of(model: Model, flights: Sequence[Flight]) -> Recipe:
 
 
 def _converting(model: Model) -> list[str]:
-    """The command that brings a model under the limits that it has now, where these are not those of its flights."""
+    """The command line that converts the model to its limits, if these are not those of its flights."""
     if not model.conversion:
         return []
     now, flown = model.card.raw["limits"], model.conversion.limits
@@ -78,7 +78,7 @@ def _converting(model: Model) -> list[str]:
 
 
 def _options(model: Model) -> list[str]:
-    """Structure and axes, where they are not the default."""
+    """Options for structure and axes, if they are not the default."""
     known = [axis for axis in model.axes.values() if axis.predictor]
     tried = any(candidate.chosen for axis in known for candidate in axis.candidates)
     others = {axis.structure for axis in known if axis.structure != STRUCTURE}
@@ -88,7 +88,7 @@ def _options(model: Model) -> list[str]:
 
 
 def _axes(model: Model) -> list[str]:
-    """The option that names the axes, where some that the flights command were left out of a likelihood fit."""
+    """The option that names the axes, if a likelihood fit left out some that the flights command."""
     served = {axis for flight in model.flights for axis in flight.axes}
     asked = [
         a for a in AXES if a not in served or model.axes[a].noise or model.axes[a].status["input"] != "not_excited"
@@ -105,7 +105,7 @@ def card_text(raw: Mapping[str, Any]) -> str:
     """A card as TOML.
 
     Args:
-        raw: As parsed: values, sections, and inline tables in sections.
+        raw: The parsed card: values, sections, and inline tables in sections.
     """
     plain = [f"{_key(key)} = {_value(value)}" for key, value in raw.items() if not isinstance(value, Mapping)]
     sections = [

@@ -1,4 +1,4 @@
-"""The sections of the page: what each shows, as the values that its template in `templates/sections` speaks of.
+"""The sections of the page: the values of each for its template in `templates/sections`.
 
 A new section is a function `content(contents) -> dict`, a template and one row in `SECTIONS`.
 """
@@ -37,14 +37,14 @@ from rotorfit.reporting.views import READING, Chart, RowChart, overlaid
 
 @dataclass(frozen=True)
 class Contents:
-    """What the sections draw from.
+    """The input of the sections.
 
     Attributes:
-        evidences: Of one model, or of several on the same flights.
-        names: Of the models.
-        verdicts: On them.
-        tested: Charts of the flights of the validation.
-        fitted: Charts of the flights of the fit.
+        evidences: Evidence of one model, or of several on the same flights.
+        names: Names of the models.
+        verdicts: Verdicts on the models.
+        tested: Charts of the validation flights.
+        fitted: Charts of the training flights.
     """
 
     evidences: tuple[Evidence, ...]
@@ -55,7 +55,7 @@ class Contents:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """The models with their proofs."""
+        """The models with their flights and validations."""
         return tuple(evidence.case for evidence in self.evidences)
 
     @property
@@ -69,8 +69,8 @@ class Section:
     """A section of the page.
 
     Attributes:
-        title: In the list of sections.
-        content: What its template speaks of; the template is `templates/sections/ANCHOR.html.j2`.
+        title: Its title in the list of sections.
+        content: Function that gives the values for its template, `templates/sections/ANCHOR.html.j2`.
     """
 
     title: str

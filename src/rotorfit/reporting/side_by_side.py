@@ -13,7 +13,7 @@ from rotorfit.reporting.views import ChartRow, RowChart, look_of
 from rotorfit.reporting.words import chance, figure, rounded, term_of
 
 LONGEST_NAME = 21
-"""Letters of a name beside a chart."""
+"""Largest length of a name beside a chart [characters]."""
 
 FLIGHTS = (
     "Each row is a flight: the further left the dot, the better; the hollow dot is holding the velocity. Dots of "
@@ -27,14 +27,14 @@ COEFFICIENTS_READING = (
 
 
 def names_of(cases: Sequence[Case]) -> tuple[str, ...]:
-    """Short names of models: the stems of their files where these differ, else the paths."""
+    """Short names of models: the stems of their files if they are distinct, else the paths."""
     stems = [case.path.rpartition("/")[2].removesuffix(".json") for case in cases]
     return tuple(stems if len(set(stems)) == len(stems) else [case.path for case in cases])
 
 
 @dataclass(frozen=True)
 class Lead:
-    """One axis: the velocity error of each model, which is the smallest, and whether that is more than chance."""
+    """One axis: the velocity error of each model, the best one, and whether its lead is significant."""
 
     axis: str
     errors: tuple[str, ...]
@@ -43,11 +43,11 @@ class Lead:
 
 
 def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
-    """For every axis which model predicts the velocity best, and whether that is more than chance.
+    """For every axis, the model that predicts the velocity best, and whether its lead is significant.
 
     Args:
-        evidences: Of the models.
-        horizon: That is asked about [s].
+        evidences: Evidence of the models.
+        horizon: Horizon of the predictions [s].
     """
     out = []
     for axis in AXES:
@@ -68,7 +68,7 @@ def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
 
 
 def _shown(evidences: Sequence[Evidence], best: int, second: int, axis: str, horizon: float) -> str:
-    """What the paired test of the two best says."""
+    """The result of the paired test of the two best models, in words."""
     test = evidences[min(best, second)].against.get(max(best, second))
     pooled = test.axes[axis][f"{horizon:g}"]["velocity"].pooled if test else None
     if pooled is None:
@@ -80,7 +80,7 @@ def _shown(evidences: Sequence[Evidence], best: int, second: int, axis: str, hor
 
 
 def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: float) -> tuple[RowChart, ...]:
-    """Velocity error of every flight at one horizon, a chart an axis; only where several flights move it."""
+    """Velocity error of every flight at one horizon [s], a chart for each axis that several flights move."""
     charts = []
     for axis in AXES:
         unit, factor = SPEED[axis]
@@ -114,7 +114,7 @@ def flights_side_by_side(cases: Sequence[Case], names: Sequence[str], horizon: f
 
 
 def shortened(name: str) -> str:
-    """A name that fits beside a chart: its middle gives way."""
+    """A name that fits beside a chart; if it is too long, its middle is left out."""
     return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 9]}…{name[-8:]}"
 
 
@@ -124,7 +124,7 @@ def _error(axis: object, horizon: float) -> float | None:
 
 
 def coefficients_side_by_side(evidences: Sequence[Evidence], names: Sequence[str]) -> tuple[RowChart, ...]:
-    """Estimates and intervals of every coefficient, a chart a coefficient of an axis."""
+    """Estimates and intervals of every coefficient, one chart for each coefficient of an axis."""
     found = [{(row.axis, row.name): row for row in evidence.coefficients} for evidence in evidences]
     charts = []
     for axis in AXES:

@@ -1,8 +1,7 @@
-"""The table of coefficients, ready to print: numbers with the digits that they deserve, and a bar for each interval.
+"""From model, validation and verdict to the rows of the page's tables, ready to print.
 
-The model in physics, ready to print: accelerations, speeds and times beside what the card makes one expect.
-
-Model, validation, verdict -> rows of the page's tables, ready to print.
+Among them are the table of coefficients, with suitably rounded numbers and a bar for each interval, and the model in
+physical terms: accelerations, speeds and times beside the values expected from the card.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +24,7 @@ from rotorfit.reporting.words import figure, rounded, sentences, term_of
 
 @dataclass(frozen=True)
 class Bar:
-    """Places of an interval, its estimate and the paper's value along a bar of 100."""
+    """Places of an interval, its estimate and the paper's value along a bar of length 100."""
 
     low: float
     high: float
@@ -37,7 +36,7 @@ class Bar:
 class RowText:
     """A row of the table of coefficients, ready to print; `kind` is `ok`, `missing`, `bad` or `combination`.
 
-    `interval` is that of the vehicle, `flight` that of the flights alone, empty where there is no other.
+    `interval` is that of the vehicle, `flight` that of the flights alone, empty if it is the same.
     """
 
     term: str
@@ -60,13 +59,13 @@ def coefficient_table(rows: Sequence[CoefficientRow]) -> list[tuple[str, list[Ro
 
 
 def laws_of(model: Model) -> list[tuple[str, str]]:
-    """Axes that have another structure than the default, and its law."""
+    """Axes with a structure other than the default, and the law of each."""
     known = {name: axis.structure for name, axis in model.axes.items() if axis.structure != STRUCTURE}
     return [(name, structure_named(structure).law) for name, structure in known.items()]
 
 
 def unit_text(row: CoefficientRow) -> str:
-    """The unit of a row, per command where it is."""
+    """The unit of a row, per command if that applies."""
     if row.unit == "command":
         return row.per
     return f"{row.unit.replace('^2', '²')} per {row.per}" if row.per else row.unit
@@ -98,7 +97,7 @@ def _row_text(row: CoefficientRow) -> RowText:
 
 
 def _ends_text(ends: Interval, scale: float | None) -> str:
-    """An interval; an end that is small against its width keeps a digit of its own."""
+    """An interval; an end that is small compared with its width keeps a significant digit."""
     if ends == (None, None):
         return "—"
     return " to ".join(
@@ -107,13 +106,13 @@ def _ends_text(ends: Interval, scale: float | None) -> str:
 
 
 def _bar(row: CoefficientRow) -> Bar | None:
-    """Where the interval lies; an open end runs to the border. The paper's value sits at the border if beyond it."""
+    """The bar of an interval; an open end extends to the border, and a paper's value beyond it is drawn there."""
     if row.low is None and row.high is None:
         return None
     finite = [end for end in (row.low, row.high, row.value) if end is not None]
     low, high = min(finite), max(finite)
     pad = 1.2 * (high - low) or abs(high) or 1.0
-    if row.paper is not None:  # as far as twice the interval's width
+    if row.paper is not None:  # the bar extends to twice the interval's width for it
         low, high = min(low, max(row.paper, low - 2 * pad)), max(high, min(row.paper, high + 2 * pad))
     low, high = low - 0.15 * pad, high + 0.15 * pad
 
@@ -130,14 +129,14 @@ def _bar(row: CoefficientRow) -> Bar | None:
 
 @dataclass(frozen=True)
 class PhysicsText:
-    """The table as text: axis, quantity, estimate, interval, unit, expected and ratio a row; and lines below it."""
+    """The physics table as text: axis, quantity, estimate, interval, unit, expected, ratio; and lines below it."""
 
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[str, ...]
 
 
 def physics_text(evidence: Evidence) -> PhysicsText:
-    """What the report says of a model in physics; nothing where the card gives no command a meaning."""
+    """The model in physical terms; no rows if the card gives no command a meaning."""
     rows = tuple(
         (
             row.axis,
@@ -178,12 +177,12 @@ ANSWERS = {
     "no": ("✗", "no"),
     "missing": ("–", "no model"),
 }
-"""Answer to its sign and its word."""
+"""Answer to its symbol and its word."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One axis at one horizon: answer, sign and word, errors of velocity and position, ratio, and all in a sentence."""
+    """One axis at one horizon: answer, symbol, word, errors of velocity and position, ratio, and a sentence."""
 
     answer: str
     sign: str
@@ -195,7 +194,7 @@ class Cell:
 
 
 def ahead_rows(verdict: Verdict) -> tuple[tuple[float, ...], list[tuple[str, list[Cell]]]]:
-    """Horizons, and for every axis and for the model as a whole a cell each."""
+    """The horizons, and a row of cells for every axis and for the model as a whole."""
     horizons = tuple(sorted({use.horizon for use in verdict.uses}))
     rows = [(axis, [_cell(use) for use in verdict.uses if use.axis == axis]) for axis in AXES]
     return horizons, [*rows, ("all", [_cell(use) for use in verdict.weakest])]
@@ -230,7 +229,7 @@ def mode_rows(model: Model) -> list[list[str]]:
 
 
 def score_rows(validation: Validation) -> list[list[str]]:
-    """Errors flight by flight, of the axes that have any, at the horizons that people ask for."""
+    """Errors flight by flight, of the axes that have any, at the horizons of the protocol."""
     return [row for number in range(len(validation.flights)) for row in _flight_rows(validation, number)]
 
 
@@ -252,7 +251,7 @@ def _flight_rows(validation: Validation, number: int) -> list[list[str]]:
 
 
 def pooled_rows(scores: Sequence[HorizonErrors]) -> list[list[str]]:
-    """The same over all flights that count."""
+    """Errors pooled over all flights that count."""
     return [["all that were not fitted", *_score_row(score)] for score in scores if score.horizon in HORIZONS]
 
 
@@ -283,7 +282,7 @@ def paired_rows(validation: Validation) -> list[list[str]]:
 
 
 def _one(paired: Paired, number: int) -> Difference | None:
-    """Of one flight; of all together behind the last."""
+    """The difference on one flight; the pooled one for the number after the last."""
     return paired.pooled if number == len(paired.flights) else paired.flights[number]
 
 

@@ -1,4 +1,4 @@
-"""Track -> one self-contained page: what is known now, how that came about, what changed and when, how to go on."""
+"""From a Track to one self-contained page: final state, estimates over time, changes, regimes, and next steps."""
 
 import math
 import shlex
@@ -20,7 +20,7 @@ from rotorfit.reporting.views import Area, Chart, FlightView, Line
 from rotorfit.reporting.words import and_list, rounded, sentences, term_of
 
 SHOWN = ("input", "damping", "delay", "lag", "wind")
-"""What has a chart, where it is told at any time."""
+"""Quantities with a chart, if they are told at any time."""
 
 READING = (
     "The line is the estimate, the band its 95 % interval for the vehicle as known then; where the line ends nothing "
@@ -28,7 +28,7 @@ READING = (
 )
 
 MOST_STATES = 1200
-"""Points of a line: of a longer flight every second, third ... state is drawn."""
+"""Largest number of points of a line; for longer flights, only every second, third ... state is drawn."""
 
 COLOURS: Mapping[Knowledge, str] = {
     "known": "green",
@@ -48,12 +48,12 @@ CAUSES: Mapping[str, str] = {
     "another_vehicle": "not the vehicle of the earlier model",
     "other": "something else",
 }
-"""A cause in few words."""
+"""Cause to a few words."""
 
 
 @dataclass(frozen=True)
 class AxisNow:
-    """One axis at the end: its name, a colour, its state, and the wind with its interval."""
+    """One axis at the end: name, colour, state, and wind with its interval."""
 
     axis: str
     colour: str
@@ -63,7 +63,7 @@ class AxisNow:
 
 @dataclass(frozen=True)
 class Raised:
-    """An alarm in words: when and what, since when, what changed, how sure, and why."""
+    """An alarm in words: time and cause, time of the change, what changed, confidence, and reason."""
 
     title: str
     axes: str
@@ -77,9 +77,9 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
     """The whole page.
 
     Args:
-        track: Of the flight.
-        flight: As it was recorded.
-        files: Of each regime its model's, where it was written.
+        track: The track.
+        flight: The flight as recorded.
+        files: Model file of each regime, or None.
     """
     last = track.states[-1]
     panels = _panels(track)
@@ -116,7 +116,7 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
 
 
 def _headline(track: Track) -> str:
-    """One sentence: who is known, and what was raised."""
+    """One sentence: which axes are known, and which alarms were raised."""
     axes = track.states[-1].axes
     told = [name for name in track.axes if name in axes and axes[name].knowledge in ("known", "holding")]
     rest = [name for name in track.axes if name not in told]
@@ -144,7 +144,7 @@ def _now(name: str, axis: TrackedAxis) -> AxisNow:
 
 
 def _air(air: Air | None) -> str:
-    """The mean wind in words; empty where it is not known."""
+    """The mean wind in words; empty if it is unknown."""
     if air is None:
         return ""
     if not air.told:
@@ -162,7 +162,7 @@ def _air(air: Air | None) -> str:
 
 
 def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
-    """Of each axis the rows of the table: quantity, its term, value, unit, and both intervals."""
+    """The rows of the table for each axis: quantity, its term, value, unit, and both intervals."""
     out: list[list[tuple[str, ...]]] = []
     for name, axis in axes.items():
         rows: list[tuple[str, ...]] = [
@@ -178,7 +178,7 @@ def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
 
 
 def unit_of(what: str, axis: str) -> str:
-    """The unit of a quantity; those of the command are per unit of it."""
+    """The unit of a quantity; those of input and steady gain are per unit of the command."""
     length = "rad" if axis == "yaw" else "m"
     units = {"input": f"{length}/s² per command", "damping": "1/s", "steady_gain": f"{length}/s per command"}
     return f"{length}/s²" if what == "wind" else units.get(what, "s")
@@ -209,7 +209,7 @@ def _interval(ends: Interval | None, value: float) -> str:
 
 
 def _panels(track: Track) -> FlightPanels:
-    """The charts of all axes; each knows its number."""
+    """The charts of all axes, with their numbers."""
     panels: list[Panel] = []
     for axis in track.axes:
         for what in SHOWN:
@@ -231,7 +231,7 @@ def _by_axis(panels: FlightPanels) -> list[tuple[str, list[Panel]]]:
 
 
 def _chart(track: Track, axis: str, what: str) -> Chart | None:
-    """One quantity of one axis over time; None where it was never told."""
+    """One quantity of one axis over time; None if it was never told."""
     line = track.timeline(axis, what)
     shown = line.shown
     if shown is None:
@@ -261,7 +261,7 @@ def _chart(track: Track, axis: str, what: str) -> Chart | None:
 
 
 def _series(panels: FlightPanels) -> dict[str, Any]:
-    """What the charts need to zoom: the ends of the bands are lines of their own."""
+    """The data for zooming the charts; the ends of the bands are lines of their own."""
     out = series(panels)
     for panel, chart in zip(panels.panels, out["charts"], strict=True):
         shown = panel.chart
@@ -298,7 +298,7 @@ def _share(share: float) -> str:
 
 
 def _changes(change: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """What changed by how much, with its interval; axes that changed alike together."""
+    """What changed and by how much, with its interval; axes with equal changes are combined."""
     alike: dict[tuple[str, tuple[float, float]], list[str]] = {}
     for name, ends in change.items():
         axis, what = name.split(".")
@@ -320,7 +320,7 @@ def _by(what: str, axes: Sequence[str], low: float, high: float) -> str:
 
 
 def _regimes(regimes: Sequence[Regime], files: Sequence[Path | None]) -> list[dict[str, Any]]:
-    """Of each regime when it was, what began it, its file and its coefficients."""
+    """Time, cause, model file and coefficients of each regime."""
     known = [*files, *[None] * (len(regimes) - len(files))]
     return [
         {
@@ -335,7 +335,7 @@ def _regimes(regimes: Sequence[Regime], files: Sequence[Path | None]) -> list[di
 
 
 def _cells(model: Model | None) -> list[list[str]]:
-    """Rows of axis, input, damping and delay; none of a regime that was too short."""
+    """Rows of axis, input, damping and delay; none for a regime that was too short."""
     if model is None:
         return []
     out = []
@@ -352,7 +352,7 @@ def _told(value: float | None, ends: Interval | None) -> str:
 
 
 def _commands(track: Track, flight: Flight, files: Sequence[Path | None]) -> list[str]:
-    """Lines to type: with the model of the last regime that has one."""
+    """Lines to type, using the model of the last regime that has one."""
     lines = []
     last = next((path for path in reversed(files) if path), None)
     if last is None:

@@ -1,6 +1,6 @@
-"""Scores and paired tests -> is the model usable for predictions that far ahead, axis by axis and as a whole?
+"""From scores and tests to a verdict: can this model be used for predictions, and how far ahead?
 
-Can this model be used, and how far ahead? In plain words, with traffic lights that agree with every test.
+It is given for each axis and for the model as a whole, in plain words, with traffic lights that agree with every test.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,13 +17,13 @@ from rotorfit.core.results import HORIZONS, Difference, PairedTest
 from rotorfit.reporting.words import and_list, chance, figure, sentences
 
 USEFUL = 2.0
-"""How many times smaller than those of holding the velocity the errors must be to be called usable."""
+"""Least ratio of the errors of holding the velocity to those of a usable model."""
 
 USELESS = 1.1
-"""Below this they are no smaller."""
+"""Ratio below which the model's errors count as no smaller."""
 
 RANK = ("yes", "limited", "unproven", "no", "missing")
-"""Answers from the best to the worst."""
+"""Answers, from the best to the worst."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class Use:
     """Whether an axis is usable at a horizon.
 
     Attributes:
-        axis: Name; `all` for the weakest of the axes.
-        horizon: [s].
-        answer: `yes`, `limited`, `unproven`, `no`, or `missing` where there is no model.
-        reason: Why it is not `yes`; empty where it is.
-        velocity: RMSE over all steps up to the horizon [m/s or rad/s]; None where it was not scored.
-        position: RMSE at its end [m or rad]; None likewise.
-        times: How many times smaller both are than those of holding the velocity: the smaller of the two ratios.
-        n: Predictions.
+        axis: Name of the axis; `all` for the weakest one.
+        horizon: Horizon [s].
+        answer: `yes`, `limited`, `unproven`, `no`, or `missing` without a model.
+        reason: Why it is not `yes`; otherwise empty.
+        velocity: RMSE of the velocity over all steps up to the horizon [m/s or rad/s]; None if it was not scored.
+        position: RMSE of the position at the horizon [m or rad]; None if it was not scored.
+        times: Ratio of the errors of holding the velocity to the model's, the smaller one of velocity and position.
+        n: Number of predictions.
     """
 
     axis: str
@@ -60,15 +60,15 @@ def uses_of(
     """Answers for every axis at every horizon.
 
     `yes`: on flights that were not fitted and command the axis, the errors of velocity and position are both at most
-    half of those of holding the velocity, and the paired test shows both differences to be real at 95 %. `limited`:
-    better, but less than that, or not shown to be real. `no`: below 1.1 times better, or shown to be worse.
-    `unproven`: no score.
+    half of those of holding the velocity, and both differences are significant at 95 % in the paired test. `limited`:
+    better, but by less, or not significantly. `no`: less than 1.1 times better, or significantly worse. `unproven`: no
+    score.
 
     Args:
         scores: As `scores_of` gives them.
-        paired: Of the model against the baselines.
+        paired: Paired tests of the model against the baselines.
         known: The axes that have a model.
-        horizons: That are asked about [s].
+        horizons: Horizons of the answers [s].
     """
     by_place = {(score.axis, f"{score.horizon:g}"): score for score in scores}
     against = next((test for test in paired if test.second == "hold"), None)
@@ -105,7 +105,7 @@ def _times_better(score: HorizonErrors, what: str) -> float | None:
 
 
 def _answer(times: float | None, found: Sequence[Difference | None]) -> tuple[str, str]:
-    """Answer and reason by the ratio and the tests of both quantities."""
+    """Answer and reason from the ratio and the tests of both quantities."""
     verdicts = ["too_short" if each is None else each.verdict for each in found]
     if times is None:
         return "unproven", "there is nothing to compare with"
@@ -121,7 +121,7 @@ def _answer(times: float | None, found: Sequence[Difference | None]) -> tuple[st
 
 
 def weakest(uses: Sequence[Use], axes: Sequence[str]) -> tuple[Use, ...]:
-    """The model as a whole, horizon by horizon: its weakest axis, with that one's numbers."""
+    """The model as a whole at each horizon: its weakest axis, with the numbers of that axis."""
     out = []
     for horizon in sorted({use.horizon for use in uses}):
         here = [use for use in uses if use.horizon == horizon and use.axis in axes]
@@ -131,7 +131,7 @@ def weakest(uses: Sequence[Use], axes: Sequence[str]) -> tuple[Use, ...]:
 
 
 def reach(uses: Sequence[Use]) -> float | None:
-    """The longest horizon up to which every answer is `yes` [s]; None where the first is not."""
+    """The longest horizon up to which every answer is `yes` [s]; None if the first is not."""
     longest = None
     for use in sorted(uses, key=lambda use: use.horizon):
         if use.answer != "yes":
@@ -141,38 +141,38 @@ def reach(uses: Sequence[Use]) -> float | None:
 
 
 PLANNING = 1.0
-"""Horizon that the headline is about [s]."""
+"""Horizon of the headline [s]."""
 
 COLOUR = {"yes": "green", "limited": "yellow", "unproven": "open", "no": "red", "missing": "grey"}
-"""Answer of the predictions to the colour of their lamp; `open` is an unlit lamp with a question mark."""
+"""Answer to the colour of the lamp for predictions; `open` is an unlit lamp with a question mark."""
 
 EQUAL = "1.0"
-"""A factor that is neither better nor worse, as it would be printed."""
+"""Text of a factor that is neither better nor worse."""
 
 DOUBT = 0.01
-"""p-value from which a test that fails at 95 % is weak evidence only: a model has several."""
+"""p-value above which a test that fails at 95 % is only weak evidence: a model has several tests."""
 
 OTHER = 4.0
-"""Variance of the innovations over that of the fit from which on it is doubted: standard deviations, and with them the
-intervals of what was fitted, are twice what the fit believed; or half, from the inverse."""
+"""Ratio of the variance of the innovations to that of the fit from which the intervals are doubted: standard deviations
+are then twice what the fit assumed; or half, below the inverse."""
 
 MOST_REASONS = 2
-"""So many reasons stand beside a lamp; the rest are among the findings."""
+"""Largest number of reasons beside a lamp; the rest are among the findings."""
 
 PROOF = {
     "limited": "use it where the errors of the table are small enough for you, and fly a longer or livelier proof",
     "unproven": "fly a flight that moves the axis, keep it out of the fit, and report again",
 }
-"""Answer of the predictions to what it asks for."""
+"""Answer to the advice that it calls for."""
 
 GAPS = "use it to predict, but do not read the coefficients that are doubted one by one"
-"""What is asked of whoever uses an axis with coefficients that are not known."""
+"""Advice on an axis with unknown coefficients."""
 
 TOO_SURE = "an estimator that takes its noise for white is too sure: give it more"
-"""What coloured residuals mean to a filter."""
+"""Advice on coloured residuals, for a filter."""
 
 GRAVITY = ("red", "grey", "open", "yellow", "green")
-"""Colours from the worst to the best."""
+"""Colours, from the worst to the best."""
 
 STATUS = {
     "not_excited": "its commands explain nothing of the motion",
@@ -187,7 +187,7 @@ STATUS = {
 class Lamp:
     """One question about an axis: `green`, `yellow`, `red`, `open` (not proven) or `grey` (nothing to ask).
 
-    `advice` says what a doubt asks of whoever uses the axis all the same; empty where there is nothing to say.
+    `advice` says what to do if the axis is used in spite of a doubt; empty if there is none.
     """
 
     question: str
@@ -199,15 +199,15 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Light:
-    """What is said of one axis.
+    """The verdict on one axis.
 
     Attributes:
-        axis: Name.
-        colour: The worst of its lamps.
-        word: In few words.
-        error: Velocity error at the planning horizon, with unit; None where it was not scored.
+        axis: Name of the axis.
+        colour: The worst colour of its lamps.
+        word: The verdict in a few words.
+        error: Velocity error at the planning horizon, with its unit; None if it was not scored.
         sentences: How well it predicts.
-        lamps: The questions behind it: predictions, coefficients, residuals.
+        lamps: Lamps for predictions, coefficients and residuals.
     """
 
     axis: str
@@ -220,16 +220,16 @@ class Light:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The first thing that a reader sees.
+    """The verdict on a model, the first thing that a reader sees.
 
     Attributes:
-        headline: The answer for the planning horizon.
-        whole: What holds for all axes together, one or two sentences.
-        advice: What to do about each doubt, a sentence each.
+        headline: The answer at the planning horizon.
+        whole: The answer for all axes together, one or two sentences.
+        advice: What to do about each doubt, one sentence each.
         horizon: The planning horizon [s].
-        lights: Of x, y, z, yaw.
-        uses: Every axis at every horizon.
-        weakest: Its weakest axis at every horizon.
+        lights: The lights of x, y, z, yaw.
+        uses: Answers for every axis at every horizon.
+        weakest: Answers for the weakest axis at every horizon.
     """
 
     headline: str
@@ -250,16 +250,16 @@ def verdict_of(
 ) -> Verdict:
     """Judges a model by its scores on validation flights, its statuses, its findings and the tests of its residuals.
 
-    Each axis has three lamps. Predictions: see `usable.uses_of`, at the planning horizon. Coefficients: green where
-    every one is known and no finding warns of them, those about the residuals included. Residuals: green where no test
-    speaks against the model at 95 %. The light of the axis is the worst of the three.
+    Each axis has three lamps. Predictions: see `uses_of`, at the planning horizon. Coefficients: green if all are known
+    and no finding warns of them, including findings about the residuals. Residuals: green if no test rejects the model
+    at 95 %. The light of the axis is the worst of the three.
 
     Args:
-        model: With its findings.
+        model: The model, with its findings.
         scores: As `scores_of` gives them.
-        paired: Of the model against the baselines.
-        residuals: Axis to tests, a mapping a validation flight.
-        speeds: Axis to the speed up to which it was tested, SI.
+        paired: Paired tests of the model against the baselines.
+        residuals: Axis to its tests, one mapping for each validation flight.
+        speeds: Axis to the speed up to which it was tested [m/s or rad/s].
     """
     known = [axis for axis in AXES if model.axes[axis].predictor is not None]
     uses = uses_of(scores, paired, known)
@@ -318,7 +318,7 @@ def _predictions(use: Use) -> Lamp:
 
 
 def _coefficients(model: Model, axis: str) -> Lamp:
-    """Whether they are known and nothing was found that warns of them."""
+    """Lamp for the coefficients: whether they are known and no finding warns of them."""
     mine = [f for f in model.findings if f.axis in (axis, None)]
     forbidden = [f.evidence for f in mine if f.severity == "error"]
     early = any(f.code == "delay_negative" for f in mine)
@@ -328,7 +328,7 @@ def _coefficients(model: Model, axis: str) -> Lamp:
     if told:
         more = f" {len(told) - MOST_REASONS} more under Findings." if len(told) > MOST_REASONS else ""
         word = "unusable" if forbidden else "in part" if gaps else "known, with a warning"
-        # What the residuals ask for, their own lamp says.
+        # Advice about the residuals is given by their own lamp.
         asked = [*([GAPS] if gaps else []), *(f.remedy for f in warnings if not _of_residuals(f))]
         text = " ".join(sentences(told[:MOST_REASONS])) + more
         return Lamp("coefficients", "red" if forbidden else "yellow", word, text, "; ".join(asked[:1]))
@@ -336,7 +336,7 @@ def _coefficients(model: Model, axis: str) -> Lamp:
 
 
 def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
-    """Whether any test of any flight speaks against the model at 95 %, or they have another size than in the fit."""
+    """Lamp for the residuals: whether a test on any flight rejects the model at 95 %, or their variance has changed."""
     found = [(each.white_p, "not white") for each in tests]
     found += [(each.command_p, "following past commands") for each in tests if each.command_p is not None]
     if not found:
@@ -378,7 +378,7 @@ def _of_residuals(finding: Finding) -> bool:
 
 
 def _advice(lights: Sequence[Light]) -> tuple[str, ...]:
-    """What the doubts ask for, each once with the axes that it is about; of axes that are usable at all."""
+    """The advice on the doubts, each once with the axes that it concerns; only for axes that are usable at all."""
     by: dict[str, list[str]] = {}
     for light in lights:
         for lamp in light.lamps if light.colour in ("yellow", "open") else ():
@@ -400,7 +400,7 @@ def _unknown(known: Axis, method: str) -> list[str]:
 
 
 def _early(known: Axis, told: bool) -> list[str]:
-    """A delay that no vehicle has, where no finding tells of it."""
+    """A delay that no vehicle can have, unless a finding reports it."""
     if told or known.delay is None or known.delay >= 0:
         return []
     high = known.ci95["delay"][1]
@@ -409,7 +409,7 @@ def _early(known: Axis, told: bool) -> list[str]:
 
 
 def _answers(known: Axis) -> list[str]:
-    """How late the vehicle answers, as far as it is known."""
+    """The delay, or else the total lag, in words; empty if neither is known."""
     if known.delay is not None and known.delay < 0:
         return [f"by the stamps a command acts {-known.delay:.2f} s before it is sent"]
     if known.delay is not None:
@@ -419,7 +419,7 @@ def _answers(known: Axis) -> list[str]:
 
 
 def _said(use: Use, uses: Sequence[Use], scores: Sequence[HorizonErrors], method: str) -> list[str]:
-    """How far off the predictions are at the planning horizon and at the longest, against the baselines."""
+    """Prediction errors at the planning horizon and at the longest one scored, compared with the baselines."""
     last = max((each for each in uses if each.velocity is not None), key=lambda each: each.horizon)
     said = [
         f"{over(each.horizon)}: off by {_off(each)}{better(each.times)}"
@@ -441,7 +441,7 @@ def errors_text(use: Use) -> str:
 
 
 def over(horizon: float) -> str:
-    """What a velocity error is about: `over the first second`; it is the RMS of all steps, not of the last."""
+    """The period of a velocity error, such as `over the first second`: the error is the RMS of all steps."""
     return "over the first second" if horizon == 1 else f"over the first {horizon:g} s"
 
 
@@ -460,7 +460,7 @@ def _speed(axis: str, speed: float) -> str:
 
 
 def better(times: float | None) -> str:
-    """Comparison with holding the velocity, to be added to a sentence."""
+    """Comparison with holding the velocity, to be appended to a sentence."""
     if times is None:
         return ""
     word, size = ("better", times) if times >= 1 else ("worse", 1 / times)
@@ -475,7 +475,7 @@ def _ratio(times: float) -> str:
 
 
 def _headline(lights: Sequence[Light]) -> str:
-    """The answer for all axes, in the order yes, with care, not proven, no, no model."""
+    """The answer for all axes, ordered as yes, with care, not proven, no, no model."""
     by = {colour: [light.axis for light in lights if light.colour == colour] for colour in GRAVITY}
     if len(by["grey"]) == len(lights):
         return "There is no model yet: no axis has numbers."
@@ -491,7 +491,7 @@ def _headline(lights: Sequence[Light]) -> str:
 def _whole(
     lights: Sequence[Light], together: Sequence[Use], uses: Sequence[Use], wanted: Sequence[str], horizon: float
 ) -> str:
-    """What holds for all axes that the card commands, taken together."""
+    """The answer for all axes that the card commands, taken together."""
     if all(light.colour == "grey" for light in lights):
         return "Nothing can be predicted."
     now = next(use for use in together if use.horizon == horizon)
@@ -515,7 +515,7 @@ def _whole(
 
 
 def _because(lights: Sequence[Light], colour: str) -> str:
-    """Which lamps of which axes have a colour: `the residuals of y and z`."""
+    """The lamps of the axes that have a colour, such as `the residuals of y and z`."""
     by: dict[str, list[str]] = {}
     for light in lights:
         for lamp in light.lamps:

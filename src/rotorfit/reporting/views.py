@@ -1,7 +1,7 @@
-"""Evidence -> charts: plain named series. Whoever draws, only draws.
+"""From evidence to charts: plain named series, independent of how they are drawn.
 
-A `Chart` holds everything that a drawing needs: lines over one x axis, marks, levels, a sentence on how to read it and
-a text alternative. The page, the figures for a paper and whatever comes later draw the same charts.
+A `Chart` has everything that a drawing needs: lines over one x axis, marks, levels, a sentence on how to read it and a
+text alternative. The page, the studio and the figures for a paper draw the same charts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,13 +14,13 @@ from rotorfit.core.flight_data import LONGEST_GAP
 from rotorfit.core.frames import AXES, Array
 
 DRAWN_RATE = 30.0
-"""Points a second of the drawn motion: the local polynomials pass nothing above a third of it."""
+"""Rate of the drawn motion [1/s]: the local polynomials pass no frequency above a third of it."""
 
 MOST_POINTS = 20_000
-"""Points of a drawn line beyond which it is reduced to the extremes of its stretches."""
+"""Number of points of a drawn line above which it is reduced to the extremes of its stretches."""
 
 MODEL_LOOKS = 6
-"""So many models have a colour and a dash of their own."""
+"""Number of models with a colour and a dash of their own."""
 
 READING = {
     "velocity": "Every piece of the predicted line comes from data that end 0.5 to 1 s before it; from there on only "
@@ -36,8 +36,8 @@ class Line:
     """One line of a chart.
 
     Attributes:
-        name: For the legend.
-        role: `measured`, `model`, `paper`, `hold`, or `residual`: the drawer gives each its look.
+        name: Name in the legend.
+        role: `measured`, `model`, `paper`, `hold`, or `residual`; it determines the style.
         y: Values, shape (N,); NaN breaks the line.
     """
 
@@ -48,7 +48,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Area:
-    """What lies between two lines, as a 95 % interval over time: its name, and its ends, shape (N,); NaN breaks it."""
+    """The area between two lines, such as a 95 % interval: its name and its ends, shape (N,); NaN breaks it."""
 
     name: str
     low: Array
@@ -57,7 +57,7 @@ class Area:
 
 @dataclass(frozen=True)
 class Mark:
-    """One marked point: its place and what it says."""
+    """One marked point: its place and its text."""
 
     x: float
     y: float
@@ -73,21 +73,21 @@ class Chart:
         kind: `velocity`, `acceleration`, `profile`, `horizon_velocity`, `horizon_position`, `correlation`,
             or `timeline`.
         axis: `x`, `y`, `z` or `yaw`.
-        title: Short.
-        x_label: With unit.
-        y_label: With unit.
-        x: Shared by the lines, shape (N,).
-        lines: In the order of drawing.
-        reading: One sentence: how to read it.
-        summary: One sentence: what is seen, in figures; the text alternative.
+        title: Short title.
+        x_label: Label of x, with its unit.
+        y_label: Label of y, with its unit.
+        x: Values of x, shared by the lines, shape (N,).
+        lines: Lines, in the order of drawing.
+        reading: One sentence on how to read it.
+        summary: One sentence on what it shows, in figures; the text alternative.
         marks: Points besides the lines.
         levels: Horizontal lines, value to name.
         span: A marked range of x, such as an interval; an open end is infinite.
-        y_range: What to show of y; None for all.
+        y_range: Range of y to show; None for all.
         y_log: Whether y is drawn on a logarithmic scale; all its values are then positive or NaN.
-        areas: Behind the lines.
-        shaded: Ranges of x that are set apart.
-        moments: Places of x that are marked, such as alarms.
+        areas: Areas behind the lines.
+        shaded: Shaded ranges of x.
+        moments: Marked values of x, such as alarms.
     """
 
     kind: str
@@ -114,11 +114,11 @@ class ChartRow:
     """One row of a chart of rows.
 
     Attributes:
-        name: At the left.
-        dots: Role and value; None has no dot.
-        low: Lower end of an interval of the first dot; None for an open or no end.
-        high: Upper end.
-        text: What the row says, in figures.
+        name: Name at the left.
+        dots: Role and value; None is not drawn.
+        low: Lower end of the interval of the first dot; None if it is open or missing.
+        high: Upper end of that interval.
+        text: The row in figures.
     """
 
     name: str
@@ -130,14 +130,14 @@ class ChartRow:
 
 @dataclass(frozen=True)
 class RowChart:
-    """Values side by side, a row each.
+    """Values in rows.
 
     Attributes:
-        title: Short.
-        x_label: With unit.
-        rows: From the top.
-        reading: One sentence: how to read it.
-        summary: One sentence: what is seen, in figures; the text alternative.
+        title: Short title.
+        x_label: Label of the values, with their unit.
+        rows: Rows, from the top.
+        reading: One sentence on how to read it.
+        summary: One sentence on what it shows, in figures; the text alternative.
         x_log: Whether the values are drawn on a logarithmic scale; all are then positive.
         level: A vertical line and its name.
     """
@@ -156,11 +156,11 @@ class FlightView:
     """Measured against modelled motion of one flight.
 
     Attributes:
-        path: Of its log.
+        path: Path of its log.
         role: `training` or `validation`.
         duration: Time under commands [s].
         charts: Velocity and acceleration of the axes that the flight commands and the model knows; they share one x.
-        missing: Axes that the flight commands and of which there is no model.
+        missing: Axes that the flight commands but the model does not know.
         drawn: How the series were reduced for drawing, one sentence.
     """
 
@@ -176,9 +176,9 @@ def flight_view(motion: FlightMotion, role: str, points: int = MOST_POINTS) -> F
     """Charts of measured against modelled velocity and acceleration of one flight.
 
     Args:
-        motion: Of the flight.
+        motion: Motion of the flight.
         role: `training` or `validation`.
-        points: Most points of a line.
+        points: Largest number of points of a line.
     """
     series = {
         **{("velocity", name): values for name, values in motion.velocity.items()},
@@ -198,16 +198,16 @@ def flight_view(motion: FlightMotion, role: str, points: int = MOST_POINTS) -> F
 
 
 def look_of(number: int) -> str:
-    """Role of a model's lines and dots among those of several; the looks begin again after `MODEL_LOOKS`."""
+    """Role of the lines and dots of one of several models; the styles repeat after `MODEL_LOOKS`."""
     return f"model-{number % MODEL_LOOKS + 1}"
 
 
 def overlaid(views: Sequence[Sequence[Chart]], names: Sequence[str]) -> tuple[Chart, ...]:
-    """Charts of several models drawn over each other: what they share once, and a line each.
+    """Charts of several models, overlaid: common lines once, and one line for each model.
 
     Args:
         views: The charts of each model; those of one kind and axis become one, without the paper's lines and bands.
-        names: Of the models; their lines have the roles of `look_of`.
+        names: Names of the models; their lines have the roles of `look_of`.
     """
     places = dict.fromkeys((chart.kind, chart.axis) for charts in views for chart in charts)
     return tuple(
@@ -220,7 +220,7 @@ def overlaid(views: Sequence[Sequence[Chart]], names: Sequence[str]) -> tuple[Ch
 
 
 def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str]) -> Chart:
-    """Lines with stamps of their own are drawn between them on those of all, which changes no line."""
+    """Overlays charts: lines with different x are interpolated to the union of all x, which does not change them."""
     first = charts[0][1]
     alike = all(chart.x.size == first.x.size and bool(np.all(chart.x == first.x)) for _, chart in charts)
     x = first.x if alike else np.unique(np.concatenate([chart.x for _, chart in charts]))
@@ -249,7 +249,7 @@ def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str
 
 
 def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array], whole: Mapping[str, Array]) -> Chart:
-    """One axis of a flight; the figures of the summary come from the series before they were reduced."""
+    """The chart of one axis of a flight; the figures of its summary come from the series before reduction."""
     order = "" if kind == "velocity" else "²"
     unit = f"rad/s{order}" if axis == "yaw" else f"m/s{order}"
     frame = "" if axis in ("z", "yaw") else " (heading frame)" if kind == "velocity" else " (world)"
@@ -276,7 +276,7 @@ def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array],
 
 
 def _reduced(time: Array, values: Array, points: int) -> tuple[Array, Array, str]:
-    """Stamps and columns for drawing, with a row of NaN in every hole, and one sentence on what was done."""
+    """Stamps and columns for drawing, with a row of NaN in every hole, and one sentence on the reduction."""
     first = np.flatnonzero(np.diff(np.floor((time - time[0]) * DRAWN_RATE + 1e-6), prepend=-1.0) > 0)
     if first.size <= points:
         time, values = time[first], values[first]

@@ -1,4 +1,4 @@
-"""Words of the page: definitions on hover, names of axes, numbers for people."""
+"""Words of the page: definitions of terms, names of axes, numbers as text."""
 
 from collections.abc import Mapping, Sequence
 from math import floor, log10
@@ -62,7 +62,7 @@ TERMS: Mapping[str, str] = MappingProxyType(
         "repair": "What had to be left out or converted before the log could be used, with the number of samples.",
     }
 )
-"""What a term means, in one sentence."""
+"""Term to its meaning, in one sentence."""
 
 COEFFICIENT = MappingProxyType(
     {
@@ -78,12 +78,12 @@ COEFFICIENT = MappingProxyType(
 
 
 def slug(term: str) -> str:
-    """A term as part of an anchor."""
+    """A term in the form for an anchor."""
     return "".join(c if c.isalnum() else "-" for c in term)
 
 
 def term_of(name: str) -> str:
-    """Term of a coefficient, a further parameter of a structure, or a combination."""
+    """The term for a coefficient, a further parameter of a structure, or a combination."""
     return COEFFICIENT.get(name, name.replace("_", " "))
 
 
@@ -92,11 +92,12 @@ AXIS = MappingProxyType({"x": "forward", "y": "left", "z": "up", "yaw": "turn"})
 
 
 def rounded(value: float | None, scale: float | None = None) -> str:
-    """A number with as many digits as its uncertainty deserves; an em dash for None.
+    """A number rounded according to its uncertainty; an em dash for None.
 
     Args:
-        value: To be printed.
-        scale: Its standard error or interval's width: two digits of that are kept; None for three of the value.
+        value: The number.
+        scale: Its standard error or the width of its interval, of which two digits are kept; None for three
+            significant digits.
     """
     if value is None:
         return "—"
@@ -110,7 +111,7 @@ def rounded(value: float | None, scale: float | None = None) -> str:
 
 
 def figure(value: float) -> str:
-    """A positive number with two digits, never in exponents: 0.92, 2.7, 11, 184."""
+    """A positive number with about two digits, at most three decimals and no exponent: 0.92, 2.7, 11, 184."""
     if value >= 10:
         return f"{value:.0f}"
     digits = 1 if value >= 0.995 else 2 if value >= 0.0995 else 3
@@ -118,15 +119,15 @@ def figure(value: float) -> str:
 
 
 def chance(p: float) -> str:
-    """A p-value for people."""
+    """A p-value as text."""
     return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
 def and_list(names: Sequence[str]) -> str:
-    """`x, y and z`."""
+    """Names in a list, such as `x, y and z`."""
     return " and ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
 
 
 def sentences(texts: Sequence[str]) -> tuple[str, ...]:
-    """Each with a capital and a full stop, unless it begins with the name of an axis."""
+    """Texts as sentences: each with a full stop, and with a capital unless it begins with the name of an axis."""
     return tuple(f"{t if t.split(' ')[0].strip(':') in AXES else t[:1].upper() + t[1:]}." for t in texts)
