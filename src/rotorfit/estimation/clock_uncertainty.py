@@ -1,4 +1,4 @@
-"""Fit -> Fit: what is not known of the clocks of two files, or of one that drifts, goes into the delay's interval."""
+"""Model -> Model: the uncertainty of clock offsets and of velocity latencies is added to the interval of the delay."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,10 +16,12 @@ _WITH_DELAY = ("total_lag", "delay_plus_lag")
 
 
 def check_clocks(flights: Sequence[Flight]) -> None:
-    """Refuses flights of which some hold the delay and others do not: a fit has one delay an axis.
+    """Refuses flights if the clock offsets of some include the delay and those of others do not.
+
+    A fit has one delay per axis.
 
     Raises:
-        FlightError: If they are mixed.
+        FlightError: The flights are mixed.
     """
     without = [flight.path for flight in flights if flight.clocks and flight.clocks.includes_delay]
     if without and len(without) < len(flights):
@@ -30,10 +32,10 @@ def check_clocks(flights: Sequence[Flight]) -> None:
 
 
 def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
-    """Half the 95 % interval that the clocks alone leave to the delay of an axis [s].
+    """Half the 95 % interval of the delay of an axis that is due to the clocks alone [s].
 
-    The delay of a fit is taken for the mean of what its flights say, weighted by their length; the errors of their
-    clocks are independent.
+    The delay of a fit is taken as the mean over its flights, weighted by their length; the errors of their clocks are
+    independent.
     """
     k = AXES.index(axis)
     moving = [f for f in flights if axis in f.axes and np.any(f.command[:, k])]
@@ -43,15 +45,15 @@ def clock_half_width(flights: Sequence[Flight], axis: str) -> float:
 
 
 def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
-    """The model with delays as the clocks of its flights allow.
+    """The model with the uncertainty of its flights' clocks in the delays.
 
-    Where an offset between two clocks was measured, or stamps were corrected by their arrivals, the error of that is
-    added to that of the delay, in quadrature, and to those of delay plus lag. Where the offset was told by the answer
-    to the commands, there is no delay to publish.
+    Where an offset between two clocks was measured, or stamps were corrected by their arrival times, that error is
+    added in quadrature to the errors of the delay, of delay plus lag and of the total lag. Where only the response to
+    the commands revealed the offset, no delay is published.
 
     Args:
         model: As fitted to the stamps on one clock.
-        flights: That it was fitted to.
+        flights: The flights that it was fitted to.
     """
     wider = with_delay_error(model, {axis: clock_half_width(flights, axis) for axis in AXES}, (AXES,))
     held = [flight.clocks for flight in flights if flight.clocks and flight.clocks.includes_delay]
@@ -62,12 +64,12 @@ def with_clock_error(model: Model, flights: Sequence[Flight]) -> Model:
 
 
 def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[Sequence[str]]) -> Model:
-    """The model with a further, independent error of its delays, in quadrature.
+    """The model with a further, independent error of its delays, added in quadrature.
 
     Args:
         model: As fitted.
         half: Axis to half the 95 % interval of that error [s].
-        shared: Groups of axes whose delays it moves alike.
+        shared: Groups of axes whose delays share the error.
     """
     if not any(half.values()):
         return model
@@ -82,7 +84,7 @@ def with_delay_error(model: Model, half: Mapping[str, float], shared: Sequence[S
 
 
 def _without_delay(axis: Axis, offset: float | None) -> Axis:
-    """An axis whose delay is not its own; of a single flight with what was measured, the sum of offset and delay."""
+    """The axis without a delay; with the sum of offset and delay, which was measured, where an offset [s] is given."""
     if axis.predictor is None:
         return axis
     kept = {name: one for name, one in axis.combinations.items() if name not in _WITH_DELAY}
@@ -101,7 +103,7 @@ def _without_delay(axis: Axis, offset: float | None) -> Axis:
 
 
 def _widened(axis: Axis, half: float) -> Axis:
-    """An axis with the error of the clocks in its delay."""
+    """The axis with an independent error of its delay added; `half` is half its 95 % interval [s]."""
     center = axis.predictor.delay if axis.predictor else None
     if center is None or not half or axis.ci95["delay"] == (None, None):
         return axis
@@ -133,7 +135,10 @@ def _combination(one: Combination, half: float) -> Combination:
 
 
 def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
-    """The published value of an interval; of one without, its middle, or what stands for that where an end is open."""
+    """Centre of an interval: the published value; without one `otherwise` if it is inside, else the middle.
+
+    An interval with an open end has no middle: its centre is `otherwise`, too.
+    """
     low, high = ends
     if value is not None:
         return value
@@ -141,7 +146,7 @@ def _middle(ends: Interval, value: float | None, otherwise: float) -> float:
 
 
 def _wider(ends: Interval, center: float, half: float) -> Interval:
-    """An interval with another, independent error of its centre added to each side."""
+    """An interval with an independent error of its centre added in quadrature to each side."""
     low, high = ends
     return (
         None if low is None else center - float(np.hypot(center - low, half)),

@@ -1,4 +1,4 @@
-"""Flights -> Fit: coefficients with intervals, statuses and profiles, by one of the methods of the table."""
+"""Flights -> Fit: coefficients with intervals, statuses and profiles, by one of the methods in `METHODS`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -44,7 +44,7 @@ from rotorfit.flights.distinct import check_distinct, check_flights
 Priors = Mapping[str, Mapping[str, Prior]]
 
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
-"""Delays at which the profile is drawn besides those that the interval needed [s]."""
+"""Delays at which the profile is drawn besides those that the interval required [s]."""
 
 
 def fit(
@@ -58,24 +58,27 @@ def fit(
     """Estimates the coefficients of the axes from one or several flights.
 
     Args:
-        flights: Recorded with one card. An axis is fitted to the flights that excite it, see `without_held_axes`.
-        method: A key of `METHODS`: `ml`, the likelihood; `robust`, the same without the poses that are not where the
-            vehicle was; `paper`, the regression of the paper; or one of the regressions between.
-        axes: Which axes are wanted.
-        progress: Called with a fraction and a text; raising in it cancels.
-        structure: `averaged`, the default: delay and lag, or what else the data ask for, see `law_average`; the name of
-            the law of every axis; or `auto`: what the data earn, axis by axis. `coupled` is of x and y together and
-            leaves the first-order law to every other axis. Methods without a likelihood know that law only.
-        prior: Use the priors of the card.
+        flights: Flights of one vehicle, read with one card. An axis is fitted to the flights that excite it, see
+            `without_held_axes`.
+        method: A key of `METHODS`: `ml`, the likelihood; `robust`, the likelihood without outlier poses; `paper`, the
+            paper's regression; or one of the regressions between.
+        axes: Axes to fit.
+        progress: Called with a fraction and a text; an exception raised in it cancels the fit.
+        structure: `averaged`, the default: delay and lag, or another law where the data require it, see `law_average`;
+            the name of one law for every axis; or `auto`: the law that the data support, axis by axis. `coupled`
+            applies to x and y together and leaves every other axis at the first-order law with a delay. Methods other
+            than `ml` accept `averaged` and that law only.
+        prior: Whether to use the priors of the card; with the default structure or the first-order law only.
 
     Returns:
-        The fit. What the data cannot tell is a status, never a number.
+        The fit. A coefficient that is not identifiable has a status and no number.
 
     Raises:
-        TypeError: If they are no flights.
-        FlightError: If no flight is given, one is given twice, or their cards differ in what the coefficients mean.
-        CardError: If priors are wanted that the card does not have, or with a method other than the likelihood.
-        ModelError: No such method or structure, or a structure other than the default with a method other than `ml`.
+        TypeError: An argument is not a flight.
+        FlightError: No flight is given, one is given twice, their cards differ, the clock offsets of only some include
+            the delay, or the method needs positions of an axis that has only a velocity.
+        CardError: Priors are requested and the card has none, or the method does not use the likelihood.
+        ModelError: There is no such method or structure, or the structure does not go with the method or with priors.
     """
     _check(flights, method, structure, prior)
     flights = without_held_axes(flights)
@@ -113,7 +116,7 @@ def _of_the_vehicle(
     serving: Mapping[str, Sequence[Flight]],
     tested: bool = True,
 ) -> Model:
-    """The model with the intervals of the vehicle, and delays as clocks and latencies allow."""
+    """The model with the intervals of the vehicle, and with the errors of clocks and latencies in the delays."""
     late = {axis: delay_error(serving[axis], estimate) for axis, estimate in estimates.items()}
     return with_delay_error(with_clock_error(judged(model, estimates, tested), flights), late, GROUPS)
 
@@ -124,10 +127,10 @@ def _with_plain(
     flights: Sequence[Flight],
     serving: Mapping[str, Sequence[Flight]],
 ) -> Model:
-    """The model with the first-order law beside axes that have another, with the intervals of the vehicle.
+    """The model with the first-order law beside that of every axis with another law, with the intervals of the vehicle.
 
-    Plans and gains go by it. It is not tested: that the axis has another law is known, and beyond what its numbers
-    can express.
+    Plans and controller gains are computed from it. It is not tested: the axis is known to have another law, which the
+    first-order coefficients cannot express.
     """
     known = {axis: pair for axis, pair in plain.items() if model.axes[axis].structure != STRUCTURE}
     if not known:
@@ -145,19 +148,19 @@ def _with_plain(
 
 
 def _plain_of(alone: Model, axis: str) -> Plain:
-    """The first-order law of an axis, to stand beside another."""
+    """The first-order law of an axis, for publication beside another law."""
     known = alone.axes[axis]
     law = first_order(alone, axis) if known.predictor else None
     return Plain(known.input, known.damping, known.delay, known.stderr, known.ci95, known.status, law)
 
 
 def _told(found: "_Found", axis: str) -> bool:
-    """Whether an axis came out with an input gain."""
+    """Whether the input gain of an axis was estimated with status `ok`."""
     return axis in found.axes and found.axes[axis].status["input"] == "ok"
 
 
 def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
-    """What was found, with one axis from elsewhere."""
+    """The results, with one axis replaced by that of another fit."""
     covariance: Blocks = {}
     for names, matrix in found.covariance.items():
         keep = [i for i, name in enumerate(names) if name.split(".")[0] != axis]
@@ -175,7 +178,7 @@ def _with_axis(found: "_Found", apart: "_Found", axis: str) -> "_Found":
 
 @dataclass(frozen=True)
 class _Found:
-    """What is found of some axes; estimates and remarks as in `Fit`, and the first-order law of axes with another."""
+    """Results for some axes: `estimates` and `remarks` as in `Fit`; `plain` is the first-order law beside another."""
 
     axes: Mapping[str, Axis]
     covariance: Blocks
@@ -193,7 +196,7 @@ def _found(
     paper: PaperFit,
     report: Progress,
 ) -> _Found:
-    """The axes that are wanted, group by group."""
+    """Fits the requested axes, group by group."""
     groups, parts = groups_of(flights, wanted), []
     for number, group in enumerate(groups):
         report(0.1 + 0.9 * number / len(groups), f"likelihood of {', '.join(group)}")
@@ -203,7 +206,7 @@ def _found(
             parts.append(_regression_group(flights, group, method))
         else:
             parts.append(_paper_group(flights, group, paper))
-    return _Found(  # x may be fitted with y where only one of them is wanted
+    return _Found(  # x and y may be fitted together where only one of them is wanted
         {axis: known for part in parts for axis, known in part.axes.items() if axis in wanted},
         {k: v for part in parts for k, v in part.covariance.items() if all(n.split(".")[0] in wanted for n in k)},
         {axis: estimate for part in parts for axis, estimate in part.estimates.items() if axis in wanted},
@@ -213,7 +216,7 @@ def _found(
 
 
 def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Found) -> Model:
-    """The model of what was found; axes that were not wanted or do not move are unknown in it."""
+    """The model of the results; axes that were not requested or not commanded are unknown in it."""
     names, matrix = block_diagonal(found.covariance)
     return Model(
         card=flights[0].card,
@@ -233,7 +236,7 @@ def _model(flights: Sequence[Flight], method: str, paper: PaperFit, found: _Foun
 
 
 def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) -> None:
-    """Refuses what does not go together; see `fit`."""
+    """Refuses arguments that do not go together; see `fit`."""
     if method not in METHODS:
         raise ModelError(f"no such method: {method!r}; methods are {', '.join(METHODS)}")
     if structure not in (AUTO, AVERAGED):
@@ -258,13 +261,13 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
 
 
 def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> list[Flight]:
-    """The flights without velocities that stand beside poses: only the likelihood can use them.
+    """The flights without velocities that were measured in addition to poses: only `ml` can use them.
 
     Raises:
-        FlightError: The method needs positions of an axis that has none.
+        FlightError: The method needs positions, and one of the axes has only a velocity.
     """
     lost = [axis for axis in AXES if axis in axes and any(axis in f.velocity_only for f in flights)]
-    if lost and method != "paper":  # the paper's regression needs derivatives only: those of the summed-up velocity
+    if lost and method != "paper":  # the paper's regression needs only derivatives: those of the integrated velocity do
         raise FlightError(
             f"{flights[0].path}: the method {method} needs positions, of {', '.join(lost)} there is only a velocity: "
             "use --method ml, or other --axes"
@@ -273,7 +276,7 @@ def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> li
 
 
 def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
-    """The axes of one group by the likelihood, under the structure that is asked for."""
+    """The axes of one group by the likelihood, under the requested structure."""
     estimates = _estimate_group(flights, group, priors)
     if structure == AVERAGED and estimates:
         return _averaged(flights, group, estimates, priors)
@@ -286,14 +289,14 @@ def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: P
 def _averaged(
     flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate], priors: Priors
 ) -> _Found:
-    """The axes of a group under the default laws, with the first-order law's numbers beside."""
+    """The axes of a group under the default laws, with the first-order law beside them."""
     known = families(serving_flights(flights, group), estimates, priors)
     chosen, axes, plain = {}, {}, {}
     for axis, family in known.items():
         said = [_group_axes(flights, group, {axis: law.estimate})[0][axis] for law in family.laws]
         beside = [one for law, one in zip(family.laws, said, strict=True) if law.estimate is family.plain]
         telling = [place for place, one in enumerate(said) if one.predictor]
-        if telling:  # a law under which the commands may do nothing says nothing where they do under another
+        if telling:  # drop laws under which the input may be zero if it is not under another
             family = family.of([family.laws[place] for place in telling])
             axes[axis] = averaged([said[place] for place in telling], family, axis)
         else:
@@ -307,12 +310,12 @@ def _averaged(
 
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
-    """The likelihood of every axis, without intervals."""
+    """Maximum-likelihood estimates of the requested axes under the first-order law, without intervals."""
     return {a: e for group in groups_of(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
 
 
 def _common_structure(axes: Mapping[str, Axis]) -> str:
-    """The name that all axes with numbers share."""
+    """Name of the structure that all axes with numbers share; `mixed` if they differ."""
     names = {axis.structure for axis in axes.values() if axis.predictor}
     return "mixed" if len(names) > 1 else next(iter(names), STRUCTURE)
 
@@ -325,7 +328,7 @@ def _other_structures(
     covariance: Blocks,
     structure: str,
 ) -> _Found:
-    """The axes of a group under another structure or the one that the data earn, with the default's numbers beside."""
+    """The axes of a group under another structure or the selected one, with the first-order law beside them."""
     serving = serving_flights(flights, group)
     known = [axis for axis in group if plain[axis].predictor]
     wanted = dict.fromkeys(group, FIRST_ORDER_DELAY)
@@ -356,7 +359,7 @@ def _other_structures(
 
 
 def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
-    """The likelihood of the axes of one group; none where the flights are too short."""
+    """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
     serving = serving_flights(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]
     if sum(float(np.ptp(rec.block_time)) for rec in records) < LEAST_TIME:
@@ -377,7 +380,7 @@ def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Pri
 def _group_axes(
     flights: Sequence[Flight], group: Sequence[str], estimates: Mapping[str, Estimate]
 ) -> tuple[dict[str, Axis], Blocks]:
-    """What is said of axes of one group by their estimates, and their covariance."""
+    """The axes of one group as published from their estimates, and their covariance."""
     if not estimates:
         return {axis: unknown_axis("too_short") for axis in group}, {}
     serving = serving_flights(flights, group)
@@ -387,9 +390,9 @@ def _group_axes(
 
 
 def with_delay_profiles(fit: Fit) -> Fit:
-    """Draws the profile over the whole searched range of delays, besides what the intervals needed of it.
+    """The fit with delay profiles over the whole range of the search, not only where the intervals required them.
 
-    Everything else is re-maximised at each delay, walking outwards from the top.
+    All other parameters are re-maximised at each delay, moving outwards from the maximum.
     """
     axes = dict(fit.model.axes)
     for name, estimate in fit.estimates.items():
@@ -409,7 +412,7 @@ def with_delay_profiles(fit: Fit) -> Fit:
 
 
 def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFit) -> _Found:
-    """Axes by the paper's regression; the disturbance levels that prediction needs are settled at its coefficients."""
+    """Axes by the paper's regression, with the disturbance levels for prediction estimated at its coefficients."""
     results: dict[str, Axis] = {}
     covariance: Blocks = {}
     for axis in group:
@@ -443,13 +446,13 @@ def _paper_group(flights: Sequence[Flight], group: Sequence[str], paper: PaperFi
 
 
 def _paper_noise(flights: Sequence[Flight], axes: Sequence[str], paper: PaperFit) -> dict[str, Mapping[str, float]]:
-    """Levels of the disturbance at the paper's coefficients, of the axes that its method gives numbers."""
+    """Disturbance levels at the paper's coefficients, for the axes that have them; see `Model.paper_noise`."""
     parts = [_paper_group(flights, group, paper).axes for group in groups_of(flights, axes)]
     return {axis: known.noise for part in parts for axis, known in part.items() if known.noise}
 
 
 def _regression_group(flights: Sequence[Flight], group: Sequence[str], method: str) -> _Found:
-    """Axes by a regression of the table, their covariance, and what it says of its numbers."""
+    """Axes by one of the regressions in `METHODS`, their covariance, and its remarks."""
     serving = [f for f in flights if any(commands_axis(f, axis) for axis in group)]
     found, covariance, remarks = axes_by_method(serving, group, method)
     places = [next((i for i, s in enumerate(serving) if s is f), None) for f in flights]

@@ -1,4 +1,4 @@
-"""Which flights move an axis, and which only hold it."""
+"""Which flights excite an axis and which only hold it, and which axes are fitted together."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,18 +10,18 @@ from rotorfit.core.frames import AXES
 from rotorfit.estimation.likelihood.blocks import record
 
 HELD = 0.2
-"""RMS of the commands of an axis, as a share of those of the flight that moves it most, below which it is held."""
+"""An axis is held where the RMS of its commands is below this share of that in the flight that commands it most."""
 
 
 def without_held_axes(flights: Sequence[Flight], beside: Sequence[Flight] = ()) -> list[Flight]:
-    """The flights, each without the axes that it merely holds where another one excites them; with a note.
+    """The flights, each without the axes that it only holds while another flight excites them; with a note.
 
-    What a controller sends to hold an axis answers the axis' own disturbance. In the likelihood of an exact model it
-    does no harm and tells next to nothing; where the model is a little wrong it tells the wrong thing with confidence.
+    The commands by which a controller holds an axis respond to the disturbance of that axis. Under an exact model they
+    do no harm and carry next to no information; under a slightly wrong model they bias the estimate with confidence.
 
     Args:
-        flights: To be told apart.
-        beside: Further flights of the vehicle that only show how strongly an axis is commanded when it is moved.
+        flights: Flights of one vehicle.
+        beside: Further flights of the vehicle, used only to see how strongly an axis is commanded when it is excited.
     """
     power = [
         [np.mean(f.command[:, k] ** 2) * (axis in f.axes) for k, axis in enumerate(AXES)] for f in (*flights, *beside)
@@ -47,14 +47,15 @@ def without_held_axes(flights: Sequence[Flight], beside: Sequence[Flight] = ()) 
 
 
 def commands_axis(flight: Flight, axis: str) -> bool:
-    """Whether the flight commands the axis, and does not merely hold it."""
+    """Whether the flight has a non-zero command of the axis, and the axis was not removed as held."""
     return axis in flight.axes and bool(np.any(flight.command[:, AXES.index(axis)]))
 
 
 def groups_of(flights: Sequence[Flight], wanted: Sequence[str]) -> list[tuple[str, ...]]:
-    """Axes that are fitted together: x and y through the heading, z, yaw; only those that some flight moves.
+    """Groups of axes that are fitted together: x with y, z, yaw; only axes that some flight commands.
 
-    x alone (or y alone) is fitted by itself where every flight that moves it keeps its heading.
+    x and y are coupled through the heading. If only one of them is commanded, it is fitted by itself where every flight
+    that commands it holds its heading; otherwise the group is `("x", "y")`, whether the other one is wanted or not.
     """
     moving = [axis for axis in wanted if any(commands_axis(flight, axis) for flight in flights)]
     plane = tuple(axis for axis in moving if axis in ("x", "y"))
@@ -66,5 +67,5 @@ def groups_of(flights: Sequence[Flight], wanted: Sequence[str]) -> list[tuple[st
 
 
 def serving_flights(flights: Sequence[Flight], group: Sequence[str]) -> list[Flight]:
-    """The flights that move one of these axes and are long enough to be scored."""
+    """The flights that command one of these axes and are long enough to enter the likelihood."""
     return [f for f in flights if any(commands_axis(f, axis) for axis in group) and record(f, group)]

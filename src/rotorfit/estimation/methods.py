@@ -1,6 +1,6 @@
-"""The table of estimators. Command line, studio, comparison, summary and report take their lists and words from it.
+"""The table of estimators, from which command line, studio, comparison, summary and report take their lists and labels.
 
-A new estimator is a function `estimate(flights, axes) -> MethodResult` in a module of its own and one row here. This
+A new estimator is a function `estimate(flights, axes) -> MethodResult` in a module of its own, and one row here. This
 module imports nothing heavy, so that `rotorfit --help` can read it.
 """
 
@@ -13,10 +13,11 @@ class Method:
     """An estimator of the coefficients.
 
     Attributes:
-        label: What it is, as said after "fitted by".
+        label: Name in words, to follow "fitted by".
         estimator: `module:function` of a regression, called with the flights and `("z",)`, `("yaw",)` or `("x", "y")`;
             empty for the likelihood and the paper's regression, which `fit` runs itself.
-        likelihood: Whether it maximises the likelihood: then it has profiles, takes priors and has an accuracy table.
+        likelihood: Whether it maximises the likelihood: only then it has profiles and an accuracy table and accepts
+            priors.
         in_comparison: Whether it is a row of the comparison of methods.
     """
 
@@ -37,22 +38,22 @@ METHODS: Mapping[str, Method] = {
     "iv": Method("refined instrumental variables", f"{_REGRESSION}.instrumental_variables:iv"),
     "oe": Method("output error", f"{_REGRESSION}.output_error:oe"),
 }
-"""Name to estimator, in the order of lists."""
+"""Name to estimator, in the order of all lists."""
 
 BEST = "ml"
-"""The default, and what the others are tested against."""
+"""The default, and the method that the others are tested against."""
 
 
 def label_of(method: str) -> str:
-    """What a method is, in words; its name where a model file names one that this version does not know."""
+    """Label of a method; its name if this version does not know the method that a model file names."""
     return METHODS[method].label if method in METHODS else method
 
 
 def maximises_likelihood(method: str) -> bool:
-    """Whether a method, known or not, is one of the likelihood."""
+    """Whether a method maximises the likelihood; False for an unknown one."""
     return method in METHODS and METHODS[method].likelihood
 
 
 def compared_methods() -> tuple[str, ...]:
-    """The rows of the comparison of methods; the last one is what the others are tested against."""
+    """Rows of the comparison of methods; the others are tested against the last one."""
     return (*(name for name, method in METHODS.items() if method.in_comparison and name != BEST), BEST)

@@ -1,10 +1,10 @@
-"""Whether a vehicle obeys another law while its command is zero: it brakes, or holds its place, as many do.
+"""Test whether a vehicle obeys another law while its command is zero: many vehicles brake then, or hold their position.
 
-The innovations of the fit are asked for a damping that acts only while the command is zero. Its effect on the pose is
-simulated: the velocity that the commands alone would give, times minus one while the command is zero, is an
-acceleration, and the linear law makes a position of it. It goes through the filter of the likelihood as the pose does.
-What any linear law could do instead (every coefficient, trim, start, and the commands of the second before, each with a
-weight of its own) is taken off first, so a lag that the law leaves out does not pass for braking.
+The innovations of the fit are tested for a damping that acts only while the command is zero. Its effect on the position
+is simulated: the velocity that results from the commands alone, with the sign reversed and only while the command is
+zero, is an acceleration, and the linear law turns it into a position, which passes through the likelihood's filter as
+the pose does. The effects of any linear law (every coefficient, trim, start, and each command of the previous second
+with a weight of its own) are projected out first, so that an unmodelled lag is not mistaken for braking.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,32 +23,33 @@ from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.likelihood import response, segments, whiten
 
 ZERO = 0.02
-"""Share of the largest command up to which a command is zero."""
+"""Share of the largest command up to which a command counts as zero."""
 
 SHORTEST = 0.2
-"""Time for which it must stay so [s]: sines pass through zero."""
+"""Shortest time for which a command must stay zero to count as zero [s]: sines pass through zero."""
 
 LEAST_SHARE = 0.03
-"""Share of the flight that commands of zero, and others, must take."""
+"""Least share of the blocks with a zero command, and likewise with a non-zero one, for which the test is made."""
 
 STEP = 0.01
 """Step of the simulation [s]."""
 
 LAGS = tuple(0.1 * j for j in range(11))
-"""Ages of the commands that a linear law may weigh as it likes [s]."""
+"""Ages of the commands to which a linear law may give any weight [s]."""
 
 TOLD_APART = 1e-6
-"""Share of the largest singular value below which what a linear law could do is a copy of the rest."""
+"""Share of the largest singular value below which a direction of the linear laws' effects counts as dependent."""
 
 
 def braking(estimate: Estimate) -> Braking | None:
-    """Tests whether an axis is damped otherwise while its command is zero.
+    """Tests whether an axis has another damping while its command is zero.
 
     Args:
-        estimate: Of the axis, alone or x with y.
+        estimate: Estimate of the axis, alone or x with y.
 
     Returns:
-        The test; None where the command is hardly ever, or hardly ever not, zero, or a linear law can do the same.
+        The test; None where the axis is not excited, where its command is almost never or almost always zero, or where
+        a linear law has the same effect.
 
     Source: the score test of an added parameter, C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948), pp. 50-57; the variance
     of the score as in `long_run`.
@@ -81,13 +82,13 @@ def braking(estimate: Estimate) -> Braking | None:
 
 
 def _at_zero(rec: Record, k: int, time: Array) -> Mask:
-    """Whether the command of axis k is zero, and stays so for a while about each of some times."""
+    """Whether the command of axis k in force at each time [s] is zero, and part of a long enough run of zeros."""
     zero = _zero(rec.command_time, rec.command[:, [k]])
     return np.asarray(zero[np.maximum(np.searchsorted(rec.command_time, time, side="right") - 1, 0)])
 
 
 def _zero(stamps: Array, command: Array) -> Mask:
-    """Which commands, shape (M, K), are zero on all axes, and stay so for a while, shape (M,)."""
+    """Which commands, shape (M, K), are zero on all axes and stay so for `SHORTEST`, shape (M,)."""
     zero = np.all(np.abs(command) <= ZERO * np.max(np.abs(command), axis=0, initial=0.0), axis=1)
     edges = np.flatnonzero(np.diff(zero.astype(np.int8))) + 1
     for first, last in zip([0, *edges], [*edges, zero.size], strict=True):
@@ -98,7 +99,10 @@ def _zero(stamps: Array, command: Array) -> Mask:
 
 
 def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[Array, Array]:
-    """What braking adds to the innovations of one flight, and the innovations, both less what a linear law explains."""
+    """Effect of unit braking on the innovations of one flight, and the innovations, a linear law's effects taken off.
+
+    Both have shape (B,).
+    """
     k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
     start = point.start[rows]
     known = response(rec, point, flight, start)[1]
@@ -115,7 +119,10 @@ def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[A
 
 
 def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
-    """Positions of the blocks under accelerations of axis k: its past commands, damping, braking; (B, C, K), world."""
+    """Positions of the blocks under accelerations of axis k, world frame, shape (B, C, K).
+
+    The C accelerations are the commands of each age in `LAGS`, then unit damping, then unit braking.
+    """
     k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
     samples = np.zeros((rec.pose_time.size, len(LAGS) + 2, K))
     for number, (first, last) in enumerate(rec.pose_range):
@@ -132,7 +139,7 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
         at = (rec.pose_time[first:last] - time[0]) / STEP
         before = np.minimum(at.astype(np.int64), time.size - 2)
         part = (at - before)[:, None]
-        for column, each in enumerate((*held, -along, braked)):  # one by one: of half an hour all take 200 MB
+        for column, each in enumerate((*held, -along, braked)):  # one by one: together, half an hour takes 200 MB
             pull = np.zeros((time.size, K))
             pull[:, k] = each
             position = _moved(pull, np.exp(point.log_damping), yaw, np.zeros(K))[0]
@@ -145,8 +152,9 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
 def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array, Array]:
     """World positions and velocities (T, K) under accelerations in the heading frame (T, K) and linear damping.
 
-    Second order in the step: the position by the trapezoid, the velocity by damping that is exact where yaw is held.
-    Pieces are followed side by side, each from rest, and then get what the one before hands on.
+    Second order in the step: the position by the trapezoidal rule, the velocity by a damping that is exact for constant
+    yaw. The series is split into pieces that are integrated in parallel, each from rest; each piece then receives the
+    final velocity of the previous one.
     """
     T, K = pull.shape
     steps = int(np.ceil(T**0.5))
@@ -160,7 +168,7 @@ def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array
         fade, push = turn @ fade @ back, push @ back
     fade, push = (np.pad(part, (padding, (0, 0), (0, 0))) for part in (fade, push))
     fade, push = fade.reshape(-1, steps, K, K), push.reshape(-1, steps, 1, K)
-    pieces = np.empty((len(fade), steps, 1 + K, K))  # velocities from rest, and what is left of those at the start
+    pieces = np.empty((len(fade), steps, 1 + K, K))  # velocity from rest, and response to a unit initial velocity
     state = np.tile(np.vstack([np.zeros(K), np.eye(K)]), (len(fade), 1, 1))
     for n in range(steps):
         pieces[:, n] = state
@@ -177,16 +185,16 @@ def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array
 
 
 def commanded_parts(flight: Flight, axes: Sequence[str], delay: float) -> Flight:
-    """The flight with those segments only in which one of some axes is commanded: where one law holds.
+    """The flight with only those segments in which one of the given axes is commanded, so that one law holds.
 
-    Each begins so long before the command leaves zero that the likelihood, which needs the commands of the longest
-    delay before it looks at a pose, sees the answer to that first command, and of the braking before it no more than
-    half of the delay; and it ends with the last command before zero.
+    The likelihood uses poses only from the longest delay of the search after the start of a segment. So each segment
+    begins early enough that the response to the first command is used, and with it at most half a delay of the braking
+    before. It ends where the command returns to zero. Segments that are too short are dropped.
 
     Args:
-        flight: Any.
-        axes: Names.
-        delay: About how late they answer [s].
+        flight: Any flight.
+        axes: Names of the axes.
+        delay: Approximate delay of these axes [s].
     """
     column = [AXES.index(axis) for axis in axes]
     time, zero = flight.command_time, _zero(flight.command_time, flight.command[:, column])
@@ -208,9 +216,9 @@ def findings_of_braking(axis: str, found: Braking, time: float, whole: float) ->
 
     Args:
         axis: Name.
-        found: The test, on the whole flights.
-        time: Of the parts that the axis was fitted to [s]; the whole where these told nothing.
-        whole: Of the flights [s].
+        found: The test on the whole flights.
+        time: Total length of the parts that the axis was fitted to [s]; equal to `whole` where these were not enough.
+        whole: Total length of the flights [s].
     """
     apart = time < whole
     yield Finding(
