@@ -1,7 +1,7 @@
-"""Model to code and parameters that a controller, an estimator or a simulator takes.
+"""Exports: from a model to code and parameters for a controller, an estimator or a simulator.
 
-In goes a Model, and a Validation where there is one; out comes the text of one file in the target's own language, with
-the numbers, where they are from and what they are valid for.
+A Model goes in, with a Validation if there is one; the text of one file in the target's own language comes out, with
+the numbers, their origin and the range in which they are valid.
 """
 
 import hashlib
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "MARK", "Export", "Format", "export"]
 
 MARK = b"written by rotorfit export"
-"""What the first bytes of every export hold, in small letters."""
+"""Text in the first bytes of every export, in lower case."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """A model in another form.
+    """An exported model.
 
     Attributes:
-        format: Its name.
-        name: Of the vehicle in the file.
+        format: Name of the format.
+        name: Name of the vehicle in the file.
         axes: The axes that it has numbers for.
         notes: What was left out, rounded or scaled.
-        model: The model whose simulation the file repeats: left-out axes without a predictor, gains per command of the
-            export, delays as exported.
+        model: The model whose simulation the file reproduces: axes that are left out have no predictor, gains are per
+            command of the export, delays are as exported.
         text: The whole file.
-        kept: Where the file that it replaced is; None where there was none.
+        kept: Path at which a replaced file is kept; None if there was none, or nothing was written.
     """
 
     format: str
@@ -64,29 +64,32 @@ def export(
     validation: "Validation | None" = None,
     name: str | None = None,
 ) -> Export:
-    """Writes a model in the form that a controller, an estimator or a simulator takes.
+    """Exports a model for a controller, an estimator or a simulator.
 
-    Axes whose coefficients the data cannot tell are left out: there the vehicle keeps its velocity. The file says so.
+    Axes that are not identifiable are left out: there the vehicle keeps its velocity. The file says so.
 
     Args:
         model: A model, or the path of a model file.
         to: Name of a format, a key of `FORMATS`.
-        path: Where to write, overwritten; None writes nothing.
-        dt: Sample period [s] of what needs one when it is written: the C header, and delays that are rounded. The other
-            formats take it when they are used.
-        predictor: Export axes that the data cannot tell, too, by the likelihood's own point, which predicts best.
-        physical: Take commands in SI (rad, m/s, rad/s) where the card makes them fractions of a limit.
-        round_delay: Round delays to whole samples of dt; by how much is written down.
+        path: Path to write; an existing file is replaced and kept, see `Export.kept`. None writes nothing.
+        dt: Sample period of the C header, and of rounded delays [s]. The other formats take it when they are used.
+        predictor: Whether to also export axes that are not identifiable, at the likelihood's point, which predicts
+            best.
+        physical: Whether commands are in SI units (rad, m/s, rad/s) where the card has fractions of a limit.
+        round_delay: Whether to round delays to whole samples of dt; the file states by how much.
         training: The flights of the fit, for the speeds at which the model was trained.
-        validation: Scores on other flights, for the header; else those of the model's own proof.
-        name: Of the vehicle in the file; default: that of the path, else of the format.
+        validation: Scores on other flights, for the header; None for the model's own leave-one-out scores.
+        name: Name of the vehicle in the file; by default that of the path, else of the card.
+
+    Returns:
+        The export, with its text and notes.
 
     Raises:
-        ExportError: Unknown format, a structure that the format cannot hold, no axis left, or a MATLAB file whose name
-            is no name of a function.
+        ExportError: The format is unknown, it cannot hold a structure of the model, no axis is left, or the name of a
+            MATLAB file is not that of its function.
         ModelError: The model file cannot be read.
 
-    Source: the laws of `structure`; commands act after the delay to the fraction of a sample.
+    Source: the laws of `core.laws`; commands act after the delay, to a fraction of a sample.
     """
     from rotorfit.exports.header import header
     from rotorfit.exports.subject import subject_of
@@ -121,7 +124,7 @@ def _format_named(to: str) -> Format:
 
 
 def _identified(model: "Model | str | Path") -> "tuple[Model, str, str]":
-    """The model, where it is from, and the hash of its file; of a model in memory, that which `save` would write."""
+    """The model, its origin, and the hash of its file, or of the file that `save` would write for one in memory."""
     from rotorfit.files.models import load, to_mapping
 
     if isinstance(model, str | Path):

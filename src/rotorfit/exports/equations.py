@@ -1,4 +1,4 @@
-"""The law of every axis as an expression, in the words of a language. What an axis does not have is not written."""
+"""The law of every axis as an expression in a programming language, without the terms that the axis does not have."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ class Equation:
     """The motion of one axis.
 
     Attributes:
-        axis: Name.
-        demand: Acceleration that the command asks for, an expression in u_x, u_y, u_z, u_yaw.
-        acceleration: v', an expression in the velocities, the demand's w_AXIS, the trims c_AXIS and q_AXIS.
-        lagged: q', where the law has a lag; else empty.
-        settled: q after the command was held for long; else empty.
+        axis: Name of the axis.
+        demand: Acceleration demanded by the command, an expression in u_x, u_y, u_z, u_yaw.
+        acceleration: v', an expression in the velocities, the demand w_AXIS, the trim c_AXIS and q_AXIS.
+        lagged: q', if the law has a lag; otherwise empty.
+        settled: q after a long constant command, if the law has a lag; otherwise empty.
     """
 
     axis: str
@@ -33,7 +33,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Constant:
-    """A number with a name, such as `INPUT_X`, and what it is."""
+    """A number with its name, such as `INPUT_X`, and its meaning."""
 
     name: str
     value: float
@@ -41,14 +41,14 @@ class Constant:
 
 
 def number(value: float) -> str:
-    """A number with 12 digits, a relative 5e-13 off at most, with a point: YAML 1.1 takes 1e-05 for a text."""
+    """A number with 12 digits (relative error at most 5e-13) and a decimal point: YAML 1.1 reads 1e-05 as a string."""
     text = format(value, ".12g")
     mantissa, exponent, power = text.partition("e")
     return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{exponent}{power}"
 
 
 def constants(subject: Subject) -> Iterator[Constant]:
-    """The numbers of every law that is exported, axis by axis; delays stand apart."""
+    """The numbers of every exported law, axis by axis, without the delays."""
     for axis in subject.axes:
         point, speed = subject.point(axis), "rad/s" if axis == "yaw" else "m/s"
         unit = subject.commands[AXES.index(axis)].unit
@@ -64,7 +64,7 @@ def constants(subject: Subject) -> Iterator[Constant]:
 def equations(subject: Subject, language: Language) -> tuple[Equation, ...]:
     """The motion of all four axes; those that are left out keep their velocity.
 
-    Source: the laws of `structure`.
+    Source: the laws of `core.laws`.
     """
     return tuple(_equation(subject, axis, language) for axis in AXES)
 
@@ -100,7 +100,7 @@ def _equation(subject: Subject, axis: str, language: Language) -> Equation:
 
 
 def _answered(axis: str, names: set[str], c: Callable[[str], str], language: Language) -> str:
-    """What of a command is answered: all of it, or more upwards, up to a level, or without a dead zone."""
+    """The effective command: all of it, with another gain upwards, limited to a level, or without a dead zone."""
     u = f"u_{axis}"
     if "asymmetry" in names:
         return f"({u} + {c('asymmetry')} * {language.absolute}({u}))"

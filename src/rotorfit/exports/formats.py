@@ -1,4 +1,4 @@
-"""Formats: every kind of file that a model is exported to. Command line and studio take their lists from this table.
+"""Formats: every kind of file to which a model can be exported. Command line and studio list this table.
 
 A new format is a template in `templates` and one row here.
 """
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Language:
-    """How a language writes what the laws need.
+    """The syntax of a programming language that the laws need.
 
     Attributes:
-        absolute: Name of |a|.
-        larger: Name of max(a, b).
-        smaller: Name of min(a, b).
-        prefix: Before the name of a constant; `{NAME}` stands for the name of the vehicle in capitals.
+        absolute: Name of the function |a|.
+        larger: Name of the function max(a, b).
+        smaller: Name of the function min(a, b).
+        prefix: Prefix of the names of constants; `{NAME}` stands for the name of the vehicle in capitals.
         zero: 0 as a float.
     """
 
@@ -31,16 +31,16 @@ class Format:
     """A kind of file.
 
     Attributes:
-        suffix: Of its files.
-        text: What it is, for a list.
-        template: In `templates`.
-        summary: What a file of it holds, for the head of the file.
-        language: In which it writes the laws out, to be stepped by Runge-Kutta; None where it does not.
-        linear: Whether it holds linear laws only.
-        plain: Whether it holds the default law only, with or without its delay.
+        suffix: Suffix of its files.
+        text: Description for a list.
+        template: Name of its template in `templates`.
+        summary: Contents of a file, for the header of the file.
+        language: Language of the laws that it integrates by Runge-Kutta; None if it has none.
+        linear: Whether it can hold linear laws only.
+        plain: Whether it can hold the default law only, with or without its delay.
         steady: Whether it needs a steady speed on all four axes.
         named: Whether the file must have the name of the function in it.
-        needs: What one needs to use it.
+        needs: Software that is needed to use it.
     """
 
     suffix: str

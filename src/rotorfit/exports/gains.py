@@ -1,4 +1,4 @@
-"""The gains file: TOML, or YAML by its suffix, with units, margins and where the numbers come from."""
+"""The gains file: TOML, or YAML by its suffix, with units, margins and the origin of the numbers."""
 
 import math
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ FORMAT = "rotorfit-gains"
 VERSION = 1
 
 GAINS_MARK = b"rotorfit-gains"
-"""What the first bytes of a gains file hold."""
+"""Text in the first bytes of a gains file."""
 
 SUFFIXES = (".toml", ".yaml", ".yml")
 
@@ -32,7 +32,7 @@ LAWS: Mapping[str, str] = {
     "linearising": "u = (r'' + b r' + K e + D e' + I int e) / input; e = r - p of the last pose, e' its filtered rate; "
     "r'' and r' at the instant at which u acts",
 }
-"""What the numbers mean; docs/control.md has the equations."""
+"""Meaning of the numbers; docs/control.md has the equations."""
 
 SYMBOLS: Mapping[str, str] = {
     "u": "command, cut to -full_scale .. full_scale, held until the next",
@@ -45,7 +45,7 @@ SYMBOLS: Mapping[str, str] = {
     "D": "rate_gain",
     "I": "integral",
 }
-"""Letters of the laws; b, K, D and I are keys of an axis."""
+"""Symbols in the laws; b, K, D and I are keys of an axis."""
 
 LOOP = "docs/control.md of rotorfit: a loop in Python that reads this file, and what each law does"
 
@@ -69,7 +69,7 @@ UNITS: Mapping[str, str] = {
 
 
 def tuning_mapping(tuning: Tuning, model: Model) -> dict[str, Any]:
-    """Gains, margins and provenance as plain JSON types; what has no number is None."""
+    """Gains, margins and provenance as plain JSON types; None stands for infinite and missing numbers."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -104,7 +104,7 @@ def _axis(one: AxisTuning, command: CommandMeaning) -> dict[str, Any]:
         "delay": law.delay,
         "stiffness": law.stiffness,
         "rate_gain": law.rate,
-        "integral": None if law.observer else law.integral,  # an observer does the work of these two
+        "integral": None if law.observer else law.integral,  # an observer replaces these two
         "filter_time": None if law.observer else law.filter_time,
         "observer": None if law.observer is None else list(law.observer),
         "nominal": {
@@ -132,29 +132,33 @@ def _finite(value: float) -> float | None:
 
 
 def save_gains(tuning: Tuning, model: Model, path: str | Path) -> Path | None:
-    """Writes a gains file: TOML, or YAML where the name ends so.
+    """Writes a gains file: TOML, or YAML, by the suffix of the name.
 
     Returns:
-        Where the file that it replaces is kept; None where there was none.
+        Path at which a replaced file is kept; None if there was none.
 
     Raises:
-        ModelError: A name that ends otherwise.
+        ModelError: The name has another suffix.
     """
     return write_gains(tuning_mapping(tuning, model), path)
 
 
 def check_gains_name(path: Path) -> None:
-    """Refuses a name of another kind of file.
+    """Refuses a name with another suffix.
 
     Raises:
-        ModelError: It ends otherwise.
+        ModelError: The name has another suffix.
     """
     if path.suffix not in SUFFIXES:
         raise ModelError(f"{path}: gains are written as {', '.join(SUFFIXES)}; give such a name")
 
 
 def write_gains(mapping: Mapping[str, Any], path: str | Path, keep: bool = True) -> Path | None:
-    """Writes a mapping of `tuning_mapping`, as `save_gains` does; `keep` as of `write_whole`."""
+    """Writes a mapping of `tuning_mapping`, as `save_gains` does; `keep` as in `write_whole`.
+
+    Raises:
+        ModelError: The name has another suffix.
+    """
     path = Path(path)
     check_gains_name(path)
     mapping = _without_none(mapping)
@@ -170,10 +174,10 @@ def write_gains(mapping: Mapping[str, Any], path: str | Path, keep: bool = True)
 
 
 def read_gains(path: str | Path) -> dict[str, Any]:
-    """What a gains file holds, as `tuning_mapping` gives it.
+    """The contents of a gains file, as `tuning_mapping` gives them, without the keys that have no number.
 
     Raises:
-        ModelError: It is none, or damaged.
+        ModelError: It is not a gains file, or is damaged.
     """
     path = Path(path)
     check_gains_name(path)
@@ -188,10 +192,10 @@ def read_gains(path: str | Path) -> dict[str, Any]:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    """The mapping of a TOML or YAML file.
+    """The mapping in a TOML or YAML file.
 
     Raises:
-        ValueError: It holds something else.
+        ValueError: The file has something else.
     """
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".toml":
@@ -208,10 +212,11 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def law_of(mapping: Mapping[str, Any], axis: str) -> AxisLaw:
-    """The law of an axis of a gains file.
+    """The law of an axis from a gains file.
 
     Raises:
-        KeyError, TypeError, ValueError: A number that a law needs is missing, or none.
+        KeyError, TypeError, ValueError: A number that a law needs is missing, or is not a number.
+        ZeroDivisionError: The rate is 0.
     """
     one = mapping["axes"][axis]
     kind, observer = mapping["design"], one.get("observer")
@@ -237,7 +242,7 @@ def law_of(mapping: Mapping[str, Any], axis: str) -> AxisLaw:
 
 
 def _without_none(value: Any) -> Any:
-    """TOML has no null: what has no number is left out."""
+    """A mapping without the keys whose value is None, since TOML has no null."""
     if isinstance(value, dict):
         return {key: _without_none(part) for key, part in value.items() if part is not None}
     return value

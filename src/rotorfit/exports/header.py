@@ -1,4 +1,4 @@
-"""The block on top of every export: what it is, units, limits, validity, where it comes from. No date, no machine."""
+"""The header of every export: contents, units, limits, validity, origin. It has no date and no name of a machine."""
 
 import re
 import textwrap
@@ -34,14 +34,14 @@ TURNED = (
 def header(
     subject: Subject, told: str, trained: Mapping[str, str], scored: Sequence[str], mark: str
 ) -> tuple[str, ...]:
-    """Lines of text without signs that could end a comment in any of the languages.
+    """Lines of the header, without characters that could end a comment in any of the languages.
 
     Args:
         subject: What is exported.
-        told: What the file holds, in a sentence or two.
+        told: Contents of the file, in a sentence or two.
         trained: Axis name to speeds and commands of the training flights.
         scored: Lines about prediction errors.
-        mark: The line by which the file is known as an export.
+        mark: The line that identifies the file as an export.
     """
     parts = [
         mark,
@@ -76,11 +76,11 @@ def header(
 
 
 def harmless(text: str) -> str:
-    """A line that cannot end a comment or a string of the languages: a card's name or a path may hold anything."""
+    """A line that cannot end a comment or a string in any of the languages: a card's name or a path may be anything."""
     plain = "".join(sign if sign.isprintable() else " " for sign in text)
     for sign, instead in (("\\", "/"), ('"', "'"), ("*/", "* /"), ("/*", "/ *"), ("$(", "$ ("), ("${", "$ {")):
         plain = plain.replace(sign, instead)
-    return re.sub("-(?=-)", "- ", plain)  # "---" holds "--" twice
+    return re.sub("-(?=-)", "- ", plain)  # "---" has "--" twice
 
 
 def _wrapped(text: str, indent: str = "") -> list[str]:
@@ -124,7 +124,7 @@ def _interval(ends: Interval) -> str:
 
 
 def _disturbance(subject: Subject) -> Iterator[str]:
-    """What an estimator takes over, and what belongs to the flights only."""
+    """Lines on the disturbance: what an estimator can use, and what holds for the flights only."""
     noisy = {axis: subject.original.axes[axis].noise for axis in subject.axes if subject.original.axes[axis].noise}
     if noisy:
         yield from _wrapped(DISTURBED)

@@ -1,4 +1,4 @@
-"""Subject: what an export is made of. The model with only the axes that go in, and what each command means."""
+"""Subject: the input of an export. The model with the exported axes only, and the meaning of each command."""
 
 import re
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ from rotorfit.core.model import Axis, Model, Predictor
 from rotorfit.dynamics.other_limits import scaled
 
 SUBSTEP = 0.1
-"""Runge-Kutta steps are no longer than this share of the shortest time constant: relative error 1e-6 or less."""
+"""Longest Runge-Kutta step over the shortest time constant: relative error 1e-6 or less."""
 
 SLOWEST_RATE = 2.0
-"""Turning at this rate is followed as well [rad/s]."""
+"""Least rate for which the Runge-Kutta step is chosen, so that turns at this rate are resolved too [rad/s]."""
 
 LONGEST_NAME = 40
-"""Signs of a name: MATLAB cuts the names that are made of it at 63."""
+"""Largest length of a name: MATLAB truncates the names that are made from it at 63 characters."""
 
 _WORDS = """
     break case catch classdef continue do else elseif end endfor endfunction endif endswitch endwhile for function
@@ -26,21 +26,21 @@ _WORDS = """
 """
 
 TAKEN = frozenset(_WORDS.split())
-"""Words of MATLAB and Octave, where the name stands alone; elsewhere something is put before or behind it."""
+"""Reserved words of MATLAB and Octave, in which the name stands alone; elsewhere it gets a prefix or suffix."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What an export holds, whatever its format.
+    """The contents of an export, whatever its format.
 
     Attributes:
-        name: Of the vehicle in the generated code, an identifier.
-        model: The model whose simulation the export repeats: axes that are left out have no predictor and keep their
-            velocity; gains are per command of the export, delays are rounded where that was asked for.
-        original: The model as it was given: coefficients with intervals.
-        commands: One each axis.
-        physical: Whether commands are in SI where the card's are fractions.
-        dt: Sample period that is written down or rounded to [s].
+        name: Name of the vehicle in the generated code, an identifier.
+        model: The model whose simulation the export reproduces: axes that are left out have no predictor and keep their
+            velocity; gains are per command of the export; delays are rounded if requested.
+        original: The model as given: coefficients with intervals.
+        commands: Meaning of the command of each axis.
+        physical: Whether commands are in SI units where the card has fractions.
+        dt: Sample period of the C header and of rounded delays [s].
         notes: Sentences about what was left out, rounded or scaled.
         origin: Name of the model file, or `a model in memory`.
         sha256: Hex digest of the model file.
@@ -82,12 +82,12 @@ class Subject:
         return structure_named(self.model.axes[axis].structure)
 
     def point(self, axis: str) -> Predictor:
-        """Its numbers; zeros where the axis is left out."""
+        """The parameters of an axis; zeros if it is left out."""
         return self.model.axes[axis].predictor or Predictor(0.0, 0.0, 0.0)
 
 
 def _rate(structure: Structure, point: Predictor) -> float:
-    """Fastest rate of an axis [1/s]; with quadratic drag at twice the speed that was flown."""
+    """Fastest rate of an axis [1/s]; for quadratic drag, at twice the speed that was flown."""
     rate = abs(point.damping) + abs(point.extra.get("cross_damping", 0.0))
     rate *= 1 + 3 * point.extra.get("drag_share", 0.0)
     return rate + (1 / point.extra["lag"] if structure.order else 0.0)
@@ -96,20 +96,20 @@ def _rate(structure: Structure, point: Predictor) -> float:
 def subject_of(
     model: Model, name: str, origin: str, sha256: str, *, dt: float, predictor: bool, physical: bool, round_delay: bool
 ) -> Subject:
-    """What an export of a model holds.
+    """The subject of an export.
 
     Args:
         model: The model.
-        name: Any text; made an identifier.
+        name: Any text; it is made an identifier.
         origin: Where the model is from.
-        sha256: Of its file.
+        sha256: Hash of its file.
         dt: Sample period [s].
-        predictor: Whether axes that the data cannot tell are exported by the likelihood's own point.
-        physical: Whether commands are taken in SI where the card makes them fractions of a limit.
+        predictor: Whether axes that are not identifiable are exported at the likelihood's point.
+        physical: Whether commands are in SI units where the card has fractions of a limit.
         round_delay: Whether delays are rounded to whole samples.
 
     Raises:
-        ExportError: No axis remains, the sample period is none, or the card does not say what physical commands need.
+        ExportError: No axis is left, the sample period is not valid, or the card lacks what physical commands need.
     """
     if not 1e-4 <= dt <= 10:
         raise ExportError(
@@ -127,15 +127,15 @@ def subject_of(
 
 
 def identifier(text: str) -> str:
-    """A text as a name that C, Python and MATLAB take: letters, digits and underscores, a letter first, lower case."""
+    """A text as an identifier of C, Python and MATLAB: lower-case letters, digits and underscores, a letter first."""
     plain = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:LONGEST_NAME].rstrip("_")
     return plain if plain[:1].isalpha() and plain not in TAKEN else f"model_{plain}".rstrip("_")
 
 
 def unknown_of(axis: Axis) -> list[str]:
-    """What the data cannot tell of an axis, as `delay (not_identifiable)`; empty where all is known.
+    """The coefficients of an axis that are not identifiable, as `delay (not_identifiable)`; empty if all are.
 
-    A lag that its prior tells is known well enough: what matters of it, with the delay, the data tell.
+    A lag determined by its prior counts as known: the data determine the part of it that matters, delay plus lag.
     """
     structure, believed = structure_named(axis.structure), {"lag"} if axis.lag_prior is not None else set()
     known = {"input": axis.input, "damping": axis.damping, **({"delay": axis.delay} if structure.delayed else {})}
@@ -144,7 +144,7 @@ def unknown_of(axis: Axis) -> list[str]:
 
 
 def _kept(model: Model, predictor: bool) -> tuple[Model, list[str]]:
-    """The model without the axes that do not go in, and a sentence on each of those."""
+    """The model without the axes that are left out, and a sentence on each of those."""
     axes, notes, hidden = dict(model.axes), [], False
     for name, axis in model.axes.items():
         unknown = unknown_of(axis)
@@ -175,7 +175,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def _physical(model: Model) -> tuple[Model, list[str]]:
-    """The model with commands in SI: gains divided by the limit that a command of 1 was the whole of."""
+    """The model with commands in SI units: gains divided by the limit that a command of 1 stands for."""
     axes, notes = dict(model.axes), []
     for name, axis in model.axes.items():
         if axis.predictor is None:

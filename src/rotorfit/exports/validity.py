@@ -1,4 +1,4 @@
-"""Validity: at which speeds a model was trained, and how far its predictions were off, as lines of text."""
+"""Validity: the speeds at which a model was trained, and its prediction errors, as lines of text."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from rotorfit.core.results import Validation
 from rotorfit.dynamics.kinematics import seen_in
 
 RARE = 99.0
-"""Per cent of the samples that lie below what is called the largest."""
+"""Percentile of the samples that is reported as the largest [%]."""
 
 HORIZONS = ("0.5", "1", "2", "5")
 
@@ -22,7 +22,7 @@ def trained_on(flights: Sequence[Flight]) -> dict[str, str]:
     """Axis name to a sentence about the speeds and commands of the flights that moved it.
 
     Args:
-        flights: The training flights that are at hand; axes that none of them moved are left out.
+        flights: The available training flights; axes that none of them moved are left out.
     """
     speeds: dict[str, list[Array]] = {axis: [] for axis in AXES}
     commands: dict[str, list[Array]] = {axis: [] for axis in AXES}
@@ -46,12 +46,12 @@ def _largest(parts: Sequence[Array]) -> str:
 
 
 def scores(model: Model, validation: Validation | None, axes: Sequence[str] = AXES) -> list[str]:
-    """One line an axis and flight with errors of predictions: of the validation, else of the model file's own proof.
+    """A line of prediction errors for each axis and flight: from the validation, else from the model's `leave_one_out`.
 
     Args:
-        model: Its `leave_one_out` stands in where there is no validation.
-        validation: Scores on other flights.
-        axes: Those that are exported.
+        model: The model.
+        validation: Scores on other flights; None if there is no validation.
+        axes: The exported axes.
     """
     if validation:
         mapping: Mapping[str, Any] = to_mapping(validation)

@@ -1,4 +1,4 @@
-"""Subject -> text of a file, by a template."""
+"""From a subject to the text of a file, by a template."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ _PLAIN = (FIRST_ORDER_DELAY.name, "first_order")
 
 
 def summary_of(subject: Subject, form: Format) -> str:
-    """What a file of the format holds, in a sentence or two."""
+    """The contents of a file of the format, in a sentence or two."""
     steps = (
         f" Between changes of the command the motion is stepped by Runge-Kutta of order 4, at most "
         f"{subject.longest:.3g} s at a time."
@@ -30,10 +30,10 @@ def summary_of(subject: Subject, form: Format) -> str:
 
 
 def check(subject: Subject, to: str, form: Format) -> None:
-    """Refuses a structure that a format cannot hold, and axes that it cannot do without.
+    """Refuses a structure that a format cannot hold, and a model without an axis that it requires.
 
     Raises:
-        ExportError: With the axes, and what to try.
+        ExportError: The message has the axes, and what to try.
     """
     bent = [axis for axis in subject.axes if not subject.structure(axis).linear]
     other = [axis for axis in subject.axes if subject.structure(axis).name not in _PLAIN]
@@ -56,13 +56,13 @@ def check(subject: Subject, to: str, form: Format) -> None:
 
 
 def render(subject: Subject, to: str, form: Format, header: Sequence[str]) -> str:
-    """The whole file.
+    """The text of the whole file.
 
     Args:
         subject: What is exported.
         to: Name of the format.
         form: The format.
-        header: Lines of its block on top.
+        header: Lines of its header.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
@@ -81,7 +81,7 @@ def _template(name: str) -> str:
 
 
 def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
-    """What the templates speak of."""
+    """The values for the templates."""
     language = replace(language, prefix=language.prefix.format(NAME=subject.name.upper()))
     laws = {equation.axis: equation for equation in equations(subject, language)}
     limits = [command.limit if axis in subject.axes else None for axis, command in _commands(subject)]
@@ -126,7 +126,7 @@ def _context(subject: Subject, to: str, language: Language) -> dict[str, Any]:
 
 
 def intervals(subject: Subject, axis: str) -> dict[str, tuple[float, float]]:
-    """The closed 95 % intervals of an axis, of the coefficients that its law has and of no others."""
+    """The closed 95 % intervals of the coefficients that the law of an axis has."""
     names = (*COEFFICIENTS, *(extra.name for extra in subject.structure(axis).extras))
     known = subject.original.axes[axis].ci95
     ends = ((name, *known.get(name, (None, None))) for name in names)
@@ -134,12 +134,12 @@ def intervals(subject: Subject, axis: str) -> dict[str, tuple[float, float]]:
 
 
 def mentioned(variable: str, expressions: Sequence[str]) -> bool:
-    """Whether a variable stands in one of the expressions."""
+    """Whether a variable occurs in one of the expressions."""
     return any(re.search(rf"\b{variable}\b", expression) for expression in expressions)
 
 
 def _settling(laws: Mapping[str, Equation]) -> list[str]:
-    """What the start of a lag is computed from."""
+    """The expressions from which the initial states of lags are computed."""
     return [f"{law.demand} {law.settled}" for law in laws.values() if law.settled]
 
 
@@ -154,7 +154,7 @@ def _commands(subject: Subject) -> list[tuple[str, CommandMeaning]]:
 
 
 def steady_gain(subject: Subject, axis: str) -> float | None:
-    """Speed that a command of 1 ends in; None where the axis is left out, has another law, or speeds up for ever."""
+    """Steady speed per command [m/s or rad/s]; None if the axis is left out, or its law has no constant steady gain."""
     point = subject.point(axis)
     held = {"quadratic_drag", "climb_descent", "saturation", "dead_zone", "coupled"}
     if axis not in subject.axes or subject.structure(axis).name in held or point.damping <= 0:
@@ -163,10 +163,10 @@ def steady_gain(subject: Subject, axis: str) -> float | None:
 
 
 def segments(subject: Subject, dt: float) -> list[tuple[float, tuple[int, ...]]]:
-    """Parts of a sample period between changes of a delayed command: duration, and how old a command each axis obeys.
+    """Parts of a sample period between changes of a delayed command: duration, and age of the command on each axis.
 
     Args:
-        subject: With the delays.
+        subject: The subject, with the delays.
         dt: Sample period [s].
 
     Returns:
@@ -183,7 +183,7 @@ def segments(subject: Subject, dt: float) -> list[tuple[float, tuple[int, ...]]]
 
 
 def paper_coefficients(subject: Subject) -> list[float] | None:
-    """The eight coefficients of the paper's model, g and b of x, y, z, yaw in turn; None unless all are exported.
+    """The eight coefficients of the paper's model, g and b of x, y, z, yaw in turn; None if they are not all available.
 
     Source: paper, eqs. (4) and (6); `K` of jrsbenevides/drone_dev, config/bebopParameters.yaml, in the same order.
     """
