@@ -1,6 +1,6 @@
-"""Display of nouns: data frames, tables in text and HTML, short texts of large values, figures.
+"""Display of result classes: data frames, tables in text and HTML, short texts of large values, figures.
 
-This module knows no noun, so that every noun can use it. polars and matplotlib are imported on first use.
+This module depends on none of these classes, so that each can use it. polars and matplotlib are imported on first use.
 """
 
 from __future__ import annotations

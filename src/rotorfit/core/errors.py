@@ -10,7 +10,7 @@
     |-- PlanError          a plan that cannot be made, read, or flown within its limits
     `-- LinkError          a vehicle that cannot be reached, or that must not be flown in its present state
 
-What the data cannot tell is not an error but a status and a `Finding`. A bug is a plain exception with a traceback.
+What the data do not identify is not an error but a status and a `Finding`. A bug is a plain exception with a traceback.
 """
 
 from collections.abc import Iterable

@@ -222,7 +222,6 @@ def draft_card(log: Log, fresh: bool = False) -> str:
 
     Returns:
         Text of the card, with comments on what to check; the names of all columns are at its end.
-        Text of the card, with what to check in comments; the names of all columns stand at its end.
     """
     name = None if fresh else _builtin(log)
     if name:

@@ -48,7 +48,7 @@ BETTER = 0.7
 
 STRAIGHT = 0.85
 """The same for deviating directions against the right ones. When x and y are commanded by sine and cosine, as in the
-paper, a rotated direction is nearly equivalent to a delay: there standard errors alone are no proof."""
+paper, a rotated direction is nearly equivalent to a delay: there standard errors alone prove nothing."""
 
 DEGREE = float(np.pi / 180)
 

@@ -47,7 +47,6 @@ class Law:
     Attributes:
         lag: Best lag of the pose's stamp behind the command; negative where the command follows the pose [s].
         explained: Share of the variance of the command.
-        explained: Share of the variance of the command.
     """
 
     lag: float

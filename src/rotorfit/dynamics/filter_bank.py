@@ -114,7 +114,6 @@ def bank_levels(levels: Array, adapt: bool) -> Array:
 
     Returns:
         Shape (A, G, 2, 4): A classes of G members.
-        Shape (A, G, 2, 4): A classes of G members.
     """
     if not adapt:
         return levels[None, None].copy()

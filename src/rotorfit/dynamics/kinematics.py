@@ -311,7 +311,7 @@ class MeasuredSegment:
         if self.velocity is None or self.tracked is None:
             return np.empty((0, 2)), np.ones((self.time.size, 2), bool), np.zeros(2, bool)
         alone = np.array([AXES[i] in self.alone for i in pair])
-        values = np.nan_to_num(self.velocity[:, pair])  # what is not tracked is not looked at, but 0 times NaN is NaN
+        values = np.nan_to_num(self.velocity[:, pair])  # untracked values are unused, but 0 times NaN is NaN
         return np.ascontiguousarray(values), np.ascontiguousarray(self.tracked[:, pair]), alone
 
 

@@ -211,7 +211,7 @@ def _choice(value: Any, known: tuple[Choice, ...], place: str) -> Choice:
 
 def _channel(value: Any, place: str, units: tuple[str, ...], command: bool = False) -> Channel:
     """A channel from a string, a number, `{ from, scale, offset, unit }`, or a list; commands also have a meaning."""
-    if isinstance(value, list):  # what it is called in different versions of a format
+    if isinstance(value, list):  # alternative names in different versions of a format
         if not value:
             raise CardError(f"{place}: an empty list names no column")
         first, *others = (_channel(one, place, units, command) for one in value)

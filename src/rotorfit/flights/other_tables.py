@@ -161,7 +161,6 @@ def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[St
 
     Raises:
         CardError: The column is missing, or has no clock.
-        CardError: The column is not there, or nothing tells its time.
     """
     table, values = split_source(channel.source)[0], column(log, channel)
     times = [time for time in (card.command_time, card.pose_time) if split_source(time.source)[0] == table]

@@ -142,8 +142,6 @@ def optimal_signal(
 
     Raises:
         PlanError: Limits without room, a flight that is too short, or a failed linear programme.
-    Raises:
-        PlanError: Limits without room, or a flight that is too short.
     """
     _check(dynamics, limits, duration)
     pieces = int(np.ceil(duration / LONGEST - 1e-9))

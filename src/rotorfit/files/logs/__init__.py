@@ -26,7 +26,7 @@ _HEAD = 1 << 16  # two lines of the widest CSV
 
 _BLOCK = 1 << 22  # bytes hashed at once, without holding up the thread that reads
 
-_LARGE = 100_000_000  # bytes from which on it is told how far reading is
+_LARGE = 100_000_000  # bytes above which progress is reported
 
 
 def read(path: str | Path, tables: Collection[str] | None = None, progress: Progress | None = None) -> Log:

@@ -14,7 +14,7 @@ from mmap import mmap
 
 from rotorfit.files.logs.content import BLOCK_LIMIT, one_line
 
-_MOST, _MANY = 100, 5000  # holes told by themselves; holes at which reading ends
+_MOST, _MANY = 100, 5000  # holes listed separately; holes at which reading ends
 
 
 @dataclass
@@ -61,7 +61,7 @@ class Losses:
         """
         self._holes += 1
         if self._losses and (self._losses[-1].gap is None or len(self._losses) == _MOST):
-            self._losses[-1].count += count  # one hole; or enough of them to tell
+            self._losses[-1].count += count  # the same hole; or the list is full
         else:
             self._losses.append(_Loss(place, size, count, why, self.until))
 

@@ -216,7 +216,7 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, start: int, length: int) -> None:
 
 
 def _take(walk: _Walk, chunk: _Chunk, known: _Known, collector: Collector) -> None:
-    """Takes the messages of a chunk; damage in it costs what it hit, in a compressed chunk everything behind it."""
+    """Takes the messages of a chunk; damage loses the messages it hits, in a compressed chunk also all after it."""
     eventful = any(number in known.topics and _tells_events(known.topics[number]) for number in chunk.index)
     if not eventful and collector.passed_over(known.topics, chunk.index):
         return

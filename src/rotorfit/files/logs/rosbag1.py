@@ -204,7 +204,7 @@ def _keep_index(file: BinaryIO, chunk: _Chunk, header: Header, start: int, lengt
 
 
 def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes the messages of a chunk; damage in it costs what it hit, in a compressed chunk everything behind it."""
+    """Takes the messages of a chunk; damage loses the messages it hits, in a compressed chunk also all after it."""
     if collector.passed_over(topics, chunk.index):
         return
     left = chunk.length

@@ -145,7 +145,6 @@ def with_sound_stamps(log: Log, card: Card) -> tuple[Log, tuple[Note, ...]]:
 
     Raises:
         CardError: A column is missing.
-        CardError: A column is not there.
     """
     notes: list[Note] = []
     streams = {"command": card.command_time, "pose": card.pose_time}
