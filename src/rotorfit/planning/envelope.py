@@ -4,7 +4,7 @@ The plan is flown by the likeliest vehicle in still air, and by vehicles drawn f
 and wind; the feedback believes in the likeliest in all cases.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from rotorfit.planning.belief import Belief, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.planning.precision import fly_plan, path
 from rotorfit.planning.signals import scaled
-from rotorfit.simulation.paper_vehicle import Truth, noise_free
+from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, noise_free
 
 DRAWS = 50
 """Number of vehicles drawn."""
@@ -109,18 +109,58 @@ def predicted_path(
 
 def _one(tracker: Tracker, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
     """One flight: path (N, 4), largest speeds (3,), violated limits and haste (7,), share of clipped commands."""
-    plan, space = tracker.plan, tracker.plan.space
     flight = fly_plan(tracker, truth, seed)
-    pose, velocity = path(plan, flight), flight.velocity
-    stamp = flight.pose_stamp * 1e-9
+    pose, stamp = path(tracker.plan, flight), flight.pose_stamp * 1e-9
+    fastest, violated = _violated(tracker.plan, flight)
+    bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
+    where = np.stack([np.interp(time, stamp, pose[:, a]) for a in range(4)], axis=1)
+    return where, fastest, violated, bounded
+
+
+def _violated(plan: Plan, flight: SimulatedFlight) -> tuple[Array, Array]:
+    """Largest speeds of a flight (3,); 1 where it violates one of `LIMITS`, or is hasty along x or y, else 0 (7,)."""
+    space, velocity, position = plan.space, flight.velocity, path(plan, flight)[:, :3]
     flat = np.hypot(velocity[:, 0], velocity[:, 1])
     fastest = np.array([flat.max(), np.abs(velocity[:, 2]).max(), np.abs(velocity[:, 3]).max()])
     hasty = np.abs(velocity[:, :2]).max(axis=0) > space.speed / np.sqrt(2)
-    inside = (pose[:, :3] >= np.array(space.lower)) & (pose[:, :3] <= np.array(space.upper))
+    inside = (position >= np.array(space.lower)) & (position <= np.array(space.upper))
     violated = np.concatenate([~inside.all(axis=0), fastest[:2] > np.array([space.speed, space.climb]), hasty])
-    bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
-    where = np.stack([np.interp(time, stamp, pose[:, a]) for a in range(4)], axis=1)
-    return where, fastest, violated.astype(float), bounded
+    return fastest, violated.astype(float)
+
+
+class _Fleet:
+    """The vehicles and winds of `predicted_path`, on which one plan after another is tried.
+
+    A vehicle that violated a limit flies first the next time, and as soon as the answer is certain no other one flies.
+    """
+
+    def __init__(self, belief: Belief, draws: int, seed: int) -> None:
+        self._vehicles = list(enumerate(sample_vehicles(belief, draws, seed), seed + 1))
+
+    def fits(self, plan: Plan) -> bool:
+        """Whether no more vehicles leave the space than are allowed: `Envelope.fits`."""
+        return bool(self._shares(plan, lambda shares: bool(shares[7] > ALLOWED))[7] <= ALLOWED)
+
+    def guilty(self, plan: Plan, axes: Sequence[str]) -> set[str]:
+        """The axes that violate a limit themselves."""
+        shares = self._shares(plan, lambda shares: all(_guilty(axis, axes, shares) for axis in axes))
+        return {axis for axis in axes if _guilty(axis, axes, shares)}
+
+    def _shares(self, plan: Plan, certain: Callable[[Array], bool]) -> Array:
+        """Share of vehicles for each entry of `_violated`, and that of those that violate any limit, shape (8,).
+
+        Where the answer was certain before all had flown, the shares are lower bounds.
+        """
+        tracker, count, shares = tracker_of(plan), np.zeros(8), np.zeros(8)
+        for place, (seed, truth) in enumerate(self._vehicles):
+            _, violated = _violated(plan, fly_plan(tracker, truth, seed))
+            if violated.any():
+                self._vehicles.insert(0, self._vehicles.pop(place))
+                count += [*violated, violated[:5].any()]
+                shares = count / len(self._vehicles)
+                if certain(shares):
+                    break
+        return shares
 
 
 def with_amplitudes(plan: Plan, factors: Mapping[str, float]) -> Plan:
@@ -151,26 +191,23 @@ def largest_amplitudes(
     """
     axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
     low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
-    factors = high
+    fleet, half = _Fleet(belief, draws, seed), _Fleet(belief, max(draws // 2, 1), seed)
+    factors = dict(high)
     for step in range(_STEPS):
         if progress:
             progress(0.5 * step / _STEPS, "looking for the largest amplitude")
-        if step == 1 and not predicted_path(with_amplitudes(plan, low), belief, draws, seed).fits:
+        if step == 1 and not fleet.fits(with_amplitudes(plan, low)):
             return low
-        foreseen = predicted_path(with_amplitudes(plan, factors), belief, max(draws // 2, 1), seed)
-        for axis in axes:
-            low, high = (
-                (low, high | {axis: factors[axis]})
-                if _guilty(axis, axes, foreseen)
-                else (low | {axis: factors[axis]}, high)
-            )
+        guilty = half.guilty(with_amplitudes(plan, factors), axes)
+        high |= {axis: factors[axis] for axis in guilty}
+        low |= {axis: factors[axis] for axis in axes if axis not in guilty}
         if all(high[axis] - low[axis] <= FINENESS * low[axis] for axis in axes):
             break
         factors = {axis: (low[axis] + high[axis]) / 2 for axis in axes}
     if min(low.values()) <= 0:
         return dict.fromkeys(axes, 0.0)
     plan, rest = with_amplitudes(plan, low), _second_half(progress)
-    if not predicted_path(plan, belief, draws, seed).fits:
+    if not fleet.fits(plan):
         common = largest_amplitude(plan, belief, 1.0, draws, seed, rest)
         return {axis: common * factor for axis, factor in low.items()}
     plane = [axis for axis in axes if axis in ("x", "y")]
@@ -181,14 +218,14 @@ def largest_amplitudes(
     return {axis: (max(more, 1.0) if axis in plane else 1.0) * factor for axis, factor in low.items()}
 
 
-def _guilty(axis: str, axes: Sequence[str], foreseen: Envelope) -> bool:
+def _guilty(axis: str, axes: Sequence[str], shares: Array) -> bool:
     """Whether an axis itself violates a limit; x and y flown together share the speed limit equally."""
-    outside = dict(zip(LIMITS, foreseen.outside, strict=True))
+    outside = dict(zip(LIMITS, shares[:5], strict=True))
     if axis == "yaw":
         return False
     if axis == "z":
         return bool(max(outside["z"], outside["climb"]) > ALLOWED)
-    speed = foreseen.hasty["xy".index(axis)] if {"x", "y"} <= set(axes) else outside["speed"]
+    speed = shares[5 + "xy".index(axis)] if {"x", "y"} <= set(axes) else outside["speed"]
     return bool(max(outside[axis], speed) > ALLOWED)
 
 
@@ -215,12 +252,12 @@ def largest_amplitude(
 
     The other arguments and the search are as for `largest_amplitudes`.
     """
+    fleet = _Fleet(belief, draws, seed)
 
     def stays(factor: float, step: int) -> bool:
         if progress:
             progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
-        factors = {axis: factor if axis in axes else 1.0 for axis in AXES}
-        return predicted_path(with_amplitudes(plan, factors), belief, draws, seed).fits
+        return fleet.fits(with_amplitudes(plan, {axis: factor if axis in axes else 1.0 for axis in AXES}))
 
     if stays(upper, 0):
         return upper

@@ -83,7 +83,7 @@ def next_flight(
     before = np.sqrt(np.diag(belief.covariance))
     group = tuple(axes) if axes else worst_group(before / wanted, tuple(card.command))
     designs = (design,) if design else TRIED
-    plans, left, refused = {}, {}, []
+    plans, errors, left, refused = {}, {}, {}, []
     for place, name in enumerate(designs):
         part = part_of(progress, place, len(designs) + 1)
         try:
@@ -94,22 +94,24 @@ def next_flight(
         except PlanError as error:
             refused.append(error)
             continue
-        left[name] = _left(errors_after(plans[name], belief), wanted, group)
+        errors[name] = errors_after(plans[name], belief)
+        left[name] = _left(errors[name], wanted, group)
     if not plans:
         raise refused[0]
     best = min(left, key=lambda name: left[name])
-    plan = plans[best]
-    shorter = _enough(plan, belief, wanted, group)
+    plan, after = plans[best], errors[best]
+    shorter = _enough(plan, after, wanted, group)
     if shorter < duration:
         part = part_of(progress, len(designs), len(designs) + 1)
         plan = plan_flight(
             card, space, best, group, shorter, belief,
             amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
         )  # fmt: skip
+        after = errors_after(plan, belief)
     return NextFlight(
         plan=plan,
         before=_table(before),
-        after=_table(errors_after(plan, belief)),
+        after=_table(after),
         wanted=_table(wanted),
         tried=left,
         reason=_reason(before / wanted, group, axes is not None),
@@ -141,9 +143,9 @@ def _left(errors: Array, wanted: Array, axes: Sequence[str]) -> float:
     return float(np.sqrt(np.mean(rows**2)))
 
 
-def _enough(plan: Plan, belief: Belief, wanted: Array, axes: Sequence[str]) -> float:
+def _enough(plan: Plan, after: Array, wanted: Array, axes: Sequence[str]) -> float:
     """Duration that reaches the targets on all axes, in steps of 10 s, as information grows with time [s]."""
-    rows = (errors_after(plan, belief) / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
+    rows = (after / wanted).reshape(4, 3)[[AXES.index(axis) for axis in axes]]
     needed = 10 * np.ceil(plan.duration * float(rows.max()) ** 2 / 10)
     return float(np.clip(needed, max(2 * SHORTEST, 20.0), plan.duration)) if plan.duration > 20 else plan.duration
 

@@ -272,7 +272,23 @@ def _places(time: Array, asked: Array) -> Integers:
 
 
 def _interpolated(time: Array, node: Array, value: Array) -> Array:
-    return np.stack([np.interp(time, node, value[:, a]) for a in range(value.shape[1])], axis=1)
+    """Linear interpolation of values at nodes, shape (J, A), at times between the first and the last, shape (N, A)."""
+    return np.asarray(_compiled(_between)(time, node, value))
+
+
+def _between(time: Array, node: Array, value: Array) -> Array:
+    """`numpy.interp` for all columns at once; fast for increasing times. Compiled."""
+    out, j = np.empty((time.size, value.shape[1])), 0
+    for n in range(time.size):
+        while j > 0 and node[j] > time[n]:
+            j -= 1
+        while j + 1 < node.size and node[j + 1] <= time[n]:
+            j += 1
+        for a in range(value.shape[1]):
+            out[n, a] = value[j, a]
+            if j + 1 < node.size:
+                out[n, a] += (value[j + 1, a] - value[j, a]) / (node[j + 1] - node[j]) * (time[n] - node[j])
+    return out
 
 
 def _held(time: Array, sent: Array, delay: Four, command: Array) -> tuple[Array, Integers, int]:

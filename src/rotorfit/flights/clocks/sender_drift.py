@@ -181,10 +181,11 @@ def _line_below(time: Array, late: Array) -> tuple[float, float]:
     It is the edge of the lower convex hull that spans the mean time.
     """
     hull: list[int] = []
-    for k in range(time.size):
+    t, y = time.tolist(), late.tolist()  # Python floats: one by one, those of NumPy take ten times as long
+    for k in range(len(t)):
         while len(hull) > 1:
             i, j = hull[-2:]
-            if (late[j] - late[i]) * (time[k] - time[i]) < (late[k] - late[i]) * (time[j] - time[i]):
+            if (y[j] - y[i]) * (t[k] - t[i]) < (y[k] - y[i]) * (t[j] - t[i]):
                 break
             hull.pop()
         hull.append(k)
