@@ -46,6 +46,10 @@ Priors = Mapping[str, Mapping[str, Prior]]
 PROFILE_DELAYS = np.linspace(DELAY_RANGE[0], DELAY_RANGE[1], 15)
 """Delays at which the profile is drawn besides those that the interval required [s]."""
 
+IMPOSSIBLE, ROUGH = 100.0, 10.0
+"""Fall of the log-likelihood beyond which a drawn delay counts as impossible, and the expected gain at which its climb
+stops: most of the climbing would be spent there, and no chart shows the difference."""
+
 
 def fit(
     flights: Sequence[Flight],
@@ -392,20 +396,24 @@ def _group_axes(
 def with_delay_profiles(fit: Fit) -> Fit:
     """The fit with delay profiles over the whole range of the search, not only where the intervals required them.
 
-    All other parameters are re-maximised at each delay, moving outwards from the maximum.
+    All other parameters are re-maximised at each delay, moving outwards from the maximum; where a delay is impossible,
+    only roughly.
     """
     axes = dict(fit.model.axes)
     for name, estimate in fit.estimates.items():
         if axes[name].predictor is None or not structure_at(estimate.optimum, estimate.place).delayed:
             continue
         index = 2 * estimate.optimum.point.gain.size + estimate.place
-        best = float(estimate.optimum.point.flat()[index])
+        best, least = float(estimate.optimum.point.flat()[index]), height(estimate.optimum) - IMPOSSIBLE
         drawn = list(axes[name].profile)
         for side in (-1.0, 1.0):
             here = estimate.optimum
             beyond = PROFILE_DELAYS[side * (PROFILE_DELAYS - best) > 0]
             for target in beyond[np.argsort(side * beyond)]:
-                here = hold(estimate.records, here, index, float(target))
+                if height(here) < least:
+                    here = hold(estimate.records, here, index, float(target), ROUGH)
+                if height(here) >= least:
+                    here = hold(estimate.records, here, index, float(target))
                 drawn.append((float(target), height(here) - height(estimate.optimum)))
         axes[name] = replace(axes[name], profile=tuple(sorted(drawn)))
     return replace(fit, model=replace(fit.model, axes=axes))

@@ -92,10 +92,15 @@ class Record:
             return "position"
         return "velocity" if self.rate.all() else "both"
 
-    @property
+    @cached_property
     def weight(self) -> Array:
         """One over the samples of each block or group of the response, shape (B,) or (G,)."""
         return 1.0 / (self.count if self.size is None else self.size)
+
+    @cached_property
+    def segment(self) -> Indices:
+        """Segment of each block, shape (B,)."""
+        return np.cumsum(self.fresh) - 1
 
     @cached_property
     def switches(self) -> tuple[Array, Array, Indices]:

@@ -21,7 +21,7 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.noise_levels import noise_of
 from rotorfit.estimation.likelihood.optima import SAME_DELAY, SAME_LOG_DAMPING
-from rotorfit.estimation.likelihood.profile import profile, quantile
+from rotorfit.estimation.likelihood.profile import Profile, profile, quantile
 
 Blocks = dict[tuple[str, ...], Array]
 """Names of coefficients, such as `x.input`, to their covariance: one block a likelihood."""
@@ -56,14 +56,17 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     structure, extras = structure_at(optimum, k), estimated_extras(optimum, k)
     variance = np.diag(inverted(optimum.score.information, optimum.free))
     index = {name: optimum.point.place(name, k) for name in (*COEFFICIENTS, *(extra.name for extra in extras))}
-    profiles = {n: profile(records, optimum, i) for n, i in index.items() if structure.delayed or n != "delay"}
+    profiles: dict[str, Profile] = {}
+    for name, i in index.items():
+        if structure.delayed or name != "delay":
+            profiles[name] = profile(records, optimum, i)
+        if holds_zero(profiles["input"].ci95):  # whatever the others say
+            return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
     more = further(optimum, k, ends)
     raw = dict(ends)
     ends["damping"] = _exponential(ends["damping"])
     ends["input"] = _uncut(ends["input"], ends["damping"], float(optimum.point.gain[k]))
-    if holds_zero(ends["input"]):
-        return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     status = statuses(ends) | _too_fast(records, optimum, k)
     if status["delay"] != "ok" and (_at_bound(optimum, k) or estimate.loop.closed):
         status = dict.fromkeys(COEFFICIENTS, "not_identifiable")

@@ -84,11 +84,11 @@ def law_starts(
         key=lambda one: -one[0],
     )
     climbed: list[tuple[float, Point]] = []
-    for node in _spread([there for _, there in nodes if np.sign(there.gain[k]) == sign or not sign], k)[:CLIMBED]:
+    for node in _spread([there for _, there in nodes if np.sign(there.gain[k]) == sign or not sign], k, CLIMBED):
         top = maximise(coarse, node, levels_held, tolerance=0.3, most=SHORT, prior=prior)
         climbed.append((top.score.objective, replace(swapped(top.point, k) or top.point, start=start)))
     climbed.sort(key=lambda one: -one[0])
-    return _spread([there for value, there in climbed if value > climbed[0][0] - REJECTED], k)[:KEPT]
+    return _spread([there for value, there in climbed if value > climbed[0][0] - REJECTED], k, KEPT)
 
 
 def swapped(point: Point, k: int) -> Point | None:
@@ -141,13 +141,15 @@ def projected(records: Sequence[Record], point: Point, k: int, prior: GaussianPr
     return here.objective + 0.5 * float(step @ here.gradient), point.with_flat(point.flat() + step)
 
 
-def _spread(points: Sequence[Point], k: int) -> list[Point]:
-    """The points, without those that are near an earlier one on axis k."""
+def _spread(points: Iterable[Point], k: int, most: int) -> list[Point]:
+    """The first points, without those that are near an earlier one on axis k."""
     kept: list[Point] = []
     for point in points:
         here = _coordinates(point, k)
         if all((np.abs(here - _coordinates(other, k)) > APART).any() for other in kept):
             kept.append(point)
+        if len(kept) == most:
+            break
     return kept
 
 

@@ -48,17 +48,16 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
         return _general_response(rec, point, laws, point.trim[flight], start)
     command_time, command, command_range = rec.switches
     common = (rec.starts, rec.pose_range, command_range, rec.pose_time, rec.block, command_time)
-    weight, segment = rec.weight, np.cumsum(rec.fresh) - 1
     damping, trim, K = np.exp(point.log_damping), point.trim[flight], len(rec.axes)
     if K == 1:
         out = axis_response(
-            *common, command[:, 0], weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
+            *common, command[:, 0], rec.weight, point.gain[0], trim[0], damping[0], point.delay[0], start[:, 0]
         )
     else:
-        out = plane_response(*common, command, weight, rec.yaw, point.gain, trim, damping, point.delay, start)
+        out = plane_response(*common, command, rec.weight, rec.yaw, point.gain, trim, damping, point.delay, start)
     gain, trim_columns, damping_columns, delay_columns, start_columns = np.split(rec.observed(out), 5, axis=1)
     mean = np.einsum("j,bjk->bk", point.gain, gain) + np.einsum("j,bjk->bk", trim, trim_columns)
-    mean += np.einsum("bj,bjk->bk", start[segment], start_columns)
+    mean += np.einsum("bj,bjk->bk", start[rec.segment], start_columns)
     damping_columns = damping_columns * damping[None, :, None]
     return mean, np.concatenate([gain, damping_columns, delay_columns, trim_columns, start_columns], axis=1)
 

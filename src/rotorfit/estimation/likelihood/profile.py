@@ -15,7 +15,9 @@ NOT_WALKED = 0.1
 """Expected gain in log-likelihood that a re-maximisation leaves to be added rather than walked."""
 
 
-def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float) -> Optimum:
+def hold(
+    records: Sequence[Record], optimum: Optimum, index: int, target: float, tolerance: float = NOT_WALKED
+) -> Optimum:
     """Re-maximises over everything else with one parameter held at a target.
 
     Starts where the information expects the others to go, with the information conditional on the held one.
@@ -25,6 +27,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
         optimum: A maximum, free or at a neighbouring target.
         index: Of the held parameter in the order of `Point.flat`.
         target: Where it is held.
+        tolerance: Expected gain in log-likelihood below which to stop.
     """
     free = optimum.free.copy()
     free[index] = False
@@ -37,7 +40,7 @@ def hold(records: Sequence[Record], optimum: Optimum, index: int, target: float)
     values[index] = target
     inverse[index, :] = inverse[:, index] = 0.0
     point = optimum.point.with_flat(np.clip(values, *optimum.point.bounds()))
-    return maximise(records, point, free, inverse, optimum.restricted, tolerance=NOT_WALKED, prior=optimum.prior)
+    return maximise(records, point, free, inverse, optimum.restricted, tolerance=tolerance, prior=optimum.prior)
 
 
 def height(optimum: Optimum) -> float:
