@@ -1,4 +1,4 @@
-"""What a fit says against itself: residual variance, spread between flights, refutation.
+"""Judgement of a fit by its own data: residual variance, spread between flights, refutation of the law.
 
 In go estimates of the likelihood; out come intervals of these flights and of the vehicle, and the evidence behind them.
 """

@@ -1,11 +1,11 @@
-"""Estimate -> what a method that errs differently says of the same flight: instrumental variables with other filters.
+"""Cross-check of an estimate by a method with different errors: instrumental variables with other filters.
 
-The sensitivities of the simulated response are instruments: where commands do not answer the motion they are free of
-wind and noise under whatever filter, and sum Z'(y - response) = 0 has the same root. The likelihood takes the filter
-that is best if wind and law are right. Under a slower and a faster one other frequencies decide, so a law that is wrong
-gives other numbers. One step from the likelihood's root tells them.
+The sensitivities of the simulated response are instruments: in an open loop they are free of wind and noise under any
+filter, and sum Z'(y - response) = 0 has the same root. The likelihood uses the filter that is optimal if the models of
+wind and law are right. A slower and a faster filter weight other frequencies, so a wrong law gives other estimates. One
+step from the root of the likelihood approximates them.
 
-In a feedback loop only the right filter makes innovations free of what the commands knew: there nothing is compared.
+In a feedback loop only the right filter makes innovations uncorrelated with earlier commands: no comparison is made.
 
 Source: T. Soderstrom, P. Stoica, System Identification (1989), chapter 8 (instrumental variables with prefilters);
 J. A. Hausman, Econometrica 46 (1978), pp. 1251-1271 (the test by two estimators); W. K. Newey, K. D. West,
@@ -27,22 +27,25 @@ from rotorfit.estimation.likelihood.likelihood import score
 from rotorfit.estimation.regression.paper import newey_west
 
 OTHER_FILTERS = (10.0, 0.1)
-"""Factors on the pose noise that the filter believes: it follows slow motion more, or fast motion."""
+"""Factors on the filter's variance of the pose noise: it then weights slow motion more, or fast motion."""
 
 MEMORY = 2.0
-"""How long what the estimates differ by is correlated [s]."""
+"""Time over which the contributions to the difference of the estimates are correlated [s]."""
 
 
 def between_filters(
     estimate: Estimate, weighted: Sequence[Weighted], wanted: Mapping[str, Estimand], errors: Mapping[str, float]
 ) -> dict[str, Homogeneity]:
-    """How the likelihood and instrumental variables agree, by quantity; nothing in a feedback loop.
+    """Agreement of the likelihood with instrumental variables, by quantity; empty in a feedback loop.
 
     Args:
-        estimate: By the likelihood.
+        estimate: Estimate by the likelihood.
         weighted: Its innovations and weights, in the order of `wanted`.
-        wanted: Quantities.
-        errors: Their standard errors.
+        wanted: Quantities to compare, by name.
+        errors: Their standard errors on their scales, by name.
+
+    Returns:
+        For each quantity the comparison with that of the other filters that disagrees most.
     """
     if estimate.loop.closed:
         return {}
@@ -65,12 +68,12 @@ def between_filters(
 
 
 def _own(one: Weighted) -> Array:
-    """What each block adds to the estimates, shape (B, Q)."""
+    """Contribution of each block to the estimates, shape (B, Q)."""
     return np.asarray(np.einsum("bk,bkq->bq", one.innovation, one.weight))
 
 
 def _contributions(estimate: Estimate, wanted: Sequence[Estimand], factor: float) -> list[Array]:
-    """What each block adds to the step to the root under another filter, per flight (B, Q)."""
+    """Contribution of each block to the step to the root under another filter, per flight (B, Q)."""
     point = estimate.optimum.point
     levels = point.levels.copy()
     levels[:, 1] += np.log(factor)

@@ -1,4 +1,4 @@
-"""Estimate of several flights -> what each of them says alone, with its own wind."""
+"""Estimate from several flights -> an estimate from each flight alone, with its own disturbance levels."""
 
 from dataclasses import replace
 
@@ -12,13 +12,17 @@ TOLERANCE = 0.02
 """Expected gain in log-likelihood below which the climb of one flight ends: a fifth of a standard error."""
 
 MOST_PASSES = 30
-"""Passes after which a flight that is still climbing tells nothing."""
+"""Largest number of passes over one flight."""
 
 
 def each_flight(estimate: Estimate) -> list[Estimate | None]:
-    """Every flight by itself, climbed from where all of them together ended; None for one that does not settle.
+    """Estimates from every flight alone, each climbed from the estimate from all flights together.
 
-    An axis that a flight does not move keeps the coefficients of all.
+    Coefficients of an axis whose command does not change in a flight are held at those of all flights. No prior enters.
+
+    Returns:
+        One estimate per flight; None where the flight does not change the command of the axis or the climb has not
+        converged, so that one more step would gain 1 or more in log-likelihood.
     """
     return [_alone(estimate, j) for j in range(len(estimate.records))]
 

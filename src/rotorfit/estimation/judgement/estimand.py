@@ -1,4 +1,4 @@
-"""What intervals are of: coefficients and combinations, on the scales on which flights of a vehicle are compared."""
+"""Estimands: coefficients and combinations, on the scales on which flights of a vehicle are compared."""
 
 import math
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class Estimand:
     """A coefficient, a further parameter or a combination of an axis at an optimum.
 
     Attributes:
-        name: As in the model file.
-        value: As it is published.
-        logarithmic: Whether its scale is its logarithm; else it is taken as it is.
-        slope: Of its scale by the parameters of the estimator, shape (n,).
+        name: Name in the model file.
+        value: Value in its own unit.
+        logarithmic: Whether its scale is the logarithm of its absolute value; else its scale is the value itself.
+        slope: Derivative of its scale with respect to the parameters of the estimator, shape (n,).
     """
 
     name: str
@@ -29,7 +29,7 @@ class Estimand:
     slope: Array
 
     def error(self, optimum: Optimum) -> float:
-        """Standard error on its scale, by the expected information."""
+        """Standard error on its scale, from the expected information."""
         covariance = inverted(optimum.score.information, optimum.free)[: self.slope.size, : self.slope.size]
         return float(np.sqrt(max(float(self.slope @ covariance @ self.slope), 0.0)))
 
@@ -39,7 +39,7 @@ class Estimand:
 
 
 def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
-    """Everything of axis k that is published with an interval and compares between flights, by name."""
+    """Every quantity of axis k that is published with an interval and compared between flights, by name."""
     point, structure = optimum.point, structure_at(optimum, k)
     g, b, tau = float(point.gain[k]), float(np.exp(point.log_damping[k])), float(point.delay[k])
     extra = point.extra_values(k)
@@ -50,7 +50,7 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
             out[point.place(name, k)] = slope
         return out
 
-    # of a second order the lag is in the velocity itself: it is not late, it is slow; a zero leads
+    # under a second-order law the lag does not enter the total lag, and a zero reduces it
     late, slopes = 0.0, dict[str, float]()
     if structure.order == 1:
         late, slopes = extra["lag"], {"lag": extra["lag"]}
@@ -78,9 +78,10 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
 
 
 def half_widths(estimand: Estimand, ends: Interval) -> Interval:
-    """How far the ends of an interval lie below and above the value, on its scale; None for an open end.
+    """Distances of the ends of an interval below and above the value, on its scale; None for an open end.
 
-    A logarithm is that of the size: of a negative value the upper end of the interval is below on the scale.
+    A logarithmic scale is that of the absolute value: for a negative value the upper end of the interval is the lower
+    one on the scale.
     """
     low, high = ends
     if not estimand.logarithmic:
@@ -95,7 +96,7 @@ def half_widths(estimand: Estimand, ends: Interval) -> Interval:
 
 
 def interval(estimand: Estimand, shift: float, half: Interval) -> Interval:
-    """The interval with these half widths below and above the value moved by a shift, all on its scale."""
+    """The interval around the shifted value with given half widths below and above; shift and widths on its scale."""
     below, above = half
     center = moved(estimand, shift)
     if not estimand.logarithmic:
@@ -106,5 +107,5 @@ def interval(estimand: Estimand, shift: float, half: Interval) -> Interval:
 
 
 def moved(estimand: Estimand, shift: float) -> float:
-    """The value moved by a shift on its scale."""
+    """The value after a shift on its scale."""
     return estimand.value * float(np.exp(shift)) if estimand.logarithmic else estimand.value + shift

@@ -1,13 +1,14 @@
-"""Model -> Model: every number with two intervals, that of its flights and that of the vehicle.
+"""Model -> Model: every number gets two intervals, one for these flights and one for the vehicle.
 
-Beside the noise that the likelihood knows stand
+The likelihood's intervals account for the noise that it models. Added to that are
 
-- innovations that are not as the filter believes (`residual_variance`): they widen the intervals of the flights;
-- the law (`refutation`): as far as its tests find it wrong, it widens the intervals of the vehicle, or refutes them;
-- what other flights of the same vehicle differ by (`random_effects`): several tell it, of one a prior does
-  (`spread_prior`), which is apart and visible in `Axis.spread`.
+- innovations that are not white and of unit variance (`residual_variance`): they widen the intervals of the flights;
+- errors of the law (`refutation`): as far as tests detect them, they widen the intervals of the vehicle, or refute its
+  numbers;
+- the spread between flights of the same vehicle (`random_effects`), estimated from several flights; for a single one
+  it comes from a prior (`spread_prior`). It is reported in `Axis.spread`.
 
-The intervals of the flights become `ci95_flight`, those of the vehicle `ci95`; statuses follow the latter.
+The intervals of the flights become `ci95_flight`, those of the vehicle `ci95`; statuses follow from the latter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,14 +30,15 @@ from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.extra_parameters import extra_status
 
 Said = tuple[float, float] | None
-"""What a flight says of a quantity and its standard error, on its scale; None where it says nothing."""
+"""Estimate of a quantity from one flight and its standard error, on its scale; None where the flight gives none."""
 
 WIDEST_ERROR = {True: 1.0, False: 0.3}
-"""Standard error of one flight, of a logarithm or else [s], beyond which it says nothing of how flights differ."""
+"""Standard error of one flight, of a logarithm (True) or else [s], beyond which the flight is not used for the spread
+between flights."""
 
 TOLERABLE = {True: 0.25, False: 0.05}
-"""Half width on the scale of a quantity, a logarithm or else [s], up to which a law that is wrong is near enough: what
-the tests find is in the interval, and the interval still says something."""
+"""Half width of an interval, of a logarithm (True) or else [s], up to which a wrong law is good enough: the interval
+includes the error that the tests detect, and is still useful."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +46,13 @@ class Judged:
     """One quantity after judgement.
 
     Attributes:
-        estimand: What it is.
-        shift: Of the vehicle's value from that of the likelihood of all flights together, on its scale.
+        estimand: The quantity.
+        shift: Difference of the vehicle's value from the likelihood's for all flights together, on its scale.
         flight: Interval of these flights.
         vehicle: Interval of the vehicle.
-        ratio: Of its standard error to that of the likelihood.
-        spread: Between flights.
-        refuted: Whether tests found the law so wrong that no interval holds the quantity.
+        ratio: Ratio of its standard error to that of the likelihood.
+        spread: Spread between flights.
+        refuted: Whether tests found the law so wrong that no interval can express the error.
     """
 
     estimand: Estimand
@@ -63,12 +65,12 @@ class Judged:
 
 
 def judged(model: Model, estimates: Mapping[str, Estimate], tested: bool = True) -> Model:
-    """The model with the intervals of the vehicle, and those of its flights beside.
+    """The model with the intervals of the vehicle in addition to those of its flights.
 
     Args:
         model: As fitted by the likelihood; its intervals are those of its flights.
         estimates: Axis name to the maximum of its likelihood.
-        tested: Whether the law is asked, too; else only what flights differ by and the innovations count.
+        tested: Whether the law is tested, too; else only innovations and the spread between flights widen intervals.
     """
     axes, ratios = dict(model.axes), np.ones(len(model.covariance_names))
     for name, estimate in estimates.items():
@@ -84,7 +86,16 @@ def judged(model: Model, estimates: Mapping[str, Estimate], tested: bool = True)
 
 
 def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[dict[str, Judged], tuple[Evidence, ...]]:
-    """Everything of an axis that has an interval, judged, by name, and what spoke against its law if tested."""
+    """Judges every quantity of an axis that has an interval.
+
+    Args:
+        axis: The axis as fitted.
+        estimate: The maximum of its likelihood.
+        tested: Whether the law is tested, too.
+
+    Returns:
+        The judged quantities by name; and the tests that contradict the law, empty if it was not tested.
+    """
     wanted = {
         name: one
         for name, one in estimands(estimate.optimum, estimate.place).items()
@@ -113,7 +124,15 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
 
 @dataclass(frozen=True)
 class _Told:
-    """What flights say of a quantity: their number, the error of all together as one, the random effects, each."""
+    """Evidence of the flights on a quantity.
+
+    Attributes:
+        flights: Number of flights that estimate it.
+        error: Standard error of their weighted mean under zero spread.
+        scale: Scale of the prior on the spread.
+        effects: Random effects.
+        each: Estimate from each flight of the fit alone; empty for one flight.
+    """
 
     flights: int
     error: float
@@ -123,7 +142,7 @@ class _Told:
 
 
 def _told(one: Estimand, error: float, alone: Sequence[Said]) -> _Told:
-    """The flights that tell a quantity, or all of them as one where only one does."""
+    """Evidence of the flights that estimate a quantity; of all as one where fewer than two do."""
     known = np.array([said for said in alone if said]).reshape(-1, 2)
     if len(known) < 2:
         known = np.array([[0.0, error]])
@@ -133,10 +152,10 @@ def _told(one: Estimand, error: float, alone: Sequence[Said]) -> _Told:
 
 
 def _judged(one: Estimand, own: Interval, told: _Told, wider: float, doubtful: float, refuted: bool) -> Judged:
-    """Both intervals: what flights differ by and what the law leaves widen that of these flights, side by side.
+    """Both intervals; spread between flights and errors of the law widen the interval of the flights, in quadrature.
 
-    What the law leaves is not less for more flights: its tests find it the more surely, and their factor grows as the
-    error falls.
+    The errors of the law do not average out over flights: with more of them the tests detect these errors more surely,
+    and their factor grows as the standard error falls.
     """
     effects = told.effects
     unfit = doubtful**2 - 1
@@ -159,7 +178,7 @@ def _judged(one: Estimand, own: Interval, told: _Told, wider: float, doubtful: f
 
 
 def _each(estimate: Estimate, names: Sequence[str]) -> dict[str, list[Said]]:
-    """What each flight says of quantities, with its standard error, on their scales."""
+    """Estimate of each quantity from each flight alone, with its standard error, on its scale."""
     whole = estimands(estimate.optimum, estimate.place)
     out: dict[str, list[Said]] = {name: [] for name in names}
     for one in each_flight(estimate):
@@ -178,7 +197,7 @@ def _times(half: float | None, factor: float) -> float | None:
 
 
 def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...]) -> Axis:
-    """The axis with both intervals, and statuses and values that follow from the vehicle's."""
+    """The axis with both intervals, and with statuses and values that follow from the interval of the vehicle."""
     assert axis.predictor is not None
     ends = {name: found[name].vehicle if name in found else ends for name, ends in axis.ci95.items()}
     flight = {name: found[name].flight if name in found else ends for name, ends in axis.ci95.items()}
@@ -206,7 +225,7 @@ def _axis(axis: Axis, found: Mapping[str, Judged], evidence: tuple[Evidence, ...
 
 
 def _statuses(axis: Axis, ends: Mapping[str, Interval], refuted: Sequence[str]) -> dict[str, str]:
-    """Statuses by the intervals of the vehicle; what was not known of the flights is not known of it."""
+    """Statuses from the intervals of the vehicle; a status other than `ok` for the flights is kept."""
     now = statuses(ends)
     now |= {
         extra.name: extra_status(extra, ends[extra.name])

@@ -1,13 +1,14 @@
-"""Estimates of several flights -> what the vehicle is: random effects with a prior on the spread between flights.
+"""Estimates from several flights -> the vehicle's value: random effects with a prior on the spread between flights.
 
 Flight i gives y_i with standard error s_i; the vehicle on that day was mu + d_i with d_i ~ N(0, tau^2), so
 
     y_i ~ N(mu, s_i^2 + tau^2)
 
-tau is not known, and two or six flights hardly tell it. Its restricted likelihood is therefore weighed with a prior, a
-half Student's t whose scale is made from recorded vehicles (`spread_prior`), and what is said of mu and of the next
-flight is averaged over what is left of tau. One flight says nothing of tau: then the prior alone speaks. What the
-flights say by themselves, tau by restricted maximum likelihood and the interval of Hartung and Knapp, stands beside.
+tau is unknown, and two to six flights hardly identify it. Its restricted likelihood is therefore combined with a prior,
+a half Student's t whose scale comes from recorded vehicles (`spread_prior`), and the distributions of mu and of the
+next flight are averaged over the posterior of tau. One flight carries no information about tau: the posterior is the
+prior. Results without the prior, tau by restricted maximum likelihood and the interval of Hartung and Knapp, are given
+in addition.
 
 Source: R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986), pp. 177-188; J. Hartung, G. Knapp, Statistics in
 Medicine 20 (2001), pp. 3875-3889; A. Gelman, Bayesian Analysis 1 (2006), pp. 515-533 (half t for few groups);
@@ -25,25 +26,25 @@ NORMAL = 1.959963984540054
 """97.5 % point of the normal distribution."""
 
 TAIL = 3.0
-"""Degrees of freedom of the half t: heavy, but with a variance."""
+"""Degrees of freedom of the half t: heavy tails, but a finite variance."""
 
 GRID = np.concatenate([[0.0], np.geomspace(0.01, 40.0, 79)])
-"""Values of the spread that are averaged over, in scales of its prior."""
+"""Values of the spread that are averaged over, in units of the scale of its prior."""
 
 
 @dataclass(frozen=True)
 class RandomEffects:
-    """What some flights say together, on the scale of their estimates.
+    """Combined result of several flights, on the scale of their estimates.
 
     Attributes:
-        mean: Of the vehicle, averaged over the spread.
-        common: Weighted mean of flights that do not differ.
-        sd: Standard deviation of the mean such that +-1.96 of it are the 95 % interval.
-        next_sd: The same for the coefficient on the next flight.
-        spread: Median of the spread between flights, after the data.
-        reml: Spread by restricted maximum likelihood, the flights alone; None for one flight.
-        knapp_hartung: 95 % interval of the mean, the flights alone; None for one flight.
-        p_value: Of a larger Cochran's Q from flights that do not differ; None for one flight.
+        mean: Posterior mean of the vehicle's value mu.
+        common: Weighted mean under zero spread.
+        sd: Half width of the 95 % interval of mu, divided by 1.96.
+        next_sd: The same for the value on the next flight.
+        spread: Posterior median of the spread tau.
+        reml: Spread by restricted maximum likelihood, without the prior; None for one flight.
+        knapp_hartung: 95 % interval of mu by Hartung and Knapp, without the prior; None for one flight.
+        p_value: Probability of a larger Cochran's Q under zero spread; None for one flight.
     """
 
     mean: float
@@ -57,18 +58,18 @@ class RandomEffects:
 
 
 def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
-    """Mean and spread of what flights say of one coefficient.
+    """Mean and spread of the estimates of one quantity from several flights.
 
     Args:
-        value: Of each flight, shape (F,).
+        value: Estimate from each flight, shape (F,).
         error: Standard errors, shape (F,).
-        scale: Of the half t of the spread.
+        scale: Scale of the half t of the spread, in the unit of the estimates.
     """
     tau = np.maximum(scale, 1e-12) * GRID
     restricted, mean, total, misfit = _restricted(value, error, tau)
     share = posterior(restricted)
     center = float(share @ mean)
-    # what the spread may be moves the mean, too: that is added to the variance at each spread
+    # the mean depends on the spread, too: its deviation is added to the variance at each spread
     spread = 1 / total + (mean - center) ** 2
     alone = len(value) > 1
     return RandomEffects(
@@ -84,14 +85,14 @@ def random_effects(value: Array, error: Array, scale: float) -> RandomEffects:
 
 
 def excess_spread(apart: Array, error: Array, scale: float) -> float:
-    """Spread of parts of one flight beyond what the prior alone makes one expect, in the unit of the errors.
+    """Spread between parts of the data in excess of that expected from the prior, in standard errors of the whole.
 
-    Both are taken as what they add to the half width of an interval whose error is 1.
+    Prior and posterior are compared by the half width of the interval of a quantity whose standard error is 1.
 
     Args:
-        apart: What each part says, shape (M,).
-        error: Standard errors, shape (M,), in units of that of the whole.
-        scale: Of the half t of the spread.
+        apart: Deviation of each part, shape (M,), in standard errors of the whole.
+        error: Standard errors of the parts, shape (M,), likewise.
+        scale: Scale of the half t of the spread, likewise.
     """
     tau = np.maximum(scale, 1e-12) * GRID
     after = mixed_half_width(1 + tau**2, posterior(_restricted(apart, error, tau)[0]))
@@ -100,7 +101,7 @@ def excess_spread(apart: Array, error: Array, scale: float) -> float:
 
 
 def _restricted(value: Array, error: Array, tau: Array) -> tuple[Array, Array, Array, Array]:
-    """Restricted log-likelihood of spreads (S,), with the mean, the weight and the misfit at each."""
+    """Restricted log-likelihood of spreads tau (S,); mean, total weight and Cochran's Q at each, all of shape (S,)."""
     variance = error[:, None] ** 2 + tau**2
     weight = 1 / variance
     total = weight.sum(axis=0)
@@ -110,7 +111,7 @@ def _restricted(value: Array, error: Array, tau: Array) -> tuple[Array, Array, A
 
 
 def posterior(log_likelihood: Array) -> Array:
-    """Shares of the values of the spread, prior and the width of each cell of the grid counted."""
+    """Posterior probability of each cell of `GRID`, from its log-likelihood, the prior and the width of the cell."""
     prior = (1 + GRID**2 / TAIL) ** (-0.5 * (TAIL + 1))
     edges = np.concatenate([[0.0], 0.5 * (GRID[1:] + GRID[:-1]), [GRID[-1]]])
     share = prior * np.diff(edges) * np.exp(log_likelihood - log_likelihood.max())
@@ -118,7 +119,7 @@ def posterior(log_likelihood: Array) -> Array:
 
 
 def mixed_half_width(variance: Array, share: Array) -> float:
-    """Half width that holds 95 % of a mixture of normal distributions of one mean."""
+    """Half width that contains 95 % of a mixture of normal distributions with a common mean."""
     from scipy.special import ndtr
 
     sd, low, high = np.sqrt(variance), 0.0, 0.0
@@ -148,7 +149,7 @@ def _reml(value: Array, error: Array) -> float:
 
 
 def _knapp_hartung(value: Array, error: Array) -> tuple[float, float]:
-    """Interval of the mean by Hartung and Knapp, never narrower than without their factor."""
+    """95 % interval of the mean by Hartung and Knapp, with their factor bounded below by 1."""
     weight = 1 / (error**2 + _reml(value, error) ** 2)
     mean, freedom = float(weight @ value / weight.sum()), len(value) - 1
     factor = max(float(weight @ (value - mean) ** 2) / freedom, 1.0)

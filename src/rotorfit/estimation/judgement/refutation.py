@@ -1,19 +1,19 @@
-"""Estimate -> what speaks against its law: do parts of the flights say the same, whatever was flown in them?
+"""Tests of the law of an estimate: do all parts of the flights give the same coefficients, whatever was flown?
 
-An estimate is a weighted sum of innovations, so parts of the data, however they are cut, each have a say: part m moves
-the estimate to theta + V sum_m w e / sum_m w^2, known to V / share_m, share_m being its share of the information. If
-the law is right, the parts differ by chance; if it is not, the coefficient depends on what was flown, and parts cut by
-what was flown show it:
+An estimate is a weighted sum of innovations, so each part of the data, however it is divided, gives an estimate of its
+own: part m gives theta + V sum_m w e / sum_m w^2, with variance V / share_m, where share_m is its share of the
+information. If the law is right, the parts differ by chance; if not, the coefficient depends on what was flown, and
+parts selected by what was flown show it:
 
 - time: stretches of the flights; what changes in an hour often changes in a minute;
-- size: the command of the last second small or large; limits of acceleration, braking, dead zones;
+- size: small or large commands in the last second; limits of acceleration, braking, dead zones;
 - speed: slow or fast changes of the command; dynamics that the law lacks.
 
-Cut by what lay before an innovation, the parts are independent in a feedback loop, too.
+Since parts are selected by what preceded an innovation, they are independent in a feedback loop, too.
 
-And what the law leaves out of the response stays in the innovations: they follow the commands of the second before. How
-many times more than by chance is how many times the variance of what the commands tell must grow: lack of fit in place
-of pure error.
+The part of the response that the law leaves out remains in the innovations, which then correlate with the commands of
+the previous second. The ratio of that correlation's power to the power expected by chance is the factor by which the
+variance of the estimates must grow: lack of fit in place of pure error.
 
 Source: W. G. Cochran, Biometrics 10 (1954), pp. 101-129; R. DerSimonian, N. Laird, Controlled Clinical Trials 7 (1986),
 pp. 177-188; N. R. Draper, H. Smith, Applied Regression Analysis, 3rd ed. (1998), section 2.2 (lack of fit).
@@ -33,30 +33,30 @@ from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.regression.paper import newey_west
 
 STRETCH = 12.0
-"""Length of the stretches of time [s]: longer than wind remembers, short enough that a minute has five."""
+"""Length of the stretches of time [s]: longer than the memory of wind, short enough that a minute has five."""
 
 MEMORY = 1.0
-"""How far back the command is looked at [s]."""
+"""How far back commands are considered [s]."""
 
 LEAST_SHARE = 0.02
-"""Share of the information below which a part says nothing."""
+"""Share of the information below which a part is left out."""
 
 EVERY = 0.1
-"""Steps between the past commands that are looked at together [s]."""
+"""Spacing of the past commands that are tested together [s]."""
 
 DISTINCT = 1e-3
-"""Share of the largest variance below which a combination of past commands is a copy of the others."""
+"""Share of the largest variance below which a combination of past commands counts as dependent on the others."""
 
 
 @dataclass(frozen=True)
 class Homogeneity:
-    """How parts of the data agree about one estimate.
+    """Agreement of estimates of one quantity from several parts of the data.
 
     Attributes:
         statistic: Cochran's Q.
-        freedom: Parts that say something, less one.
-        p_value: Of parts that do not differ giving more.
-        sd: Standard deviation between them beyond chance and prior, in standard errors of the estimate.
+        freedom: Number of parts that were used, less one.
+        p_value: Probability of a larger Q if the parts do not differ.
+        sd: Standard deviation between the parts beyond chance and prior, in standard errors of the estimate.
     """
 
     statistic: float
@@ -66,7 +66,7 @@ class Homogeneity:
 
 
 def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Mapping[str, list[Indices]]:
-    """Parts of each flight, a label a block, by what they are cut by."""
+    """Parts of each flight, one label per block, shape (B,), by the name of the criterion: `time`, `size`, `speed`."""
     memory = [_before(rec, one.time, k) for rec, one in zip(records, weighted, strict=True)]
     sizes = np.concatenate([size for size, _ in memory])
     speeds = np.concatenate([speed for _, speed in memory])
@@ -84,7 +84,7 @@ def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Map
 
 
 def _before(rec: Record, time: Array, k: int) -> tuple[Array, Array]:
-    """Mean size of the command in the second before each block, and how much it changed in it, less its own mean."""
+    """RMS, less the flight's median, and standard deviation of the command in the second before each block, (B,)."""
     grid = np.arange(0.0, MEMORY, 0.1)[:, None]
     place = np.searchsorted(rec.command_time, time - grid, side="right") - 1
     command = rec.command[np.maximum(place, 0), k]
@@ -99,14 +99,14 @@ def _thirds(values: Array, everywhere: Array) -> Indices:
 def homogeneity(
     weighted: Sequence[Weighted], labels: Sequence[Indices], q: int, wider: float, scale: float
 ) -> Homogeneity | None:
-    """How parts agree about estimate q; None where fewer than two say anything.
+    """Agreement of the parts about quantity q; None where fewer than two have enough information.
 
     Args:
         weighted: Innovations and weights of each flight.
-        labels: Part of each block of each flight.
-        q: Which estimate.
-        wider: Factor of its standard error for the colour of the innovations.
-        scale: Of the prior on the spread, in its standard errors.
+        labels: Part of each block, one array of shape (B,) per flight.
+        q: Index of the quantity.
+        wider: Factor on its standard error for innovations that are not white.
+        scale: Scale of the prior on the spread, in its standard errors.
     """
     count = 1 + max(int(part.max()) for part in labels)
     pull, power = np.zeros(count), np.zeros(count)
@@ -123,12 +123,12 @@ def homogeneity(
 
 
 def homogeneity_of(apart: Array, error: Array, scale: float) -> Homogeneity:
-    """How some estimates of one thing agree.
+    """Agreement of several estimates of one quantity, in standard errors of the published estimate.
 
     Args:
-        apart: Of each, in standard errors of the estimate that is published, shape (M,).
-        error: Their standard errors, likewise, shape (M,).
-        scale: Of the prior on their spread, likewise.
+        apart: The estimates, each less the published one, shape (M,).
+        error: Their standard errors, shape (M,).
+        scale: Scale of the prior on their spread.
     """
     from scipy.special import chdtrc
 
@@ -140,13 +140,13 @@ def homogeneity_of(apart: Array, error: Array, scale: float) -> Homogeneity:
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """How far innovations follow the commands before them.
+    """Dependence of innovations on earlier commands.
 
     Attributes:
-        statistic: Chi-squared with `freedom` degrees of freedom if they do not.
-        freedom: Independent past commands.
-        p_value: Of more by chance.
-        factor: By which the variance of what the commands tell must grow, at least 1.
+        statistic: Test statistic, chi-squared with `freedom` degrees of freedom if there is no dependence.
+        freedom: Number of independent combinations of past commands.
+        p_value: Probability of a larger statistic without dependence.
+        factor: Factor on the variance of the estimates, at least 1.
     """
 
     statistic: float
@@ -156,9 +156,10 @@ class LackOfFit:
 
 
 def lack_of_fit(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> LackOfFit | None:
-    """Whether the innovations of axis k follow its commands of up to a second before, all flights together.
+    """Tests whether the innovations of axis k depend on its commands of the previous second, all flights together.
 
-    What the fit itself took from the innovations is taken from the commands, too. None where no command changes.
+    The directions that the fit took from the innovations are projected out of the commands, too. None where no command
+    changes.
 
     Source: L. Ljung, System Identification, 2nd ed. (1999), section 16.6; W. K. Newey, K. D. West, Econometrica 55
     (1987), pp. 703-708, and Rev. Econ. Stud. 61 (1994), pp. 631-653 (lags of the kernel).
@@ -183,7 +184,7 @@ def lack_of_fit(records: Sequence[Record], weighted: Sequence[Weighted], k: int)
 
 
 def _past(rec: Record, one: Weighted, k: int) -> Array:
-    """Commands of up to a second before each block, free of what was fitted, shape (B, L)."""
+    """Commands of the second before each block, the fitted directions projected out, shape (B, L)."""
     grid = np.arange(EVERY, MEMORY + 0.5 * EVERY, EVERY)
     place = np.searchsorted(rec.command_time, one.time[:, None] - grid, side="right") - 1
     u = rec.command[np.maximum(place, 0), k]
@@ -192,22 +193,22 @@ def _past(rec: Record, one: Weighted, k: int) -> Array:
 
 
 REJECTED = 0.001
-"""p-value below which a test is said to speak against the law: a fit has four axes and four tests of each."""
+"""p-value below which a test is reported as evidence against the law: a fit has four axes with up to five tests."""
 
 CERTAIN = 1e-5
 """p-value below which a test may refute a number."""
 
 REFUTED = 3.0
-"""Factor on the standard error beyond which no widening expresses what is wrong: the law is not that of the vehicle."""
+"""Factor on the standard error beyond which widening cannot express the error: the law is not that of the vehicle."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """What the tests of an axis make of its errors.
+    """Result of the tests of the law of an axis.
 
     Attributes:
-        factor: On the standard error, by coefficient or combination, at least 1.
-        evidence: Tests that speak against the law, the strongest first.
+        factor: Factor on the standard error, by coefficient or combination, at least 1.
+        evidence: Tests that contradict the law, the strongest first.
     """
 
     factor: Mapping[str, float]
@@ -215,7 +216,7 @@ class Doubt:
 
     @property
     def refuted(self) -> tuple[str, ...]:
-        """What no widening expresses."""
+        """Coefficients and combinations whose error no widening can express."""
         certain = any(one.refutes for one in self.evidence)
         return tuple(name for name, factor in self.factor.items() if certain and factor > REFUTED)
 
@@ -228,15 +229,15 @@ def doubt(
     wider: Mapping[str, float],
     method: Mapping[str, Homogeneity],
 ) -> Doubt:
-    """All tests of axis k.
+    """All tests of the law of axis k.
 
     Args:
         records: Its flights.
         weighted: Their innovations and weights, in the order of `errors`.
-        k: Which axis of the likelihood.
-        errors: Standard errors by name, those that the colour of the innovations leaves.
-        wider: What that colour has widened them by.
-        method: How another method agrees, by name.
+        k: Index of the axis in the likelihood.
+        errors: Standard errors by name, widened for innovations that are not white.
+        wider: Factors by which they were widened, by name.
+        method: Agreement with another method, by name.
     """
     names = list(errors)
     labels = cuts(records, weighted, k)
@@ -273,7 +274,7 @@ _CUTS = {
 
 
 def _between_parts(cut: str, found: Mapping[str, Homogeneity], errors: Mapping[str, float]) -> Evidence:
-    """The cut's worst quantity; with as many tries as quantities, of which about three are independent."""
+    """Evidence from the quantity with the lowest p-value, which is corrected for about three independent quantities."""
     worst = min(found, key=lambda name: found[name].p_value)
     one = found[worst]
     return Evidence(
@@ -285,7 +286,7 @@ def _between_parts(cut: str, found: Mapping[str, Homogeneity], errors: Mapping[s
 
 
 INDEPENDENT = 3
-"""How many of the quantities of an axis are independent."""
+"""About how many of the quantities of an axis are independent."""
 
 
 def _following(rest: LackOfFit, errors: Mapping[str, float]) -> Evidence:

@@ -1,15 +1,15 @@
-"""Estimate -> how much wider each interval is for what the innovations of its own flight are: coloured, or unequal.
+"""Factors on standard errors for innovations that are coloured or have unequal variances.
 
 An estimate is a weighted sum of innovations, theta - theta_0 = sum_t w_t e_t. If they are white and of unit variance,
-its variance is sum w_t^2, and the information is right. If not, it is the spectrum of the innovations at the
-frequencies of the weights,
+its variance is sum w_t^2, and the information is right. If they are coloured, the variance depends on their spectrum at
+the frequencies of the weights,
 
     V = sum_f |W(f)|^2 I(f) / N,   I(f) the periodogram of e,
 
-and likewise their size at the times of the weights. Both ratios, of what is found over what is expected of white
-innovations after the fit took its share, are means over few frequencies or times, and noisy: |W|^2 is smoothed, the
-scatter that is left is known, and only what stands out from it counts (a positive-part shrinkage towards 1). So a
-flight that the model describes keeps its intervals to about a per cent.
+and if their variance changes, on its value at the times of the weights. Both are ratios of the observed variance to
+that expected of white innovations, less the part that the fit absorbed. As means over few frequencies or times they are
+noisy: |W|^2 is smoothed, the remaining scatter is known, and only the excess over it counts (a positive-part shrinkage
+towards 1). So the intervals of a flight that the model describes change by about a per cent.
 
 Source: L. Ljung, System Identification, 2nd ed. (1999), eqs. (9.63), (13.56) (variance in frequencies); M. S. Bartlett,
 J. R. Statist. Soc. 8 (1946); H. White, Econometrica 48 (1980), pp. 817-838 (unequal variances); W. James, C. Stein,
@@ -27,16 +27,16 @@ from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.likelihood import inverted, response, segments, whiten
 
 BANDWIDTH = 0.1
-"""Half width of the smoothing in frequency [Hz]: the widest peak that a wobble leaves, and still many frequencies."""
+"""Half width of the smoothing in frequency [Hz]: as wide as the peak of a wobble, with many frequencies inside."""
 
 LEAST_BINS = 6
-"""Half width of it in frequencies of the flight, at least."""
+"""Smallest half width of the smoothing in frequency, in bins of the flight's spectrum."""
 
 TIME_WINDOW = 5.0
-"""Half width of the smoothing in time [s]: gusts last as long."""
+"""Half width of the smoothing in time [s]: the duration of gusts."""
 
 SHRINKAGE = 2.0
-"""How many of its own variances a squared excess loses before it counts."""
+"""Number of its own variances that is subtracted from a squared excess."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,9 @@ class Weighted:
 
     Attributes:
         time: Shape (B,) [s].
-        innovation: Shape (B, K).
+        innovation: Innovations, of unit variance under the model, shape (B, K).
         weight: Shape (B, K, Q), each on the scale of its estimate.
-        span: Whitened sensitivities of everything that was fitted, shape (B, K, P): what the fit took from the
-            innovations.
+        span: Whitened sensitivities of all fitted parameters, shape (B, K, P): the directions that the fit absorbed.
     """
 
     time: Array
@@ -58,7 +57,7 @@ class Weighted:
 
 
 def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand]) -> list[Weighted]:
-    """Innovations and weights of each flight of an estimate."""
+    """Innovations of each flight of an estimate, and their weights in the wanted quantities."""
     optimum, point = estimate.optimum, estimate.optimum.point
     n, K, F = point.n, point.gain.size, len(estimate.records)
     covariance = inverted(optimum.score.information[:n, :n], optimum.free[:n])
@@ -80,11 +79,11 @@ def weighted_innovations(estimate: Estimate, wanted: Sequence[Estimand]) -> list
 
 @dataclass(frozen=True)
 class Ratio:
-    """A variance over the expected one.
+    """Ratio of a variance to the expected one.
 
     Attributes:
-        value: As found.
-        variance: Of it where the innovations are white and of unit variance.
+        value: The observed ratio.
+        variance: Variance of the ratio if the innovations are white and of unit variance.
     """
 
     value: float
@@ -92,7 +91,7 @@ class Ratio:
 
     @property
     def beyond_chance(self) -> float:
-        """The ratio as far as it stands out above 1."""
+        """The ratio shrunk towards 1; at least 1."""
         excess = self.value - 1
         if excess <= 0:
             return 1.0
@@ -100,7 +99,7 @@ class Ratio:
 
 
 def widening(weighted: Sequence[Weighted], names: Sequence[str]) -> Mapping[str, float]:
-    """Factor, at least 1, by which the standard error of each estimate grows, by name."""
+    """Factor on the standard error of each estimate, at least 1, by name; `names` in the order of the weights."""
     spectral, temporal = (
         _ratios([part for one in weighted for part in parts(one)], len(names)) for parts in (_spectral, _temporal)
     )
@@ -112,7 +111,14 @@ def widening(weighted: Sequence[Weighted], names: Sequence[str]) -> Mapping[str,
 
 @dataclass(frozen=True)
 class _Power:
-    """Powers of innovations (N,), of weights (N, Q), smoothed, and the share that the fit left of them (N,)."""
+    """Power of innovations and weights at N frequencies or times of one axis.
+
+    Attributes:
+        found: Power of the innovations, shape (N,).
+        weight: Smoothed power of the weights, shape (N, Q).
+        left: Expected power of white innovations after the fit, relative to that before it, shape (N,).
+        spread: Variance of `found` over its squared mean.
+    """
 
     found: Array
     weight: Array
@@ -131,7 +137,7 @@ def _ratios(parts: Sequence[_Power], count: int) -> list[Ratio]:
 
 
 def _spectral(one: Weighted) -> list[_Power]:
-    """Periodograms over the frequencies of a flight, axis by axis."""
+    """Power over the frequencies of a flight, axis by axis."""
     B, duration = len(one.time), float(np.ptp(one.time)) + 1e-9
     reach = max(LEAST_BINS, round(BANDWIDTH * duration))
     out = []
@@ -140,14 +146,14 @@ def _spectral(one: Weighted) -> list[_Power]:
         weight = _smoothed(np.abs(np.fft.rfft(one.weight[:, k], axis=0)) ** 2 / B, reach)
         basis = orthonormal(one.span[:, k])
         left = 1 - np.sum(np.abs(np.fft.rfft(basis, axis=0)) ** 2, axis=1) / B
-        counted = np.full(len(found), 2.0)  # frequencies above 0 stand for two
+        counted = np.full(len(found), 2.0)  # a frequency above 0 represents its negative, too
         counted[0] = 1.0
         out.append(_Power(found, counted[:, None] * weight, np.clip(left, 0.05, 1.0), 1.0))
     return out
 
 
 def _temporal(one: Weighted) -> list[_Power]:
-    """Squares over the blocks of a flight, axis by axis, over their mean: what colour adds is not counted twice."""
+    """Power over the blocks of a flight, axis by axis, divided by its mean so that colour is not counted twice."""
     step = float(np.median(np.diff(one.time)))
     reach, out = max(1, round(TIME_WINDOW / step)), []
     for k in range(one.innovation.shape[1]):
@@ -161,14 +167,14 @@ def _temporal(one: Weighted) -> list[_Power]:
 
 
 def orthonormal(columns: Array) -> Array:
-    """Orthonormal columns of the same span."""
+    """Orthonormal basis of the span of the columns; dependent columns and columns of zeros are dropped."""
     size = np.sqrt(np.sum(columns**2, axis=0))
     left, singular, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(left[:, singular > 1e-6 * singular[:1].max(initial=1e-300)])
 
 
 def _smoothed(power: Array, reach: int) -> Array:
-    """Running mean over +-reach rows, reflected at the ends, shape (N, Q)."""
+    """Running mean over +-reach rows, the series reflected at its ends, shape (N, Q)."""
     reach = min(reach, len(power) - 1)
     padded = np.concatenate([power[reach:0:-1], power, power[-2 : -reach - 2 : -1]])
     total = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(padded, axis=0)])

@@ -1,12 +1,12 @@
-"""How far flights of one vehicle differ, before any of them is flown: the scale of the prior on the spread.
+"""The scale of the prior on the spread between flights of one vehicle.
 
-The scale is in standard errors of a single flight. On recorded vehicles a spread that is in proportion to the error
-describes the pairs of flights as well as one of fixed size, and it keeps a precise flight precise: what is left out of
-a law, and out of a model of the wind, grows with what the flight leaves unknown.
+The scale is in standard errors of a single flight. For recorded vehicles a spread in proportion to the error describes
+the pairs of flights as well as one of fixed size, and it keeps a precise flight precise: the effect of what a law, and
+a model of the wind, leave out grows with the uncertainty of the flight.
 
 Each scale maximises the likelihood of the differences between pairs of flights of nine recorded vehicles under the
-default laws, beside what the tests of the law have found in them, averaged over the half t, on a grid from 0.3 to 3: a
-rule, with nothing chosen by how many pairs agree (`bench/bench_spread_scales.py`).
+default laws, in addition to the factors found by the tests of the law, averaged over the half t, on a grid from 0.3 to
+3. This is a rule: nothing is chosen by how many pairs agree (`bench/bench_spread_scales.py`).
 """
 
 from collections.abc import Mapping
@@ -26,9 +26,9 @@ SPREAD: Mapping[str, float] = {
 """Scale of the half t of the spread, in standard errors of one flight, by coefficient or combination."""
 
 OTHERS = 0.5
-"""The same of further parameters, of which too few flights tell: that of all together."""
+"""Scale for the further parameters that too few flights identify: that of all of them together."""
 
 
 def spread_scale(name: str) -> float:
-    """Scale of the spread of a coefficient or combination, in standard errors of one flight."""
+    """Scale of the half t of the spread of a coefficient or combination, in standard errors of one flight."""
     return SPREAD.get(name, OTHERS)
