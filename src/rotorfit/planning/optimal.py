@@ -156,7 +156,7 @@ def optimal_signal(
     return OptimalSignal(
         signal=_chained(command, step, duration / pieces, pieces),
         criterion=criterion,
-        score=problem.score(form.information(command)) + 0.5 * float(np.log(pieces)),
+        score=float(problem.score(form.information(command))) + 0.5 * float(np.log(pieces)),
         gap=best.gap,
         history=best.history,
         scores=scores,
@@ -256,15 +256,16 @@ class _Problem:
         """Number of levels."""
         return int(self.form.form.shape[-1])
 
-    def score(self, information: Array) -> float:
-        """-log of the mean standard error in units of `TARGETS`; -inf where the information is singular."""
+    def score(self, information: Array) -> Array:
+        """-log of the mean standard error in units of `TARGETS`, by information (..., 3, 3); -inf if that is singular."""
         scaled = (information + self.prior) * np.outer(TARGETS, TARGETS)
         sign, log_determinant = np.linalg.slogdet(scaled)
-        if sign <= 0:
-            return -np.inf
+        regular = sign > 0
         if self.criterion == "d":
-            return float(log_determinant) / 6
-        return -0.5 * float(np.log(np.trace(np.linalg.inv(scaled)) / 3))
+            return np.where(regular, log_determinant / 6, -np.inf)
+        out = np.full(sign.shape, -np.inf)
+        out[regular] = -0.5 * np.log(np.trace(np.linalg.inv(scaled[regular]), axis1=-2, axis2=-1) / 3)
+        return out
 
     def slope(self, information: Array) -> Array:
         """Derivative of the score by the information, shape (3, 3)."""
@@ -320,15 +321,16 @@ class _Problem:
         products, gap = self.form.products(command), np.inf
         for _ in range(LONGEST_CLIMB):
             information = products @ command
-            history.append(self.score(information))
+            history.append(float(self.score(information)))
             gradient = 2 * np.einsum("ij,ijk->k", self.slope(information), products)
             direction = self.corner(gradient) - command
             gap = max(float(gradient @ direction), 0.0)
             if gap < SETTLED:
                 break
             ahead = self.form.products(direction)
-            way = [information + s * 2 * (products @ direction) + s * s * (ahead @ direction) for s in SHARES]
-            best = int(np.argmax([self.score(each) for each in way]))
+            s = SHARES[:, None, None]
+            way = information + s * 2 * (products @ direction) + s * s * (ahead @ direction)
+            best = int(np.argmax(self.score(way)))
             if best == 0:
                 break
             command, products = command + SHARES[best] * direction, products + SHARES[best] * ahead
