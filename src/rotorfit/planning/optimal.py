@@ -257,7 +257,7 @@ class _Problem:
         return int(self.form.form.shape[-1])
 
     def score(self, information: Array) -> Array:
-        """-log of the mean standard error in units of `TARGETS`, by information (..., 3, 3); -inf if that is singular."""
+        """-log of the mean standard error in units of `TARGETS`; -inf where the information (..., 3, 3) is singular."""
         scaled = (information + self.prior) * np.outer(TARGETS, TARGETS)
         sign, log_determinant = np.linalg.slogdet(scaled)
         regular = sign > 0
