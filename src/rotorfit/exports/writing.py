@@ -3,9 +3,10 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import resources
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rotorfit.core.errors import ExportError
 from rotorfit.core.frames import AXES
@@ -16,6 +17,9 @@ from rotorfit.dynamics.trajectory import state_space
 from rotorfit.exports.equations import SPEEDS, Equation, constants, equations, number
 from rotorfit.exports.formats import NUMPY, Format, Language
 from rotorfit.exports.subject import Subject, listed
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _PLAIN = (FIRST_ORDER_DELAY.name, "first_order")
 
@@ -64,6 +68,16 @@ def render(subject: Subject, to: str, form: Format, header: Sequence[str]) -> st
         form: The format.
         header: Lines of its header.
     """
+    return (
+        _environment()
+        .get_template(form.template)
+        .render(**_context(subject, to, form.language or NUMPY), header=header)
+    )
+
+
+@cache
+def _environment() -> "Environment":
+    """The templates, each compiled once."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     environment = Environment(
@@ -71,9 +85,7 @@ def render(subject: Subject, to: str, form: Format, header: Sequence[str]) -> st
         keep_trailing_newline=True, line_comment_prefix="##",
     )  # fmt: skip
     environment.filters["number"] = number
-    return environment.get_template(form.template).render(
-        **_context(subject, to, form.language or NUMPY), header=header
-    )
+    return environment
 
 
 def _template(name: str) -> str:

@@ -3,11 +3,15 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rotorfit.reporting.words import AXIS, TERMS, slug
 from rotorfit.version import __version__
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 Sections = Mapping[str, tuple[str, str, Mapping[str, Any]]]
 """Anchor to title, template and the template's values, in the order of the page."""
@@ -43,15 +47,9 @@ def document(
         series: Data for zooming the charts, flight by flight.
         shared: Values for all templates.
     """
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup
 
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
-    )
+    environment = _environment()
     known = {**shared, "terms": TERMS, "slug": slug, "axis_words": AXIS}
     # Our own files and JSON without "<" are safe in <style> and <script>; everything else is escaped.
     text = environment.get_template("page.html.j2").render(
@@ -69,6 +67,19 @@ def document(
         ],
     )
     return text.lstrip() + "\n"
+
+
+@cache
+def _environment() -> "Environment":
+    """The templates, each compiled once."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    return Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        loader=FunctionLoader(lambda name: _file(f"templates/{name}")),
+    )
 
 
 def _file(name: str) -> str:
