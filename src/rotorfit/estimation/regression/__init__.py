@@ -1,1 +1,1 @@
-"""The paper's regression, and the methods between it and the likelihood."""
+"""The paper's regression, and the methods (rungs) between it and the likelihood."""

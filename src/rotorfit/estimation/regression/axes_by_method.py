@@ -1,4 +1,4 @@
-"""What a regression of the table of methods finds, as axes of a model."""
+"""Results of the regressions in `METHODS`, as axes of a model."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ from rotorfit.estimation.regression.instrumental_variables import COMMAND
 from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
 
 Estimator = Callable[[Sequence[Flight], tuple[str, ...]], MethodResult]
-"""Flights of one vehicle and setting, and the axes that are estimated together, to their coefficients."""
+"""From flights of one vehicle and setting, and the axes that are estimated together, to their coefficients."""
 
 NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
-"""What is said of an instrument made from commands that a feedback loop gave."""
+"""Remark on an instrument computed from commands that come from a feedback loop."""
 
 
 def estimator_of(method: str) -> Estimator:
-    """The regression behind a name of `METHODS`."""
+    """The function behind a key of `METHODS` with an estimator."""
     estimator: Estimator = resolve_name(METHODS[method].estimator)
     return estimator
 
@@ -32,17 +32,17 @@ def estimator_of(method: str) -> Estimator:
 def axes_by_method(
     flights: Sequence[Flight], group: Sequence[str], method: str
 ) -> tuple[dict[str, Axis], dict[tuple[str, ...], Array], dict[str, str]]:
-    """Axes that are estimated together, by one of the regressions.
+    """Estimates the axes of one group by one of the regressions.
 
     Args:
-        flights: Those that move one of the axes.
+        flights: Flights that command one of the axes.
         group: x, y or both; z; or yaw.
         method: A key of `METHODS` with an estimator.
 
     Returns:
-        Axis to what may be said of it, with the disturbance levels that prediction needs and a trim for each flight;
-        the covariance of (input, damping, delay) of the axes with numbers, under its names; and axis to what the method
-        says of its numbers: why there is none, which instrument was used, whether it is valid.
+        The axes by name, with the disturbance levels for prediction and a trim for each flight; the covariance of
+        (input, damping, delay) of the axes with numbers, keyed by the names of its rows, empty if no axis has numbers;
+        and remarks by axis: why there is no number, which instrument was used, whether it is valid.
     """
     rung = estimator_of(method)(flights, ("x", "y") if set(group) & {"x", "y"} else tuple(group))
     place = {axis: rung.axes.index(axis) for axis in group}
@@ -66,7 +66,7 @@ def _with_trim(axis: Axis, trim: Array) -> Axis:
 
 
 def _answering(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> list[str]:
-    """Those of the axes whose commands answer what the model did not foresee: the mark of a feedback loop."""
+    """Axes whose commands respond to innovations, as in a feedback loop."""
     points = {axis: known.predictor for axis, known in axes.items() if known.predictor}
     return [
         axis
@@ -77,28 +77,30 @@ def _answering(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> list[str]
 
 
 ANSWERED = 4.0
-"""Standard deviations beyond which commands answer the motion."""
+"""Standard deviations beyond which commands count as a response to the motion."""
 
 AHEAD = (3, 6, 12, 24)
-"""Blocks, of 1/30 s, after an innovation at which an answer is looked for."""
+"""Lags after an innovation at which a response of the command is tested [blocks of 1/30 s]."""
 
 BEFORE = (0, 1, 2, 4, 8, 16)
-"""Blocks before it whose commands foretell what is not an answer."""
+"""Lags of the earlier commands that predict the later one without innovations [blocks of 1/30 s]."""
 
 
 def answer_to_motion(records: Sequence[Record], optimum: Optimum, k: int) -> float:
-    """How strongly later commands depend on innovations, beyond what earlier commands foretell of them.
+    """How strongly later commands depend on innovations, beyond their prediction from earlier commands.
 
-    Innovations are what the model did not foresee. If the commands of the next second can be foretold better with them
-    than without, the commands answer the motion. Single commands answer little of it; the sum of their changes tells.
+    Innovations are what the model did not predict. If they improve the prediction of the commands of the next second,
+    the commands respond to the motion. A single change of the command shows little of the response, so the command
+    itself, which sums the changes, is tested.
 
     Args:
-        records: What the likelihood sees.
-        optimum: Its levels settled at the coefficients of a rung.
-        k: Which of its axes.
+        records: Input of the likelihood.
+        optimum: Optimum with its levels estimated at the coefficients of a rung.
+        k: Index of the axis in the optimum.
 
     Returns:
-        The largest of the statistics, one for each distance, each of unit variance in an open loop.
+        The largest absolute statistic over the lags in `AHEAD`, each of unit variance in an open loop; 0 without enough
+        data.
 
     Source: C. W. J. Granger, Econometrica 37 (1969), pp. 424-438.
     """

@@ -1,7 +1,7 @@
-"""The delay of a regression: where simulated positions are nearest, and how well that is known.
+"""The delay of a regression: the one whose simulated positions are nearest to the measured ones, and its uncertainty.
 
-The delay is no parameter of a linear equation. It is searched for in output space, inside a bounded range; what it adds
-to the uncertainty of gain and damping is carried over from the curvature of the criterion.
+The delay is not a parameter of the linear equation. It is searched for in output space, inside a bounded range; its
+variance follows from the curvature of the criterion and is propagated to gain and damping.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,23 +15,23 @@ from rotorfit.estimation.regression.sandwich import Sandwich, sandwich
 from rotorfit.estimation.regression.simulation_error import WINDOW, simulation_errors
 
 COARSE = 0.035
-"""Spacing of the delays of the first search [s]; a golden section ends it."""
+"""Spacing of the delays of the coarse search [s]; a golden-section search refines it."""
 
 DELAYS = np.arange(DELAY_RANGE[0], DELAY_RANGE[1] + 1e-9, COARSE)
-"""Those delays [s]."""
+"""Delays of the coarse search [s]."""
 
 FINE = 2e-4
-"""Width of the last golden section [s]."""
+"""Bracket width at which the golden-section search ends [s]."""
 
 VALLEYS = 3
-"""Local minima of the first search that are followed: a narrow one can hide between two of its delays."""
+"""Number of local minima of the coarse search that are refined: a narrow one can hide between two of its delays."""
 
 STEP = 0.01
-"""Step of the differences of the criterion by the delay [s]: held commands make it ragged at a finer scale."""
+"""Step of the finite differences by the delay [s]: held commands make the criterion ragged at a finer scale."""
 
 
 def _window_errors(problem: Problem, at: Solution | None) -> list[Array] | None:
-    """Squared position errors of simulations, per flight with windows one of shape (W,); None where nothing fits."""
+    """Squared position errors of simulations, shape (W,) for each flight with windows; None without a solution."""
     if at is None:
         return None
     pairs = [(rec, coefficients(problem, at, number)) for number, rec in enumerate(problem.records) if rec]
@@ -39,16 +39,19 @@ def _window_errors(problem: Problem, at: Solution | None) -> list[Array] | None:
 
 
 def criterion(problem: Problem, delay: Array) -> float:
-    """The output-space criterion at delays of the active axes: squared position errors, all flights together."""
+    """The output-space criterion at delays of the active axes, shape (A,) [s]: sum of squared position errors [unit^2].
+
+    Infinite where the equation has no solution.
+    """
     errors = _window_errors(problem, solve_at(problem, delay))
     return float("inf") if errors is None else float(sum(error.sum() for error in errors))
 
 
 def best_delay(problem: Problem) -> Solution | None:
-    """The solution at the delays, inside the searched range, whose simulated positions are nearest; None if none is.
+    """The solution at the delays, inside `DELAY_RANGE`, that minimise the criterion; None if it is nowhere finite.
 
-    All delays are first moved together over a coarse grid; from the best of its valleys each axis then moves on its
-    own, and a golden section ends it.
+    First all axes share a delay on a coarse grid. From the best local minima, the delay of each axis is then refined by
+    golden-section search.
     """
     A = len(problem.layout.active)
 
@@ -69,7 +72,7 @@ def best_delay(problem: Problem) -> Solution | None:
 
 
 def _valleys(cost: Sequence[float]) -> list[int]:
-    """Places of the lowest three local minima, the lowest first."""
+    """Indices of the lowest `VALLEYS` local minima, the lowest first."""
     padded = np.array([np.inf, *cost, np.inf])
     lowest = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & np.isfinite(cost)
     return sorted(np.flatnonzero(lowest).tolist(), key=lambda i: cost[i])[:VALLEYS]
@@ -82,7 +85,7 @@ def _with(delay: Array, a: int, value: float) -> Array:
 
 
 def _golden(cost: Callable[[Array], float], delay: Array, a: int) -> float:
-    """Golden section of one of the delays around a point of the coarse grid, inside the range."""
+    """Golden-section search over the delay of axis a, around its present value, inside `DELAY_RANGE` [s]."""
     low, high = max(DELAY_RANGE[0], delay[a] - COARSE), min(DELAY_RANGE[1], delay[a] + COARSE)
     share = (np.sqrt(5) - 1) / 2
     left, right = high - share * (high - low), low + share * (high - low)
@@ -100,15 +103,15 @@ def _golden(cost: Callable[[Array], float], delay: Array, a: int) -> float:
 
 
 def delay_spread(problem: Problem, at: Solution) -> tuple[Sandwich, Array] | None:
-    """Covariance of the delays of the active axes, and how g and b follow them.
+    """Covariance of the delays of the active axes, and the derivatives of g and b with respect to them.
 
     Args:
-        problem: What was solved.
+        problem: The problem that was solved.
         at: The solution at the best delays.
 
     Returns:
-        The sandwich over the windows' slopes, shape (A, A), and d(g, b)/d tau, shape (2 A, A); None where the criterion
-        has no minimum there.
+        The sandwich from the slopes of the windows' errors, covariance of shape (A, A) [s^2], and d(g, b)/d tau, shape
+        (2 A, A); None where the criterion has no minimum at the solution.
     """
     A = len(at.gain)
     steps = STEP * np.eye(A)

@@ -1,15 +1,13 @@
-"""The equation of motion under a low-pass: every term of eq. (5) through the same kernel, stacked into regressors.
+"""The equation of motion under a low-pass: every term of eq. (5) through the same filter, stacked into regressors.
 
     L q'' = g L R u(t - tau) - b L R P R^T q' + c L R 1          P keeps the axis, R turns it into the world
 
-L is any linear operator; the acceleration is never formed, since L's own derivative takes its place where L is smooth.
+L is any linear operator: since every term passes through it, the coefficients do not depend on it. The acceleration is
+never computed on its own: where L is smooth, the derivative acts on L instead.
 
-Flight -> stretches: what the regressions on filtered signals see, on one fine grid in world axes.
-
-Between the edges of the grid only means are used: of a held, delayed command the exact mean, of the velocity the
-difference of positions. A velocity that is resolved along a turning heading is filtered as the product that eq. (5)
-holds, R P R^T v, since a filter does not commute with the turning; so every term of the equation passes through one
-linear operator, and whatever that is, it leaves the coefficients alone.
+Flights are first cut into stretches and sampled on a fine grid, in world axes. In a cell of the grid only means are
+used: of a held, delayed command the exact mean, of the velocity the difference of positions. A velocity along a turning
+heading is filtered as the product in eq. (5), R P R^T v, since a filter does not commute with a rotation.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,10 +21,10 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import DELAY_RANGE
 
 GRID = 0.005
-"""Step of the grid [s]. A mean over it lacks (omega GRID)^2 / 24 of a sine: 4e-5 at 1 Hz."""
+"""Step of the grid [s]. A mean over it attenuates a sine by (omega GRID)^2 / 24: 4e-5 at 1 Hz."""
 
 LONGEST_HOLE = 0.25
-"""A hole between two poses longer than this, and than three periods, ends a stretch [s]."""
+"""Longest interval between two poses inside a stretch [s]; three sampling periods where that is longer."""
 
 SHORTEST = 1.0
 """Stretches shorter than this are left out [s]."""
@@ -34,19 +32,20 @@ SHORTEST = 1.0
 
 @dataclass(frozen=True)
 class GridSegment:
-    """A run of a flight without holes in which every command that may act is known. E + 1 cells, C world axes (1 or 2).
+    """A stretch of a flight without holes in which every command that may act is known.
 
-    The terms of the equation of motion stand at the E inner edges between the cells.
+    It has E + 1 cells and C world axes (1 or 2). The terms of the equation are evaluated at the E inner edges.
 
     Attributes:
-        flight: Its place among the flights.
+        flight: Index of the flight.
         edge: Edges of the cells, shape (E + 2,) [s].
-        heading: At the middle of each cell, shape (E + 1,) [rad]; 0 for z and yaw.
-        position: World, at the edges, shape (E + 2, C).
-        switch: Stamps of the commands of its segment, and the segment's end, shape (M + 1,) [s].
-        command: Commands of its segment, shape (M, C).
-        commanded: Which axes the flight commands at all, shape (C,).
-        reference: What a position controller was told, held onto the commands' stamps, shape (M, C); None without.
+        heading: Heading at the middle of each cell, shape (E + 1,) [rad]; 0 for z and yaw.
+        position: World position at the edges, less that of the first pose, shape (E + 2, C) [m or rad].
+        switch: Stamps of the commands of its segment, and the end of the segment, shape (M + 1,) [s].
+        command: Commands of its segment, heading frame, shape (M, C).
+        commanded: Which axes have a non-zero command in the flight, shape (C,).
+        reference: World setpoint of a position controller, held onto the commands' stamps, shape (M, C); None if there
+            is none.
     """
 
     flight: int
@@ -72,8 +71,8 @@ class GridSegment:
 def stretches(flights: Sequence[Flight], axes: Sequence[str]) -> tuple[GridSegment, ...]:
     """Cuts flights into stretches for z, yaw, or x and y together.
 
-    A stretch starts as late after its segment as the longest delay that is searched, so that every command that may act
-    is known, and ends as early as the shortest.
+    So that every command that may act is known, a stretch starts no earlier than the longest delay of the search after
+    the start of its segment, and ends no later than the end plus the (negative) shortest delay.
 
     Args:
         flights: The flights.
@@ -98,7 +97,7 @@ def _stretch(number: int, flight: Flight, segment: Segment, poses: slice, axes: 
     column = [AXES.index(axis) for axis in axes]
     t, pose = flight.pose_time[poses], np.column_stack([flight.position, flight.yaw])[poses]
     edge = t[0] + GRID * np.arange(int((t[-1] - t[0]) / GRID + 1e-6) + 1)
-    spline = CubicSpline(t, pose - pose[0])  # through every pose: only what the grid asks for between them is its own
+    spline = CubicSpline(t, pose - pose[0])  # passes through every pose, so it only interpolates
     middle = (edge[:-1] + edge[1:]) / 2
     heading = spline(middle)[:, 3] + pose[0, 3] if "x" in axes else np.zeros(middle.size)
     begin, end = np.searchsorted(flight.command_time, [segment.start, segment.end])
@@ -116,20 +115,20 @@ def _stretch(number: int, flight: Flight, segment: Segment, poses: slice, axes: 
 
 
 def _known(reference: Array | None, acting: slice, column: Sequence[int]) -> Array | None:
-    """The reference of these axes, None where one of them has none."""
+    """The reference of these axes, shape (M, C); None where one of them has none."""
     if reference is None or not np.isfinite(reference[acting][:, column]).all():
         return None
     return np.ascontiguousarray(reference[acting][:, column])
 
 
 def command_term(stretch: GridSegment, k: int, delay: float, command: Array | None = None) -> Array:
-    """The command u_k(t - delay) along the heading, in the world, at the edges, shape (E, C).
+    """The command u_k(t - delay) along heading axis k as a world vector at the inner edges, shape (E, C).
 
     Args:
-        stretch: Where.
-        k: Which axis.
-        delay: [s].
-        command: Other values at the same stamps, shape (M, C).
+        stretch: The stretch.
+        k: Index of the axis.
+        delay: Delay [s].
+        command: Values to use instead of the commands, at the same stamps, shape (M, C).
     """
     values = stretch.command if command is None else command
     total = np.concatenate([[0.0], np.cumsum(values[:, k] * np.diff(stretch.switch))])
@@ -138,19 +137,19 @@ def command_term(stretch: GridSegment, k: int, delay: float, command: Array | No
 
 
 def delay_term(stretch: GridSegment, k: int, delay: float, command: Array | None = None) -> Array:
-    """Derivative of `command_term` with respect to the delay, shape (E, C) [1/s]."""
+    """Derivative of `command_term` with respect to the delay, shape (E, C) [command/s]."""
     values = stretch.command if command is None else command
     place = np.clip(np.searchsorted(stretch.switch, stretch.edge - delay, side="right") - 1, 0, len(values) - 1)
     return _at_edges(_turned(stretch, k, -np.diff(values[place, k]) / GRID))
 
 
 def velocity_term(stretch: GridSegment, k: int, position: Array | None = None) -> Array:
-    """The velocity along axis k of the heading, in the world, at the edges, shape (E, C).
+    """The velocity along heading axis k as a world vector at the inner edges, shape (E, C) [m/s or rad/s].
 
     Args:
-        stretch: Where.
-        k: Which axis.
-        position: Other positions at the edges of the cells, shape (E + 2, C); by default those that were measured.
+        stretch: The stretch.
+        k: Index of the axis.
+        position: Positions to use instead of the measured ones, at the edges of the cells, shape (E + 2, C).
     """
     velocity = np.diff(stretch.position if position is None else position, axis=0) / GRID
     if stretch.axes == 1:
@@ -161,17 +160,17 @@ def velocity_term(stretch: GridSegment, k: int, position: Array | None = None) -
 
 
 def trim_term(stretch: GridSegment, k: int) -> Array:
-    """A constant of one along axis k of the heading, in the world, at the edges, shape (E, C)."""
+    """A constant of one along heading axis k as a world vector at the inner edges, shape (E, C)."""
     return _at_edges(_turned(stretch, k, np.ones(stretch.heading.size)))
 
 
 def acceleration_term(stretch: GridSegment) -> Array:
-    """Second difference of the position at the edges, shape (E, C): only ever used under a smooth kernel."""
+    """Second difference of the position at the inner edges, shape (E, C): only for use under a smooth filter."""
     return np.diff(stretch.position, 2, axis=0) / GRID**2
 
 
 def _turned(stretch: GridSegment, k: int, along: Array) -> Array:
-    """A quantity along axis k of the heading as world components, shape (E + 1, C)."""
+    """A quantity along heading axis k as world components, shape (E + 1, C)."""
     if stretch.axes == 1:
         return along[:, None]
     c, s = np.cos(stretch.heading), np.sin(stretch.heading)
@@ -183,10 +182,10 @@ def _at_edges(cells: Array) -> Array:
 
 
 ROW_EVERY = 10
-"""Cells of the grid between the rows of a regression: 20 rows a second, and nothing above 2 Hz passes a low-pass."""
+"""Number of grid cells per row of a regression: 20 rows per second, and nothing above 2 Hz passes a low-pass."""
 
 RINGS = 12.0
-"""Memories of a filter after which its start is forgotten: e^-36 is left of three equal poles."""
+"""Multiple of a filter's memory after which its start is neglected: e^-36 is left of three equal poles."""
 
 
 @dataclass(frozen=True)
@@ -194,10 +193,10 @@ class LowPass:
     """A linear operator on the terms of the equation.
 
     Attributes:
-        kernel: Filters columns of shape (E, ...) along their first axis, at the edges from `skip` on.
-        skip: Edges at the start of a stretch that have no result.
-        memory: How long it remembers [s].
-        remembers_start: Whether an error of the first velocity rings on: then it gets a column of its own.
+        kernel: Filters columns of shape (E, ...) along their first axis; the results start at edge `skip`.
+        skip: Number of edges at the start of a stretch without a result.
+        memory: Time over which the output depends on the input: sum of the time constants, or the window [s].
+        remembers_start: Whether an error of the initial velocity persists in the output, so that it needs a column.
     """
 
     kernel: Callable[[Array], Array]
@@ -221,10 +220,10 @@ def state_variable_filter(poles: Sequence[float]) -> LowPass:
 
 
 def modulating_function(width: float, power: int) -> LowPass:
-    """The mean over a window with the weight (1 - (2 s / width)^2)^power, which vanishes smoothly at both ends.
+    """The mean over a window [s] with the weight (1 - (2 s / width)^2)^power, which vanishes smoothly at both ends.
 
-    Under it the second difference of the position is, summed by parts, the position under the second difference of the
-    weight: no datum is differentiated.
+    Summed by parts, the mean of the second difference of the position is that of the position under the second
+    difference of the weight: no measurement is differentiated.
     """
     from scipy.signal import oaconvolve
 
@@ -243,13 +242,13 @@ def modulating_function(width: float, power: int) -> LowPass:
 
 @dataclass(frozen=True)
 class EquationLayout:
-    """Which parameters an equation has: g, tau, b of the active axes, then what is only there to be accounted for.
+    """The parameters of an equation: g, tau, b of the active axes, then the nuisance parameters.
 
     Attributes:
         active: Axes that some flight commands.
         trims: Flight and axis of each trim.
-        idle: Flight and axis of each damping of a flight that does not command the axis: no estimate, a fit to wind.
-        starts: Stretch and world axis of each first velocity.
+        idle: Flight and axis of each damping of a flight that does not command the axis: a fit to wind, not reported.
+        starts: Stretch and world axis of each initial velocity.
     """
 
     active: tuple[int, ...]
@@ -280,14 +279,14 @@ def layout_of(parts: Sequence[GridSegment], low_pass: LowPass) -> EquationLayout
 def input_columns(
     part: GridSegment, low_pass: LowPass, layout: EquationLayout, delay: Array, command: Array | None = None
 ) -> Array:
-    """Columns of g of the active axes at the rows, shape (N, C, A).
+    """Columns of g of the active axes, shape (N, C, A).
 
     Args:
         part: The stretch.
         low_pass: The operator.
         layout: The parameters.
         delay: tau of the active axes, shape (A,) [s].
-        command: Other values of the commands, as an instrument has them, shape (M, C).
+        command: Values to use instead of the commands, for instruments, shape (M, C).
     """
     terms = [command_term(part, k, delay[a], command) for a, k in enumerate(layout.active)]
     return _rows(np.stack(terms, axis=-1), low_pass)
@@ -301,7 +300,7 @@ def delay_columns(
     delay: Array,
     command: Array | None = None,
 ) -> Array:
-    """Columns of tau of the active axes at the rows, scaled by their g, shape (N, C, A); else as `input_columns`."""
+    """Columns of tau of the active axes, with the factor g (A,), shape (N, C, A); arguments as for `input_columns`."""
     terms = [gain[a] * delay_term(part, k, delay[a], command) for a, k in enumerate(layout.active)]
     return _rows(np.stack(terms, axis=-1), low_pass)
 
@@ -309,14 +308,14 @@ def delay_columns(
 def motion_columns(
     part: GridSegment, place: int, low_pass: LowPass, layout: EquationLayout, position: Array | None = None
 ) -> Array:
-    """Columns of b of the active axes, and of all that is accounted for, at the rows, shape (N, C, P - 2 A).
+    """Columns of b of the active axes and of the nuisance parameters, shape (N, C, P - 2 A).
 
     Args:
         part: The stretch.
-        place: Its place among the stretches.
+        place: Its index among the stretches.
         low_pass: The operator.
         layout: The parameters.
-        position: Other positions, as an instrument has them, shape (E + 2, C).
+        position: Values to use instead of the positions, for instruments, shape (E + 2, C).
     """
     zero = np.zeros((part.size, part.axes))
     velocity = [-velocity_term(part, k, position) for k in range(part.axes)]
@@ -333,7 +332,7 @@ def motion_columns(
 
 
 def _ringing(size: int, low_pass: LowPass) -> Array:
-    """What an error of one in the first velocity does to the rows; exactly nothing once it has died away."""
+    """Effect of a unit error of the initial velocity on the rows; exactly zero after `RINGS` memories of the filter."""
     impulse = np.zeros(min(size, int(RINGS * low_pass.memory / GRID)))
     impulse[0] = 1 / GRID
     out = np.zeros(size)
@@ -342,7 +341,7 @@ def _ringing(size: int, low_pass: LowPass) -> Array:
 
 
 def target_rows(part: GridSegment, low_pass: LowPass) -> Array:
-    """The left-hand side at the rows, shape (N, C)."""
+    """Rows of the left-hand side, shape (N, C)."""
     return _rows(acceleration_term(part), low_pass)
 
 

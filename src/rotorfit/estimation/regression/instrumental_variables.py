@@ -1,9 +1,9 @@
 """The rung `iv`: refined instrumental variables for continuous time, with the delay (SRIVC).
 
-Wind and pose noise that are in the regressors of least squares are not in a motion that is simulated from the commands
-alone. That motion is the instrument; it and the prefilter 1 / (s + b) are made anew from every estimate until nothing
-changes. In a feedback loop the commands answer the wind, and a motion simulated from them holds it: there the
-instrument must come from what the controller was told, if that was recorded.
+The regressors of least squares contain wind and pose noise; a motion simulated from the commands alone does not. That
+motion is the instrument; it and the prefilter 1 / (s + b) are recomputed from every estimate until convergence. In a
+feedback loop the commands respond to the wind, and so does a motion simulated from them: there the instrument must be
+computed from the controller's reference, if that was recorded.
 """
 
 from collections.abc import Sequence
@@ -38,27 +38,27 @@ from rotorfit.estimation.regression.result import FASTEST, MethodResult, without
 from rotorfit.estimation.regression.sandwich import SINGULAR, Sandwich
 
 SLOWEST = 3.0
-"""Smallest pole of the prefilter [1/s]. It is b itself where that is larger. 1 / (s + b) would be best for white noise
-on the velocity, which wind is not: a slower filter keeps what drifts. In simulated flights, set B, 60 s, the RMS error
-of g of x is 0.057 at 0.3 1/s, 0.030 at 1, 0.017 at 3."""
+"""Smallest pole of the prefilter [1/s]; the pole is b where that is larger. 1 / (s + b) would be best for white noise
+on the velocity, but wind is not white: a slower filter passes its drift. In simulated flights, set B, 60 s, the RMS
+error of g of x is 0.057 at 0.3 1/s, 0.030 at 1, 0.017 at 3."""
 
 SMOOTHING = 12.0
-"""Poles of the two further sections of the prefilter [1/s], which the second derivative of a position needs."""
+"""Poles of the two further sections of the prefilter [1/s], required by the second derivative of a position."""
 
 LEAST_DAMPING = 0.02
-"""The instrument is simulated with at least this damping [1/s]: it need only be like the motion, and stay finite."""
+"""Least damping with which the instrument is simulated [1/s]: it need only resemble the motion, and stay finite."""
 
 ROUNDS = 40
-"""Rounds after which an iteration that still moves has diverged."""
+"""Number of iterations after which an iteration without convergence counts as diverged."""
 
 SETTLED = 1e-4
-"""Largest change, of gain and damping relative to their size, of the delay in seconds, that ends the rounds."""
+"""Convergence threshold: largest change of gain and damping relative to their size, and of the delay in seconds."""
 
 LONGEST_STEP = 0.05
-"""Largest change of a delay in one round [s]."""
+"""Largest change of a delay in one iteration [s]."""
 
 MEMORIES = (0.2, 0.5, 1.0, 2.0, 4.0)
-"""Time constants of the filters on the reference from which the command that it causes is made [s]."""
+"""Time constants of the filters on the reference by which the commands are predicted [s]."""
 
 COMMAND = "the motion simulated from the commands, right in an open loop only"
 
@@ -67,14 +67,19 @@ REFERENCE = "the motion simulated from the recorded reference"
 
 @dataclass(frozen=True)
 class Instrument:
-    """Where instruments come from: per stretch the commands to simulate from, (M, C), and their name."""
+    """Source of the instruments.
+
+    Attributes:
+        commands: Commands from which the motion is simulated, shape (M, C) for each stretch.
+        name: The source in words.
+    """
 
     commands: tuple[Array, ...]
     name: str
 
 
 def iv(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
-    """Refined instrumental variables with delay and trim, from where the state-variable filter ends.
+    """Refined instrumental variables with delay and trim, started from the result of the state-variable filter.
 
     Args:
         flights: One or more flights of one vehicle and setting.
@@ -92,7 +97,7 @@ def iv(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
     if start is None:
         return without_numbers("iv", axes, len(flights), dict.fromkeys(axes, NOTHING_FITS))
     source, active = instrument_of(problem), problem.layout.active
-    held: list[int] = []  # an axis whose instruments run away is left where least squares had it, and has no number
+    held: list[int] = []  # axes whose iteration diverges: held at the least-squares estimate, without numbers
     while True:
         end, at, restless = _refined(flights, problem, start, source, held)
         if restless is None or len(held) + 1 == len(active):
@@ -113,17 +118,17 @@ def iv(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
 
 
 UNSETTLED = ("diverged", f"the instruments did not settle in {ROUNDS} rounds")
-"""Status and reason of an axis whose iteration has no end."""
+"""Status and reason of an axis whose iteration does not converge."""
 
 
 def _spread(problem: Problem, at: Solution, source: Instrument, held: Sequence[int]) -> Sandwich | None:
-    """Covariance of what was free."""
+    """Covariance of the free parameters; None where columns are dependent."""
     columns, instruments = all_columns(problem, at), _instruments(problem, at, source)
     return covariance_of(problem, at, instruments, columns, _free(problem, held))
 
 
 def _free(problem: Problem, held: Sequence[int]) -> Mask:
-    """True for the parameters of the equation that are estimated, g and tau and b of the held axes left out."""
+    """True for the estimated parameters of the equation, all but g, tau and b of the held axes; shape (P,)."""
     A = len(problem.layout.active)
     free = np.concatenate([np.ones(2 * A, bool), problem.used])
     free[[offset + a for a in held for offset in (0, A, 2 * A)]] = False
@@ -131,10 +136,10 @@ def _free(problem: Problem, held: Sequence[int]) -> Mask:
 
 
 def instrument_of(problem: Problem) -> Instrument:
-    """The commands themselves, or, where every flight has a reference, that part of them which it causes.
+    """The commands themselves, or, where every stretch has a reference, their projection on the reference.
 
-    That part is the projection of the commands on the reference through a bank of low-passes: it need not be the
-    controller, only a consequence of the reference that is like the command.
+    The projection is a least-squares fit to the reference filtered by a bank of low-passes. It need not model the
+    controller: it only has to depend on the reference alone and resemble the command.
     """
     if any(part.reference is None for part in problem.parts):
         return Instrument(tuple(part.command for part in problem.parts), COMMAND)
@@ -145,7 +150,10 @@ def instrument_of(problem: Problem) -> Instrument:
 
 
 def _bank(part: GridSegment) -> Array:
-    """The reference along the heading, as it is and through every low-pass, and a one: shape (M, (1 + B) C + 1)."""
+    """The reference, the reference less each of its B low-passes, and a constant: shape (M, (1 + B) C + 1).
+
+    x and y are in the heading frame.
+    """
     reference = np.asarray(part.reference)
     columns = [reference]
     step = np.diff(part.switch[:-1], prepend=part.switch[0])
@@ -164,7 +172,12 @@ def _bank(part: GridSegment) -> Array:
 def _refined(
     flights: Sequence[Flight], problem: Problem, at: Solution, source: Instrument, held: Sequence[int]
 ) -> tuple[Problem, Solution, int | None]:
-    """The fixed point of the iteration; and where there is none, the axis, among the active, that moved most."""
+    """Iterates to the fixed point.
+
+    Returns:
+        The problem under the last prefilter; the last solution; and None, or without convergence the index, among the
+        active axes, of the one that changed most.
+    """
     A, speed = len(at.gain), 0.0
     change = np.full((3, A), np.inf)
     for _ in range(ROUNDS):
@@ -193,7 +206,7 @@ def _refined(
 
 
 def _instruments(problem: Problem, at: Solution, source: Instrument) -> list[Array]:
-    """What the columns of the equation would be without wind and noise, per stretch, (N, C, P)."""
+    """Columns of the equation computed from the simulated motion, without wind and noise, per stretch (N, C, P)."""
     low_pass, layout, rows = problem.low_pass, problem.layout, []
     for place, (part, command) in enumerate(zip(problem.parts, source.commands, strict=True)):
         free = _simulated(problem, at, part, command)
@@ -211,7 +224,7 @@ def _instruments(problem: Problem, at: Solution, source: Instrument) -> list[Arr
 
 
 def _simulated(problem: Problem, at: Solution, part: GridSegment, command: Array) -> Array:
-    """Position at the edges of a stretch as the commands alone lead to it, from rest, shape (E + 2, C)."""
+    """World position at the edges of a stretch simulated from given commands, from rest, shape (E + 2, C)."""
     point, K = coefficients(problem, at, part.flight), part.axes
     n, m = part.edge.size, len(command)
     whole = (part.edge[:1], np.array([[0, n]]), np.array([[0, m]]), part.edge, np.arange(n), part.switch[:-1])
@@ -232,7 +245,7 @@ def _simulated(problem: Problem, at: Solution, part: GridSegment, command: Array
 
 
 def _step(problem: Problem, at: Solution, instruments: Sequence[Array], free: Mask) -> Array | None:
-    """Newton's step to the root of sum Z'(target - model) = 0, shape (P,); None where it has no direction."""
+    """Newton step to the root of sum Z'(target - model) = 0, shape (P,); None where the system is singular."""
     A = len(at.gain)
     theta = np.concatenate([at.gain, np.zeros(A), at.rest])
     columns = all_columns(problem, at)

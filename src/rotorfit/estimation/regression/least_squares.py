@@ -1,9 +1,10 @@
-"""The rungs `svf` and `weak`: least squares on filtered regressors, with the delay that simulates best.
+"""The rungs `svf` and `weak`: least squares on filtered regressors, at the delay with the best simulation.
 
-The paper differentiates the pose and takes the command as it is. Here commands and motion pass through the same filter:
-a state-variable filter (`svf`), or means over windows under a smooth test function, which is the integral or weak form
-of the equation (`weak`). Unequal smoothing then biases nothing, and the delay is searched for. What is left is what
-least squares cannot help: the velocity on the right-hand side is noisy, and wind and feedback are correlated with it.
+The paper differentiates the pose and leaves the command unfiltered. Here commands and motion pass through the same
+filter: a state-variable filter (`svf`), or means over windows under a smooth test function, which is the integral or
+weak form of the equation (`weak`). This removes the bias from unequal smoothing, and the delay is searched for. The
+bias inherent to least squares remains: the velocity on the right-hand side is noisy, and correlated with wind and
+feedback.
 """
 
 from collections.abc import Sequence
@@ -29,14 +30,14 @@ CUT_OFF = 6.0
 """Poles of the state-variable filter, of third order [1/s].
 
 Chosen on simulated flights, set B, 60 s, in light wind: the RMS error of g of x is 0.025 at 3 1/s, 0.016 at 6, 0.013 at
-10. Faster ones gain little there and let more of what no command causes through on real flights.
+10. Faster poles gain little there and pass more uncommanded motion on real flights.
 """
 
 WIDTH = 1.5
-"""Width of the window of the weak form [s]: its mean passes the same band as the filter."""
+"""Width of the window of the weak form [s]: the mean passes the same band as the state-variable filter."""
 
 POWER = 4
-"""Power of its test function: three smooth derivatives."""
+"""Power of the test function: three continuous derivatives."""
 
 
 def svf(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
@@ -88,9 +89,10 @@ NOTHING_FITS = (
 
 
 def _covariance(problem: Problem, at: Solution) -> tuple[Array, float] | None:
-    """Covariance of g, tau, b of the active axes and the quantile: that of least squares at the delay, and the delay's.
+    """Covariance of g, tau, b of the active axes, shape (3 A, 3 A), and the quantile; None if not identifiable.
 
-    What both have in common is left out: the one lives on the band of the filter, the other on positions.
+    It is the covariance of least squares at a fixed delay plus that due to the delay. Their correlation is neglected:
+    one comes from the band of the filter, the other from positions.
     """
     A = len(at.gain)
     columns = [np.delete(x, np.s_[A : 2 * A], axis=-1) for x in all_columns(problem, at)]

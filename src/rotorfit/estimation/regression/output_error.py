@@ -1,7 +1,7 @@
-"""The rung `oe`: output error. Least squares on simulated positions over whole segments, residuals taken for white.
+"""The rung `oe`: output error, that is least squares on positions simulated over whole segments, for white residuals.
 
-It is what the likelihood is without its disturbance: no noise is in its regressors, so nothing biases it in an open
-loop; but wind makes positions drift for minutes, and it counts every sample of that drift as fresh evidence.
+It is the likelihood without its disturbance model: its regressors contain no noise, so it is unbiased in an open loop;
+but wind makes positions drift for minutes, and every sample of that drift is treated as independent evidence.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,16 +27,16 @@ from rotorfit.estimation.regression.result import MethodResult, without_numbers
 from rotorfit.estimation.regression.sandwich import SINGULAR
 
 START_DELAYS = (0.05, 0.2, 0.4)
-"""Delays [s] from which it also starts, besides that of the state-variable filter: the sum has several minima."""
+"""Start delays [s], in addition to that of the state-variable filter: the sum of squares has several minima."""
 
 ROUNDS = 60
-"""Steps after which a search that still gains has diverged."""
+"""Number of steps after which a search that still descends counts as diverged."""
 
 GAINED = 1e-8
-"""Share of the sum of squares below which a step gains nothing more."""
+"""Relative decrease of the sum of squares at which the search has converged."""
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
-"""Levenberg's damping, in units of the diagonal: at the start, and where it stops falling and rising."""
+"""Levenberg's damping relative to the diagonal: start value, lower and upper limit."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class Squares:
     """The sum of squared position errors at a point, over the n coefficients, trims and start velocities.
 
     Attributes:
-        total: Of all flights [unit^2]; poses that were averaged into a block count one by one.
-        gradient: Half of it, less, shape (n,).
+        total: Sum over all flights [unit^2]; a block is weighted by its number of poses.
+        gradient: J'(measured - simulated): minus half the gradient of `total`, shape (n,).
         information: J'J, shape (n, n).
-        slopes: What an error of one in each block adds to `gradient`, one of shape (B, n, K) a flight.
+        slopes: Contribution of a unit error in each block to `gradient`, shape (B, n, K) for each flight.
     """
 
     total: float
@@ -57,7 +57,7 @@ class Squares:
 
 
 def oe(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
-    """Output error with delay, trim and start, by Gauss-Newton steps with the exact sensitivities.
+    """Output error with delay, trim and start velocity, by damped Gauss-Newton steps with exact sensitivities.
 
     Args:
         flights: One or more flights of one vehicle and setting.
@@ -91,7 +91,7 @@ def oe(flights: Sequence[Flight], axes: tuple[str, ...]) -> MethodResult:
 
 
 def _at(point: Point, active: Mask, delay: float | Array) -> Point:
-    """The point at a delay, with idle axes that only slow down."""
+    """The point with a given delay [s]; axes that are not active get no gain, no delay and a damping of 1 1/s."""
     return replace(
         point,
         gain=np.where(active, point.gain, 0.0),
@@ -101,13 +101,13 @@ def _at(point: Point, active: Mask, delay: float | Array) -> Point:
 
 
 def _free(point: Point, active: Mask) -> Mask:
-    """Which of the n parameters may move: of an idle axis the damping, which turning hands on to the other."""
+    """Which of the n parameters are free; the damping of an idle axis is, since turning couples it to the other one."""
     turning = active | np.full(active.size, active.any())
     return np.concatenate([active, turning, active, np.ones(point.n - 3 * active.size, bool)])
 
 
 def squares_of(records: Sequence[Record], point: Point) -> Squares:
-    """The sum of squares, with the position at the start of each segment at its best."""
+    """The sum of squares at a point, minimised over the position at the start of each segment."""
     K, n, F = point.gain.size, point.n, len(records)
     total, gradient, information, slopes = 0.0, np.zeros(n), np.zeros((n, n)), []
     for j, (rec, at) in enumerate(zip(records, segments(records), strict=True)):
@@ -135,7 +135,7 @@ def squares_of(records: Sequence[Record], point: Point) -> Squares:
 
 
 def _descended(records: Sequence[Record], point: Point, free: Mask) -> tuple[Point, Squares] | None:
-    """The minimum below a start, inside the searched ranges, by Levenberg's steps; None where it is not reached."""
+    """The local minimum from a start, inside the ranges of the search, by Levenberg's steps; None if not reached."""
     here, damping = squares_of(records, point), FIRST_DAMPING
     low, high = (end[: point.n] for end in point.bounds())
     for _ in range(ROUNDS):
@@ -163,7 +163,11 @@ def _rung(
     flights: Sequence[Flight], records: Sequence[Record], point: Point, squares: Squares, free: Mask,
     axes: tuple[str, ...], active: Mask, places: Sequence[int],
 ) -> MethodResult:  # fmt: skip
-    """The minimum with its sandwich covariance; a coefficient at a bound has none of its own."""
+    """The minimum with its sandwich covariance.
+
+    An axis whose gain or damping ended at a bound has no numbers; a delay at a bound gets the variance of a uniform
+    distribution over its range.
+    """
     K = len(axes)
     low, high = (end[: point.n] for end in point.bounds())
     value, damping = point.flat()[: point.n], np.exp(point.log_damping)
@@ -188,7 +192,7 @@ def _rung(
     for k, axis in enumerate(axes):
         if active[k] and not used[[k, K + k]].all():
             failed[axis] = ("diverged", f"the damping ended at {damping[k]:.3g} 1/s, the end of its range")
-        if not used[2 * K + k]:  # at the end of its range the delay has no spread of its own: that of the range
+        if not used[2 * K + k]:  # a delay at the end of its range: variance of a uniform distribution over the range
             covariance[2 * K + k, 2 * K + k] = np.ptp(DELAY_RANGE) ** 2 / 12
     return MethodResult(
         method="oe",
@@ -210,11 +214,11 @@ def _scaled(matrix: Array) -> Array:
 def _filling(
     flights: Sequence[Flight], records: Sequence[Record], squares: Squares, known: Mapping[str, Predictor]
 ) -> Array:
-    """Covariance of the gradient under the disturbance that the likelihood settles at the minimum, shape (n, n).
+    """Covariance of the gradient under the disturbance levels estimated at the minimum, shape (n, n).
 
-    A residual that drifts for minutes is no matter for a kernel: over 60 s, in simulation, the intervals of Newey and
-    West held the truth in 45 to 85 % of the flights, these do in 88 to 100 %. Where x and y have different levels and
-    the vehicle turns, the mean of both is taken.
+    A kernel estimate cannot handle residuals that drift for minutes: over 60 s, in simulation, the intervals of Newey
+    and West contained the truth in 45 to 85 % of the flights, these do in 88 to 100 %. Where the vehicle turns, the
+    covariances under the levels of x and of y are averaged.
     """
     total = np.zeros_like(squares.information)
     for group, whitened, optimum in settle_levels(flights, known):
@@ -234,17 +238,17 @@ def _filling(
 
 
 def sum_variance(rec: Record, weights: Array, levels: Array) -> Array:
-    """Covariance of sums over blocks of weight times disturbance and pose noise, shape (n, n).
+    """Covariance of sums over blocks of weight times (disturbance plus pose noise), shape (n, n).
 
     Args:
-        rec: Whose blocks.
-        weights: Shape (B, n), of sum 0 over each segment, since the position where it starts is free.
-        levels: q, r, alpha, kappa, shape (4,).
+        rec: The blocks.
+        weights: Shape (B, n); they sum to 0 over each segment, since its start position is free.
+        levels: q, r, alpha, kappa, not as logarithms, shape (4,).
     """
     F, Q = step_tables(rec.steps, levels[2], levels[3])
     spread = np.array(stationary(levels))
     total = (weights * (levels[1] / rec.count)[:, None]).T @ weights
-    ahead = np.zeros((weights.shape[1], 3))  # what one unit of each state adds to the sums from here on
+    ahead = np.zeros((weights.shape[1], 3))  # contribution of one unit of each state to the sums from here on
     for b in range(len(weights) - 1, -1, -1):
         ahead[:, 0] += weights[b]
         if rec.fresh[b]:

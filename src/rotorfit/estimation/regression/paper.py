@@ -1,7 +1,7 @@
 """The paper's estimator: accelerations by differentiation, then the stacked linear regressions (8), (9) and (10).
 
-It is kept exactly as published, linear and without a delay, as the method named `paper`. On a vehicle that answers late
-its damping comes out near zero or negative; that is the method's property, and is not repaired here.
+It is kept exactly as published, linear and without a delay, as the method named `paper`. For a vehicle with a delay its
+damping is near zero or negative; that is a property of the method and is not corrected here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,10 +15,10 @@ from rotorfit.core.results import Motion, PaperFit, PaperStatus
 from rotorfit.dynamics.kinematics import DEGREE, HALF_WIDTH, LEAST, motion_from_flight
 
 SHORTEST = 4
-"""An axis needs this many windows of data: its standard errors rest on a lag between one window and a quarter of it."""
+"""Smallest amount of data of an axis, in windows: the lag of the standard errors is one window to a quarter of it."""
 
 EQUATIONS = {(0, 1): slice(0, 8), (2,): slice(8, 10), (3,): slice(10, 12)}
-"""The axes that eqs. (8), (9) and (10) are about, and their columns among alpha_1 .. alpha_12."""
+"""Indices of the axes in eqs. (8), (9) and (10), to their columns among alpha_1 .. alpha_12."""
 
 
 def paper_regression(
@@ -35,18 +35,18 @@ def paper_regression(
     factorisation of its columns scaled to unit length.
 
     A flight enters the equation of an axis only if it commands that axis: three training flights (x with y, z, yaw)
-    give together what they give one by one. Where a flight commands x but not y, the columns of y (alpha_3, alpha_4,
-    alpha_7, alpha_8) are left out of (8) and both world rows stay. This changes nothing about x: the two rows of a
-    stamp are its heading-frame rows turned by a rotation, so the columns of x and of y are orthogonal whatever the yaw,
-    and what y does is left over unexplained. The damping of y alone is not given: without a command it is a fit to
+    give the same result together as one by one. Where a flight commands x but not y, the columns of y (alpha_3,
+    alpha_4, alpha_7, alpha_8) are left out of (8) and both world rows stay. The estimate of x is unchanged: the two
+    rows of a stamp are its heading-frame rows under a rotation, so the columns of x and of y are orthogonal at any yaw,
+    and the motion of y stays in the residual. The damping of y is then not given: without a command it is a fit to
     wind.
 
-    The covariance that counts is the one of Newey and West, Bartlett kernel on the stamps' own distances. Neighbouring
-    windows share most of their poses and disturbances last for seconds, so residuals are autocorrelated over hundreds
-    of rows, and the textbook covariance counts each row as fresh evidence: with a wind of 0.03 m/s^2 in simulation its
-    standard errors are 7 to 10 times too small, where these are within 20 % of the scatter. With mocap noise alone,
-    whose second difference cancels over time, both are too large, these by 3 to 15 times. Neither sees the BIAS that
-    delay, noisy velocity and feedback put into this method.
+    The published covariance is that of Newey and West, with the Bartlett kernel on the differences of the stamps.
+    Neighbouring windows share most of their poses and disturbances last for seconds, so residuals are autocorrelated
+    over hundreds of rows, while the textbook covariance treats each row as independent: with a wind of 0.03 m/s^2 in
+    simulation its standard errors are 7 to 10 times too small, where these are within 20 % of the scatter. With mocap
+    noise alone, whose second difference cancels over time, both are too large, these by 3 to 15 times. Neither covers
+    the BIAS of this method due to delay, noisy velocity and feedback.
 
     Args:
         flights: One or more flights of one vehicle and setting.
@@ -56,8 +56,8 @@ def paper_regression(
         least: Smallest number of poses in a window.
 
     Returns:
-        The estimate. An axis whose command is never other than zero, or that has too little data or dependent columns,
-        gets NaN, a status and a reason.
+        The estimate. An axis whose command is always zero, or that has too little data or dependent columns, gets NaN,
+        a status and a reason.
 
     Source: paper, section 5, eqs. (8), (9), (10). W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708.
     """
@@ -113,7 +113,7 @@ def modelled_acceleration(motion: Motion, gamma: Array) -> Array:
 
     Returns:
         World x, y, z, yaw, shape (N, 4) [m/s^2, rad/s^2]. z and yaw without numbers are NaN. x and y are both NaN if
-        neither has numbers; if one of them has, they show what that one contributes.
+        neither has numbers; if one of them has, they are the contribution of that one.
 
     Source: paper, eq. (6), its last line read as a second derivative.
     """
@@ -126,14 +126,14 @@ def modelled_acceleration(motion: Motion, gamma: Array) -> Array:
 
 
 def _commanded(flight: Flight, motion: Motion) -> Mask:
-    """Which axes the flight commands with anything but zero at the stamps that are used, shape (4,)."""
+    """Which axes have a non-zero command at the stamps that are used, shape (4,)."""
     return np.array([axis in flight.axes and bool(np.any(motion.command[:, i])) for i, axis in enumerate(AXES)])
 
 
 def _verdict(
     axis: int, flights: Sequence[Flight], motions: Sequence[Motion], commanded: Mask, window: float
 ) -> tuple[PaperStatus, str]:
-    """Whether there is enough to regress on, and if not, why."""
+    """Status of an axis before the regression, and the reason where it is not `ok`."""
     if not any(AXES[axis] in flight.axes for flight in flights):
         return "not_excited", "no flight has a command of this axis"
     covered = np.array([np.minimum(np.diff(motion.time), window).sum() for motion in motions])
@@ -151,9 +151,9 @@ def _verdict(
 
 @dataclass(frozen=True)
 class _Stack:
-    """One of eqs. (8)-(10): N stamps of several flights, R world axes, P coefficients of the axes that earn numbers."""
+    """One of eqs. (8)-(10): N stamps of several flights, R world axes, P coefficients of the axes with status `ok`."""
 
-    times: Sequence[Array]  # one a flight, N together
+    times: Sequence[Array]  # one per flight, N together
     yaw: Array  # (N,)
     design: Array  # (N, R, P); a column is 0 where the flight does not command its axis
     target: Array  # (N, R)
@@ -196,7 +196,7 @@ def _lengths(design: Array) -> Array:
 
 
 def _solve(stack: _Stack, window: float) -> _Solution:
-    """Least squares by QR, both covariances, and the explained share."""
+    """Least squares by QR, both covariances, and the explained share of the variance."""
     scale = _lengths(stack.design)
     design, unscale = stack.design / scale, np.outer(scale, scale)
     q, r = np.linalg.qr(design.reshape(-1, len(scale)))
@@ -209,7 +209,7 @@ def _solve(stack: _Stack, window: float) -> _Solution:
     by_flight = np.split(scores, np.cumsum([len(time) for time in stack.times])[:-1])
     lag = bartlett_lag(stack.times, by_flight, window)
     middle = np.sum([newey_west(t, g, lag) for t, g in zip(stack.times, by_flight, strict=True)], axis=0)
-    # Along the heading, the residual of x is of x alone; that of an axis without commands is not of this regression.
+    # In the heading frame the residual of x belongs to x alone; that of an axis without commands is not used.
     measured, left = _along_heading(stack.target, stack.yaw), _along_heading(residual, stack.yaw)
     pairs = {axis: (measured[mine, place], left[mine, place]) for axis, (place, mine) in stack.own.items()}
     rows = {axis: len(rest) for axis, (_, rest) in pairs.items()}
@@ -234,7 +234,7 @@ def newey_west(time: Array, score: Array, lag: float) -> Array:
     """Sum over all pairs of stamps of (1 - |t_i - t_j| / lag)+ g_i g_j^T, shape (P, P), from scores g of shape (N, P).
 
     The triangle is a positive definite function of time, so the sum is positive semidefinite on irregular stamps, too.
-    Running sums of g and of t g make it linear in N.
+    Running sums of g and of t g make the cost linear in N. Stamps and lag are in seconds.
     """
     zero = np.zeros((1, score.shape[1]))
     time = time - time[0]
@@ -249,9 +249,10 @@ def newey_west(time: Array, score: Array, lag: float) -> Array:
 def bartlett_lag(times: Sequence[Array], scores: Sequence[Array], window: float) -> float:
     """Lag of the Bartlett kernel [s]: at least a window, at most a quarter of the longest flight.
 
-    In between, the plug-in of Andrews for a first-order autoregression of the scores summed over window-long blocks:
-    within a block the window itself makes them dependent, and that is no autoregression. Its coefficient is held to
-    +-0.97, as there. Longer lags would shrink the result, since the scores of a least-squares fit sum to zero.
+    In between, it is the plug-in of Andrews for a first-order autoregression of the scores summed over blocks of one
+    window: within a block the scores are dependent through the window itself, which is not an autoregression. The
+    coefficient is limited to +-0.97, as in the source. Longer lags would shrink the result, since the scores of a
+    least-squares fit sum to zero.
 
     Source: D. W. K. Andrews, Econometrica 59 (1991), pp. 817-858, section 6.
     """

@@ -1,4 +1,4 @@
-"""One equation of motion under a low-pass, stacked over flights, to be solved at any delay."""
+"""The equation of motion under a low-pass, stacked over flights, for solution at any delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,19 +28,19 @@ from rotorfit.estimation.regression.simulation_error import Coefficients, window
 
 @dataclass(frozen=True)
 class Problem:
-    """One equation to be solved at any delay: stretches of several flights under one low-pass, for C axes.
+    """An equation that can be solved at any delay: stretches of several flights under one low-pass, for C axes.
 
     Attributes:
         axes: Names of the C axes.
         parts: The stretches.
         low_pass: The operator on every term.
         layout: The parameters.
-        motion: Per stretch, columns of b and of what is accounted for.
-        target: Per stretch, the left-hand side.
-        basis: Orthonormal basis of the columns of `motion` that are not zero, all rows, shape (rows, m).
-        triangle: What they are in that basis, shape (m, m).
-        used: Which columns those are.
-        records: Per flight the windows in which positions are compared; None where it has none.
+        motion: Columns of b and of the nuisance parameters, shape (N, C, P - 2 A) for each stretch.
+        target: The left-hand side, shape (N, C) for each stretch.
+        basis: Orthonormal basis Q of the m non-zero columns of `motion`, stretches stacked, shape (rows, m).
+        triangle: Their triangular factor R, shape (m, m).
+        used: Which columns of `motion` are non-zero, shape (P - 2 A,).
+        records: The windows of each flight in which positions are compared; None where it has none.
     """
 
     axes: tuple[str, ...]
@@ -57,12 +57,12 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """An equation solved at a delay: g, tau, b of the A active axes and the rest, in the order of its columns.
+    """An equation solved at given delays of the A active axes; parameters in the order of its columns.
 
     Attributes:
-        gain: Shape (A,).
-        delay: Shape (A,) [s].
-        rest: b of the active axes, then trims, idle dampings and first velocities.
+        gain: g, shape (A,).
+        delay: tau, shape (A,) [s].
+        rest: b of the active axes, then trims, idle dampings and initial velocities, shape (P - 2 A,).
     """
 
     gain: Array
@@ -71,7 +71,7 @@ class Solution:
 
 
 def problem_of(flights: Sequence[Flight], axes: tuple[str, ...], low_pass: LowPass) -> Problem:
-    """Stacks the flights under a low-pass, without the stretches that are too short for it."""
+    """Stacks the flights under a low-pass; stretches that are too short for it are left out."""
     parts = tuple(part for part in stretches(flights, axes) if part.size > low_pass.skip)
     records = tuple(windowed(flight, axes) for flight in flights)
     if not parts:
@@ -83,13 +83,13 @@ def problem_of(flights: Sequence[Flight], axes: tuple[str, ...], low_pass: LowPa
     motion = tuple(motion_columns(part, place, low_pass, layout) for place, part in enumerate(parts))
     target = tuple(target_rows(part, low_pass) for part in parts)
     stacked = np.concatenate([m.reshape(-1, m.shape[-1]) for m in motion])
-    used = np.abs(stacked).max(axis=0) > 0  # a flight that never moves along an axis has no damping to account for
+    used = np.abs(stacked).max(axis=0) > 0  # an idle damping has a zero column where the flight does not move
     basis, triangle = np.linalg.qr(stacked[:, used])
     return Problem(axes, parts, low_pass, layout, motion, target, basis, triangle, used, records)
 
 
 def unfit(problem: Problem) -> dict[str, tuple[str, str]]:
-    """Status and reason of the axes that cannot be solved for, where all are such; else nothing."""
+    """Status and reason of every axis where the problem cannot be solved for any; else empty."""
     used = sum(float(np.ptp(row_times(part, problem.low_pass))) for part in problem.parts)
     if used < LEAST_TIME:
         reason = f"{used:.1f} s of poses under known commands can be filtered, {LEAST_TIME:g} s are needed"
@@ -100,7 +100,7 @@ def unfit(problem: Problem) -> dict[str, tuple[str, str]]:
 
 
 def all_columns(problem: Problem, at: Solution) -> list[Array]:
-    """Regressors of all parameters at a solution, per stretch, (N, C, P)."""
+    """Regressors of all parameters (g, tau, b, the rest) at a solution, shape (N, C, P) for each stretch."""
     low_pass, layout = problem.low_pass, problem.layout
     return [
         np.concatenate(
@@ -116,7 +116,7 @@ def all_columns(problem: Problem, at: Solution) -> list[Array]:
 
 
 def solve_at(problem: Problem, delay: Array) -> Solution | None:
-    """Least squares at given delays of the active axes; None where columns are dependent."""
+    """Least squares at given delays of the active axes, shape (A,) [s]; None where columns are dependent."""
     A, Q = len(problem.layout.active), problem.basis
     columns = [input_columns(part, problem.low_pass, problem.layout, delay) for part in problem.parts]
     command, target = (
@@ -137,7 +137,7 @@ def solve_at(problem: Problem, delay: Array) -> Solution | None:
 
 
 def coefficients(problem: Problem, at: Solution, flight: int) -> Coefficients:
-    """A solution as a flight's own coefficients; an axis that nobody commands only has the damping it was given."""
+    """The coefficients of one flight at a solution; an axis that no flight commands has only its idle damping."""
     K, A, layout = len(problem.axes), len(problem.layout.active), problem.layout
     point = Coefficients(*(np.zeros(K) for _ in range(4)))
     active = list(layout.active)
@@ -154,17 +154,17 @@ def coefficients(problem: Problem, at: Solution, flight: int) -> Coefficients:
 def covariance_of(
     problem: Problem, at: Solution, instruments: Sequence[Array], columns: Sequence[Array], free: Mask | None = None
 ) -> Sandwich | None:
-    """Sandwich of the root of sum Z'(target - model) = 0, over the parameters that the columns stand for.
+    """Sandwich covariance of the root of sum Z'(target - model) = 0, over the parameters of the columns.
 
     Args:
-        problem: What was solved.
+        problem: The problem that was solved.
         at: The solution.
-        instruments: Z per stretch, (N, C, P); for least squares the columns themselves.
-        columns: Regressors per stretch, (N, C, P), in the order of g, (tau,) b and the rest.
-        free: Which of the P parameters were estimated; by default all that rows depend on.
+        instruments: Z, shape (N, C, P) for each stretch; for least squares the columns themselves.
+        columns: Regressors, shape (N, C, P) for each stretch, in the order g, (tau,) b and the rest.
+        free: Which of the P parameters were estimated; by default all with a non-zero column.
 
     Returns:
-        The covariance, zero for what was not estimated; None where columns are dependent.
+        The covariance, zero for parameters that were not estimated; None where columns are dependent.
     """
     A, low_pass = len(at.gain), problem.low_pass
     shifts = columns[0].shape[-1] - A - at.rest.size  # A where the delays are parameters of the equation, else 0
@@ -185,13 +185,13 @@ def covariance_of(
 def rung_of(
     method: str, problem: Problem, at: Solution, covariance: Array, quantile: float, flights: int
 ) -> MethodResult:
-    """A solution as a rung.
+    """A solution as the result of a rung.
 
     Args:
         method: Name of the rung.
-        problem: What was solved.
+        problem: The problem that was solved.
         at: The solution.
-        covariance: Of g, tau, b of the A active axes, shape (3 A, 3 A).
+        covariance: Covariance of g, tau, b of the A active axes, shape (3 A, 3 A).
         quantile: Half width of a 95 % interval in standard errors.
         flights: Number of flights.
     """

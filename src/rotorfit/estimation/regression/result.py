@@ -1,4 +1,4 @@
-"""What a rung of the ladder between the paper and the likelihood finds out, and what may be said of it."""
+"""Result of a rung between the paper's regression and the likelihood, and its conversion to an axis with statuses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,33 +11,33 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predi
 from rotorfit.estimation.identifiability import NORMAL, WIDEST_DELAY, WIDEST_INPUT
 
 FASTEST = 100.0
-"""Damping beyond which an estimate has run away [1/s]."""
+"""Absolute damping above which an estimate counts as diverged [1/s]."""
 
 WIDEST_DAMPING = 0.7
-"""Half width of the damping's interval over the damping, beyond which it is not identifiable if it also exceeds..."""
+"""Half width of the damping's interval relative to the damping, above which the damping is not identifiable ..."""
 
 LEAST_DAMPING = 0.5
-"""... this [1/s]: a rung whose damping may have any sign needs a measure that does not end at 0."""
+"""... if the half width also exceeds this [1/s]: the damping of a rung may be near zero and have any sign."""
 
 AT_BOUND = 1e-3
-"""A delay this close to an end of the searched range is cut off by it [s]."""
+"""A delay this close to an end of the range of the search counts as cut off by it [s]."""
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Coefficients by one rung: K axes that it took together (x with y, or one), F flights.
+    """Coefficients by one rung: K axes estimated together (x with y, or one), F flights.
 
     Attributes:
         method: `svf`, `weak`, `iv` or `oe`.
         axes: Names of the K axes.
-        gain: g, shape (K,); NaN where there is no number.
+        gain: g, shape (K,) [m/s^2 or rad/s^2 per unit of the command]; NaN where there is no number.
         damping: b, shape (K,) [1/s].
         delay: tau, shape (K,) [s].
-        trim: Constant acceleration in the heading frame, shape (F, K).
-        covariance: Of g of all axes, b of all, tau of all, shape (3 K, 3 K).
+        trim: Constant acceleration in the heading frame, shape (F, K) [m/s^2 or rad/s^2].
+        covariance: Covariance of g of all axes, then b of all, then tau of all, shape (3 K, 3 K).
         quantile: Half width of a 95 % interval in standard errors.
         failed: Axis to its status and the reason, one sentence, for axes without numbers.
-        remark: Axis to what else must be known of its numbers: which instrument was used, and whether it is valid.
+        remark: Axis to a remark on its numbers: the instrument that was used.
     """
 
     method: str
@@ -55,7 +55,7 @@ class MethodResult:
 def without_numbers(
     method: str, axes: tuple[str, ...], flights: int, failed: Mapping[str, tuple[str, str]]
 ) -> MethodResult:
-    """A rung that found nothing, and why, axis by axis."""
+    """The result of a rung without numbers, with status and reason of each axis."""
     K = len(axes)
     nothing = np.full(K, np.nan)
     return MethodResult(
@@ -65,14 +65,14 @@ def without_numbers(
 
 
 def axis_of_rung(rung: MethodResult, axis: str) -> tuple[Axis, str]:
-    """What may be said of an axis, without the disturbance levels, and the reason where a status is not `ok`.
+    """The axis as published, without disturbance levels and trims, and the reason where a status is not `ok`.
 
-    The input gain's interval must not hold 0, and no interval be so wide that its middle is an accident; nothing that
-    ran away is printed as a number.
+    The axis has numbers only if the interval of its input gain excludes 0 and the damping has not diverged. A
+    coefficient has a number only if its interval is not too wide.
 
     Args:
-        rung: The rung.
-        axis: One of its axes.
+        rung: Result of the rung.
+        axis: Name of one of its axes.
     """
     if axis in rung.failed:
         failure, reason = rung.failed[axis]
@@ -104,7 +104,7 @@ def axis_of_rung(rung: MethodResult, axis: str) -> tuple[Axis, str]:
 
 
 def _combinations(rung: MethodResult, k: int) -> dict[str, Combination]:
-    """Steady gain and total lag by the delta method; open where the damping may be zero."""
+    """Steady gain and total lag by the delta method; intervals are open where that of the damping contains 0."""
     K, (g, b, tau) = len(rung.axes), (float(values[k]) for values in (rung.gain, rung.damping, rung.delay))
     C = rung.covariance[np.ix_([k, K + k, 2 * K + k], [k, K + k, 2 * K + k])]
     out = {}
@@ -119,7 +119,7 @@ def _combinations(rung: MethodResult, k: int) -> dict[str, Combination]:
 
 
 def _bounded(name: str, value: Mapping[str, float]) -> bool:
-    """Whether the interval of a coefficient is its own: a delay at the end of its range takes the damping's with it."""
+    """Whether the interval of a coefficient is valid: a delay at the end of its range invalidates damping, too."""
     low, high = DELAY_RANGE
     return name == "input" or low + AT_BOUND < value["delay"] < high - AT_BOUND
 
@@ -128,7 +128,7 @@ _WORDS = {"input": "input gain", "damping": "damping", "delay": "delay"}
 
 
 def _statuses(value: Mapping[str, float], half: Mapping[str, float]) -> tuple[dict[str, str], str]:
-    """Status of each coefficient, and the first reason against one of them."""
+    """Status of each coefficient, and the first reason for a status other than `ok`."""
     share = half["input"] / abs(value["input"])
     wide = {
         "input": (1 + share) / (1 - share) >= WIDEST_INPUT,

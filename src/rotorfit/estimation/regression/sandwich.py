@@ -1,4 +1,4 @@
-"""Covariance of estimates whose residuals are coloured: the sandwich with Newey and West's filling."""
+"""Covariance of estimates with autocorrelated residuals: the sandwich with the estimator of Newey and West."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Sandwich:
 
     Attributes:
         covariance: Shape (P, P).
-        lag: Up to which autocorrelation enters it [s].
+        lag: Longest lag of the autocorrelation that enters it [s].
         quantile: Half width of a 95 % interval in standard errors.
     """
 
@@ -28,13 +28,13 @@ def sandwich(times: Sequence[Array], scores: Sequence[Array], slope: Array, memo
     """Covariance of the root of sum over rows of score = 0.
 
     Args:
-        times: Stamps of the rows of each stretch, (N,) [s].
-        scores: What each row adds to the estimating equations, (N, P).
-        slope: Derivative of their sum by the parameters, sign turned, shape (P, P).
-        memory: How long one row's error lasts in others by construction [s].
+        times: Stamps of the rows, shape (N,) [s] for each stretch.
+        scores: Contribution of each row to the estimating equations, shape (N, P) for each stretch.
+        slope: Minus the derivative of their sum with respect to the parameters, shape (P, P).
+        memory: Time over which the errors of rows are dependent by construction [s].
 
     Returns:
-        The covariance; None where the slope is singular, or nothing is left over that could tell it.
+        The covariance; None where the slope is singular, or where the scores of a parameter are all zero or not finite.
 
     Source: W. K. Newey, K. D. West, Econometrica 55 (1987), pp. 703-708; for the quantile see `fixed_b_quantile`.
     """
@@ -53,13 +53,13 @@ def sandwich(times: Sequence[Array], scores: Sequence[Array], slope: Array, memo
 
 
 SINGULAR = 1e-8
-"""Smallest singular value, columns scaled, below which parameters cannot be told apart."""
+"""Smallest singular value, columns scaled, below which parameters are not identifiable separately."""
 
 
 def fixed_b_quantile(share: float) -> float:
-    """97.5 % point of the t statistic when the Bartlett kernel reaches over a share of the data, not a negligible one.
+    """97.5 % point of the t statistic when the lag of the Bartlett kernel is not a negligible share of the data.
 
-    The scores of an estimate sum to zero, which shrinks a variance that reaches far; the normal quantile 1.96 would be
+    The scores of an estimate sum to zero, which shrinks a variance with a long lag; the normal quantile 1.96 would be
     too small.
 
     Args:

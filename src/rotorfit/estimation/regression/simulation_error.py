@@ -1,7 +1,7 @@
-"""The output-space criterion: how far simulated positions are from the measured ones, in windows of a few seconds.
+"""The output-space criterion: errors of simulated positions in windows of a few seconds.
 
-A delay must not be picked by the fit of the acceleration: in a feedback loop that ends in a long delay with both signs
-turned. What counts is the position that the commands alone lead to.
+The delay must not be chosen by the fit of the acceleration: in a feedback loop that gives a long delay with the signs
+of both gain and damping reversed. The criterion is the position that results from the commands alone.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from rotorfit.dynamics.response import axis_response, plane_response
 from rotorfit.estimation.likelihood.blocks import Record, record
 
 WINDOW = 2.0
-"""Length of a simulation [s]. Over 5 s, in simulated flights, drift in the wind scatters the delay twice as much."""
+"""Length of a simulation [s]. With 5 s, in simulated flights, drift in the wind doubles the scatter of the delay."""
 
 MOST_UNSTABLE = -1.0
-"""Damping below which nothing is simulated [1/s]: what grows by itself that fast never flew for long."""
+"""Damping at and below which nothing is simulated [1/s]: no vehicle that diverges so fast flies for long."""
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Of the K axes of one flight: g, b [1/s], tau [s], c, each of shape (K,). The damping may have any sign."""
+    """Coefficients of the K axes of one flight: g, b [1/s], tau [s], c, each of shape (K,); b may have any sign."""
 
     gain: Array
     damping: Array
@@ -33,7 +33,7 @@ class Coefficients:
 
 
 def windowed(flight: Flight, axes: Sequence[str]) -> Record | None:
-    """The flight in blocks, cut into windows that take the place of its segments; None where it is too short."""
+    """The flight in blocks, with windows of `WINDOW` in place of its segments; None where it is too short."""
     rec = record(flight, axes)
     if rec is None:
         return None
@@ -60,11 +60,11 @@ def _ranges(fresh: Mask) -> list[tuple[int, int]]:
 def simulation_errors(rec: Record, point: Coefficients) -> Array:
     """Sum of squared position errors of a simulation over each window of a record, shape (W,) [unit^2].
 
-    Start position and velocity of each window are those that fit it best.
+    Start position and velocity of each window are fitted.
 
     Args:
-        rec: From `windowed`.
-        point: Coefficients; those that cannot be simulated over a window give infinity.
+        rec: Result of `windowed`.
+        point: Coefficients; if they cannot be simulated, every error is infinite.
     """
     K = len(rec.axes)
     if not (point.damping > MOST_UNSTABLE).all():
@@ -87,7 +87,7 @@ def simulation_errors(rec: Record, point: Coefficients) -> Array:
         return np.full(rec.starts.size, np.inf)
     ranges = np.array(_ranges(rec.fresh))
     sizes, errors = np.diff(ranges, axis=1)[:, 0], np.empty(rec.starts.size)
-    for size in np.unique(sizes):  # windows of as many blocks together: it is the calls that take the time
+    for size in np.unique(sizes):  # windows with equal numbers of blocks together: calls dominate the time
         alike = np.flatnonzero(sizes == size)
         rows = ranges[alike, :1] + np.arange(size)
         root = np.repeat(np.sqrt(rec.count[rows]), K, axis=1)[..., None]
