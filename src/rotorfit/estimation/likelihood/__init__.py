@@ -1,1 +1,1 @@
-"""The grey-box likelihood: blocks of poses, search for optima, climb, profile, choice of the law."""
+"""The grey-box likelihood: blocks of poses, search for optima, Fisher scoring, profiles, choice of the law."""

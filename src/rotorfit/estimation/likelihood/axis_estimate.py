@@ -1,4 +1,4 @@
-"""One axis, or x and y of a vehicle that turns: search, check that the commands explain anything, climb to the top."""
+"""Maximum-likelihood estimate of one axis, or of x and y of a vehicle that turns: search, test of excitation, climb."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,29 +28,29 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
 EXPLAINS = 0.9
-"""In a feedback loop the commands must bring the 1 s prediction error on the training flights below this share of what
-it is without them; else the axis was not excited, whatever the likelihood says."""
+"""In a feedback loop the commands must reduce the 1 s prediction error on the training flights below this share of the
+error without them; else the axis counts as not excited, whatever the likelihood."""
 
 HELPS = 0.99
-"""The same in an open loop, where the likelihood can be believed."""
+"""The same in an open loop, where the likelihood can be trusted."""
 
 PLAINLY = 0.5
-"""Share of the error of holding the velocity below which they plainly do, and the comparison is not needed."""
+"""Prediction error relative to that of constant velocity below which the axis counts as excited without comparison."""
 
 COUPLING_ROUNDS = 2
-"""Rounds in which x and y under a held heading take each other into account."""
+"""Number of iterations that account for the coupling of x and y under a held heading."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One axis after the climb.
+    """Maximum-likelihood estimate of one axis.
 
     Attributes:
-        records: What its likelihood sees.
-        optimum: The maximum that is believed.
-        place: Which of the optimum's axes this is.
-        found: Optima of the search, the believed one first; none for an axis that no flight moves.
-        excited: Whether its commands explain anything.
+        records: Input of its likelihood.
+        optimum: The selected maximum.
+        place: Index of the axis in the optimum.
+        found: Optima of the search, the selected one first; empty for an axis that no flight commands.
+        excited: Whether its commands explain any of the motion.
     """
 
     records: Sequence[Record]
@@ -61,12 +61,19 @@ class Estimate:
 
     @cached_property
     def loop(self) -> LoopEvidence:
-        """Whether the command of the axis answers its motion."""
+        """Evidence that the command of the axis responds to its motion."""
         return answer(self.records, self.optimum, self.place)
 
 
 def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: GaussianPrior | None = None) -> Estimate:
-    """One axis by itself. A prior enters once the search has found the optimum that is believed."""
+    """Estimates one axis by itself.
+
+    Args:
+        serving: Flights that command the axis.
+        axis: Name of the axis.
+        moves: Whether its coefficients are estimated; if not, the gain is 0.
+        prior: Prior on the coefficients; it is used only in the climb after the search has selected an optimum.
+    """
     records = [rec for f in serving if (rec := record(f, (axis,)))]
     if not moves:
         point = start_point(records, 0.0, 1.0, start_levels(measured_by(records))[None])
@@ -86,22 +93,34 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
 def maximise_restricted(
     records: Sequence[Record], start: Point, moving: Sequence[bool], prior: GaussianPrior | None = None
 ) -> Optimum:
-    """The top, with itself as the reference of the restricted likelihood."""
+    """The maximum of the restricted likelihood, with the maximum of a first climb as its reference.
+
+    Args:
+        records: The flights.
+        start: Where to start.
+        moving: Whether the coefficients of each axis are estimated.
+        prior: Added to the objective.
+    """
     first = climb(records, start, free_of(records, moving, start.structures), prior=prior)
     return maximise(records, first.point, first.free, first.inverse, prior=prior)
 
 
 def _moved_to(records: Sequence[Record], point: Point) -> Point:
-    """A point found on excerpts, for the whole flights: their segments start at other velocities."""
+    """Coefficients and levels of a point found on excerpts, with zero trims and the start velocities of the records."""
     whole = start_point(records, 0.0, 1.0, point.levels)
     return replace(whole, gain=point.gain, log_damping=point.log_damping, delay=point.delay)
 
 
 def couple_axes(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
-    """Takes into account, exactly, what each axis does to the other through the small turns of a held heading.
+    """Accounts for the coupling of x and y through the small turns of a held heading.
 
-    The response of both together less that of one alone is taken off its data, and it is climbed again. At the fixed
-    point the residual is that of the joint response; only its sensitivities leave the turns out.
+    The joint response less that of each axis alone is subtracted from the data of that axis, which is then maximised
+    again. At the fixed point the residual is exactly that of the joint response; only the sensitivities neglect the
+    turns.
+
+    Args:
+        records: Records of both axes together.
+        estimates: Of each axis alone, in the order of the records' axes.
     """
     out = list(estimates)
     for _ in range(COUPLING_ROUNDS):
@@ -115,11 +134,11 @@ def couple_axes(records: Sequence[Record], estimates: Sequence[Estimate]) -> lis
 
 
 def coupled_records(records: Sequence[Record], estimates: Sequence[Estimate]) -> list[Estimate]:
-    """The estimates with what each axis does to the other, at their points, taken off their data.
+    """The estimates with the coupling of the axes, at their points, subtracted from their data.
 
     Args:
-        records: Of both axes.
-        estimates: Of each alone, on data from which nothing was taken.
+        records: Records of both axes together.
+        estimates: Of each axis alone, on data from which nothing was subtracted.
     """
     points = [estimate.optimum.point for estimate in estimates]
     joint, rows = _joined(points), segments(records)
@@ -140,7 +159,7 @@ _JOINT_AXES = (("gain", 0), ("log_damping", 0), ("delay", 0), ("trim", 1), ("sta
 
 
 def _joined(points: Sequence[Point]) -> Point:
-    """Points of single axes as one of all."""
+    """Points of single axes joined into one, start velocities in their heading frames."""
     parts: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in points], axis) for n, axis in _JOINT_AXES}
     joint = Point(**parts, measured=points[0].measured)
     if not any(point.structures for point in points):
@@ -153,7 +172,7 @@ def _joined(points: Sequence[Point]) -> Point:
 
 
 def _offset(rec: Record, joint: Point, points: Sequence[Point], flight: int, at: slice) -> Array:
-    """Joint response less the two responses alone, along and across the mean heading, shape (B, 2)."""
+    """Joint response less the response of each axis alone, along and across the mean heading, shape (B, 2)."""
     turn = np.full(len(joint.start), rec.heading)
     mean = response(rec, joint, flight, world_from_heading(joint.start, turn)[at])[0]
     along = heading_from_world(mean, np.full(len(mean), rec.heading))
@@ -168,7 +187,15 @@ def estimate_plane(
     moving: Sequence[bool],
     prior: GaussianPrior | None = None,
 ) -> list[Estimate]:
-    """x and y of vehicles that turn, by one likelihood."""
+    """Estimates x and y of a vehicle that turns, by their joint likelihood.
+
+    Args:
+        serving: Flights that command one of the axes.
+        records: Their records.
+        group: Names of the axes.
+        moving: Whether the coefficients of each axis are estimated.
+        prior: As for `estimate_axis`.
+    """
     parts = [excerpt(f, group) for f in serving]
     short = [rec for f in parts if (rec := record(f, group))]
     found = search(short, parts, free_of(short, moving))
@@ -186,7 +213,7 @@ def estimate_plane(
 
 
 def answer(records: Sequence[Record], optimum: Optimum, k: int) -> LoopEvidence:
-    """How far changes of the command of an axis follow the innovations of its likelihood."""
+    """Evidence that changes of the command of axis k follow the innovations of its likelihood."""
     parts = []
     for rec, innovation in zip(records, optimum.score.innovations, strict=True):
         place = np.searchsorted(rec.command_time, rec.block_time, side="right") - 1
@@ -199,10 +226,10 @@ def _explains(
 ) -> bool:
     """Whether the commands of an axis explain its motion.
 
-    In an open loop the interval of the gain decides, and prediction must only not deny it. In a feedback loop the
-    likelihood can be sure of what is not so, and the commands must show their worth in prediction. Commands that are a
-    controller's answer and nothing else excite nothing, even where stamps of clocks that disagree put them before the
-    motion that they answer. Flights too short to predict get the benefit of the doubt.
+    In an open loop the interval of the gain decides later, and predictions must only not contradict it. In a feedback
+    loop the likelihood can be confidently wrong, so the commands must improve predictions. Commands that only hold the
+    position do not excite the axis, even where the stamps of different clocks place them before the motion to which
+    they respond. Flights that are too short for predictions count as excited.
     """
     error = found.prediction[k]
     if is_inverse_loop(found.optimum, k) or restored(serving, group[k]):
@@ -215,7 +242,15 @@ def _explains(
 
 
 def free_of(records: Sequence[Record], moving: Sequence[bool], structures: Sequence[Structure] = ()) -> Mask:
-    """Which parameters may move: the coefficients of the moving axes, all trims, start velocities and levels."""
+    """Which parameters are free, in the order of `Point.flat`, shape (n + L K,).
+
+    These are the coefficients of the moving axes, and all trims, start velocities and levels.
+
+    Args:
+        records: The flights.
+        moving: Whether the coefficients of each axis are estimated.
+        structures: Structure of each axis; empty for the first-order law with a delay.
+    """
     K, flights, parts = len(moving), len(records), sum(rec.starts.size for rec in records)
     coefficients = np.tile(moving, (3, 1))
     extra = np.zeros((max((len(structure.extras) for structure in structures), default=0), K), bool)

@@ -1,4 +1,4 @@
-"""What is said of a structure's further parameters: values, errors, intervals, statuses, and what follows from them."""
+"""Further parameters of a structure: values, errors, intervals, statuses, and combinations with the coefficients."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.profile import height, hold, profile, quantile
 
 WIDEST_RATIO = 6.0
-"""Ratio of the ends of the interval of a lag or a level beyond which it is not identifiable."""
+"""Ratio of the ends of the interval of a lag or a saturation level beyond which it is not identifiable."""
 
 
 def structure_at(optimum: Optimum, k: int) -> Structure:
@@ -28,19 +28,19 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
 
 
 SUM_POINTS = 6
-"""Lags on either side of the best at which the sum of delay and lag is looked at."""
+"""Number of lags on either side of the best at which the sum of delay and lag is evaluated."""
 
 LONGEST_LAG = 2.0
-"""Longest lag that is searched [s]."""
+"""Upper bound of the lag in the search [s]."""
 
 LEAST_OWN = 1e-6
-"""Share of the information about a further parameter that the others must leave; with less it is one with them."""
+"""Share of the information about a further parameter that must remain when the other parameters are free."""
 
 
 def told_apart(optimum: Optimum, k: int) -> bool:
-    """Whether each further parameter of axis k does something that no other parameter does.
+    """Whether each further parameter of axis k is identifiable separately from the other parameters.
 
-    A level of saturation and the gain are one where all commands are of the same size.
+    A saturation level and the gain are not where all commands have the same size.
     """
     information = optimum.score.information
     variance = np.diag(inverted(information, optimum.free))
@@ -50,7 +50,7 @@ def told_apart(optimum: Optimum, k: int) -> bool:
 
 @dataclass(frozen=True)
 class Further:
-    """Further parameters of an axis, as the axis publishes them: by name."""
+    """Published values, standard errors, intervals and statuses of the further parameters of an axis, by name."""
 
     extra: Mapping[str, float | None]
     stderr: Mapping[str, float | None]
@@ -59,11 +59,11 @@ class Further:
 
 
 def further(optimum: Optimum, k: int, ends: Mapping[str, Interval]) -> Further:
-    """What is published of the further parameters of axis k.
+    """Published values of the further parameters of axis k.
 
     Args:
-        optimum: With them.
-        k: Which axis.
+        optimum: Maximum under a structure with further parameters.
+        k: Index of the axis.
         ends: Their intervals in the coordinates of the estimator, by name; open ends are None.
     """
     values, variance = optimum.point.extra_values(k), np.diag(inverted(optimum.score.information, optimum.free))
@@ -91,7 +91,7 @@ def _interval(extra: Extra, ends: Interval) -> Interval:
 
 
 def extra_status(extra: Extra, ends: Interval) -> str:
-    """`ok`, or `not_identifiable` where an end is open or a lag or level is anywhere within a wide range."""
+    """`ok`, or `not_identifiable` where an end is open or the interval of a logarithmic parameter is too wide."""
     low, high = ends
     if low is None or high is None or (extra.logarithmic and high > WIDEST_RATIO * low):
         return "not_identifiable"
@@ -101,14 +101,14 @@ def extra_status(extra: Extra, ends: Interval) -> str:
 def further_combinations(
     records: Sequence[Record], optimum: Optimum, k: int, ends: Mapping[str, Interval]
 ) -> dict[str, Combination]:
-    """What a structure's parameters mean together; `total_lag` where it differs.
+    """Combinations of the parameters of a structure; `total_lag` only where its formula differs from the default.
 
-    The interval of delay plus lag is that of its profile, the others' are by the delta method.
+    The interval of delay plus lag follows from the profile of the lag, the others from the delta method.
 
     Args:
         records: The flights.
         optimum: The maximum.
-        k: Which axis.
+        k: Index of the axis.
         ends: Intervals of its further parameters in the coordinates of the estimator, by name.
 
     Source: of the second order, T v'' + v' + b v, also with a zero: natural frequency sqrt(b / T), damping ratio
@@ -143,16 +143,17 @@ def further_combinations(
 
 
 def delay_plus_lag(records: Sequence[Record], optimum: Optimum, k: int) -> Combination:
-    """The sum of delay and lag of axis k of an optimum that has both: known where its parts are not."""
+    """Sum of delay and lag of axis k [s], which may be identifiable where its parts are not; the optimum has both."""
     lag = profile(records, optimum, optimum.point.place("lag", k)).ci95
     total = float(optimum.point.delay[k]) + optimum.point.extra_values(k)["lag"]
     return Combination(total, _sum_interval(records, optimum, k, lag))
 
 
 def _sum_interval(records: Sequence[Record], optimum: Optimum, k: int, lag: Interval) -> Interval:
-    """95 % interval of delay plus lag: at each lag of its interval, the delays that the likelihood still allows.
+    """95 % interval of delay plus lag [s]: the range of the sum over the region that the likelihood allows.
 
-    A delay and a lag trade against each other along a curve, so the sum is walked rather than taken as linear.
+    A delay and a lag trade off along a curve, so the delays are found at several lags of the lag's interval instead of
+    by linearisation. Without a delay the interval is that of the lag. `lag` is the interval of its logarithm.
     """
     index, low, high = optimum.point.place("lag", k), *_searched(optimum, k, lag)
     if not structure_at(optimum, k).delayed:
@@ -172,19 +173,19 @@ def _sum_interval(records: Sequence[Record], optimum: Optimum, k: int, lag: Inte
             spread = float(np.sqrt(left * inverted(here.score.information, here.free)[delay, delay]))
             middle = float(here.point.flat()[delay]) + float(np.exp(target))
             found += [middle - spread, middle + spread]
-    # beyond what is searched, the data say nothing: that is open, whatever number the information gives
+    # an end outside the range of the search is open
     ends = (DELAY_RANGE[0], DELAY_RANGE[1] + LONGEST_LAG)
     return (None if min(found) < ends[0] else min(found)), (None if max(found) > ends[1] else max(found))
 
 
 def _searched(optimum: Optimum, k: int, ends: Interval) -> tuple[float, float]:
-    """An interval of the logarithm of the lag, its open ends at those of the search."""
+    """An interval of the logarithm of the lag, with open ends replaced by the bounds of the search."""
     low, high = (float(bound[optimum.point.place("lag", k)]) for bound in optimum.point.bounds())
     return (low if ends[0] is None else ends[0]), (high if ends[1] is None else ends[1])
 
 
 def _combination(optimum: Optimum, k: int, value: float, logarithmic: bool, slopes: Mapping[str, float]) -> Combination:
-    """A combination from its slopes by the estimator's coordinates (of its logarithm where that is said)."""
+    """A combination by the delta method, from its derivatives (or those of its logarithm) by the coordinates."""
     C = inverted(optimum.score.information, optimum.free)
     direction = np.zeros(optimum.point.n)
     for name, slope in slopes.items():

@@ -1,7 +1,8 @@
-"""Does a command answer the motion? The mark of a feedback loop, told by what nobody foresaw.
+"""Test for a feedback loop: does a command respond to the prediction errors of the motion?
 
-Whatever predicts the motion leaves surprises. In an open loop the command knows nothing of them; in a loop its next
-changes follow them. Steps of a flight are its blocks under a fitted law, or those of any other prediction.
+In an open loop a command is independent of the errors of any prediction of the motion; in a feedback loop its next
+changes depend on them. The steps of a flight are the blocks of a fitted law, or those of any other prediction; their
+prediction errors are called surprises here.
 
 Source: C. W. J. Granger, Econometrica 37 (1969), pp. 424-438; P. E. Caines, C. W. Chan, IEEE Trans. Autom. Control 20
 (1975), pp. 498-508; the variance after H. White, Econometrica 48 (1980), pp. 817-838.
@@ -15,33 +16,33 @@ import numpy as np
 from rotorfit.core.frames import Array
 
 LOOP_STEPS = 15
-"""Steps after a surprise in which an answer is looked for."""
+"""Number of steps after a surprise in which a response of the command is tested."""
 
 LOOP_MEMORY = 45
-"""Steps of its past that may foretell a change of the command."""
+"""Number of steps of its past from which a change of the command is predicted."""
 
 EXCITATION_STEP = 6.0
-"""A change of so many times the usual one is a step of the excitation, not the answer of a loop."""
+"""Ratio to the median change above which a change is a step of the excitation, not the response of a loop."""
 
 LOOP_SIGMAS = 4.5
-"""Standard deviations beyond which the answer is a feedback loop's."""
+"""Standard deviations beyond which a response is attributed to a feedback loop."""
 
 LEAST_CHANCE = 1e-300
-"""Smallest probability that is told."""
+"""Lower limit of the probability, to keep its normal quantile finite."""
 
 FORETOLD = 1e-12
-"""Share of the power of the changes below which the command's past tells all of them: the rest is rounding."""
+"""Unpredicted share of the power of the changes below which it counts as rounding."""
 
 
 @dataclass(frozen=True)
 class LoopEvidence:
-    """How far changes of a command follow what was not foreseen of the motion.
+    """Evidence that changes of a command respond to surprises in the motion.
 
     Attributes:
-        correlation: Of a surprise with what the command's own past does not tell of its next change, where it is
-            largest; 0 where nothing can be told.
-        lag: Steps by which the change comes later.
-        sigmas: How surprising all lags together are in an open loop, as standard deviations of a normal variable.
+        correlation: Correlation of a surprise with the part of a later change that the command's own past does not
+            predict, at the lag where it is largest; 0 where the test cannot be made.
+        lag: That lag, in steps from the surprise to the change.
+        sigmas: p-value of all lags together in an open loop, as standard deviations of a normal variable.
     """
 
     correlation: float
@@ -50,20 +51,20 @@ class LoopEvidence:
 
     @property
     def closed(self) -> bool:
-        """Whether changes of the command follow what was not foreseen: the mark of a feedback loop."""
+        """Whether changes of the command respond to surprises, as in a feedback loop."""
         return self.sigmas > LOOP_SIGMAS
 
 
 def loop_evidence(parts: Iterable[tuple[Array, Array]]) -> LoopEvidence:
-    """How far changes of the command follow surprises, beyond what they follow of their own past.
+    """Tests whether changes of the command depend on surprises, beyond their dependence on the command's own past.
 
-    Where the prediction leaves out part of the vehicle, its surprises hold some of the commands before. Of a command
-    that its own past foretells, as sines are, they then go with what comes after, in an open loop too. So the next
-    change of the command and the surprises are both freed from the command's past; in an open loop no more is left
-    between them than chance. The test allows for changes that are few or of unequal size, as steps are.
+    Where the law of the prediction is incomplete, surprises contain some of the earlier commands. If the command is
+    predictable from its own past, as sines are, surprises then correlate with later commands in an open loop, too. So
+    the command's past is projected out of both its next change and the surprises; in an open loop the rest is
+    uncorrelated. The test allows for changes that are few or of unequal size, such as steps.
 
     Args:
-        parts: Of each stretch of a flight the command that acts in each step, and the surprise of that step, each of
+        parts: For each stretch of a flight the command in force in each step and the surprise of that step, each of
             shape (N,), at regular times.
     """
     from scipy.special import chdtrc, ndtri
@@ -82,10 +83,10 @@ def loop_evidence(parts: Iterable[tuple[Array, Array]]) -> LoopEvidence:
 
 
 def _unforeseen(command: Array, surprise: Array) -> tuple[Array, Array] | None:
-    """The next change of a command, shape (N,), and the surprises 0, 1, ... steps before, (N, `LOOP_STEPS`).
+    """The next change of a command, shape (N,), and the surprises 0, 1, ... steps before, shape (N, `LOOP_STEPS`).
 
-    Both less what the command's own past tells of them, and without the steps of an excitation, which hide the small
-    changes of a loop; None where the command never changes in a way that it did not foretell, or there are few steps.
+    The command's own past is projected out of both. Steps of an excitation are left out, since they hide the small
+    changes of a loop. None where the changes are completely predictable, or where there are too few steps.
     """
     reach = min(LOOP_MEMORY, command.size // 8)
     if not np.ptp(command) or reach < LOOP_STEPS:

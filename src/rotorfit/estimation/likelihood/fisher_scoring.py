@@ -1,4 +1,4 @@
-"""Climbing the likelihood: Fisher scoring with a secant correction, inside the searched ranges."""
+"""Maximisation of the likelihood: Fisher scoring with a secant correction, inside the bounds of the search."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,16 +13,16 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior, with_prior
 
 LEVEL_DAMPING = 0.1
-"""Added to the information of each level for the step: where levels together make no difference it stays small."""
+"""Added to the information of each level to limit the step in directions in which the likelihood is flat."""
 
 EDGE = 1e-9
-"""How close to a bound counts as at it."""
+"""Distance from a bound at which a parameter counts as at the bound."""
 
 FLAT_OVERLAP = np.log(0.05)
-"""Logarithm of the overlap below which the likelihood hardly depends on it."""
+"""Logarithm of the overlap below which the likelihood hardly depends on the overlap."""
 
 FAST_DISTURBANCE = np.log(50.0)
-"""Logarithm of the disturbance's damping beyond which blocks of 1/30 s do not resolve it, and a climb can be stuck."""
+"""Logarithm of the disturbance's damping above which blocks of 1/30 s do not resolve it, and a climb can get stuck."""
 
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
@@ -30,17 +30,17 @@ SECANT_BELOW = 20.0
 
 @dataclass(frozen=True)
 class Optimum:
-    """A maximum of the likelihood over the parameters that were free.
+    """A maximum of the likelihood over the free parameters.
 
     Attributes:
-        point: Where.
-        score: What it is worth.
-        free: True for the parameters that could move, shape (n + L K,).
-        restricted: What the levels account for; None where levels were held.
-        inverse: Inverse information with the secant corrections of the climb; zero for what could not move.
-        gain: Expected gain in log-likelihood of one more step: how far from the top.
-        passes: Passes over the flights that it took.
-        prior: What was believed before, where that was asked for; it is in the score.
+        point: The parameters.
+        score: Objective, gradient and information there.
+        free: True for the free parameters, shape (n + L K,).
+        restricted: The restriction of the likelihood; None where levels were held.
+        inverse: Inverse information with the secant corrections of the climb; zero for fixed parameters.
+        gain: Expected gain in log-likelihood of one more step: a measure of convergence.
+        passes: Number of passes over the flights.
+        prior: The prior, if one was used; the score includes it.
     """
 
     point: Point
@@ -69,11 +69,12 @@ def maximise(
         records: The flights.
         point: Where to start.
         free: True for the parameters that may move, shape (n + L K,).
-        inverse: Inverse information to start with, where one is known.
-        restricted: What the levels account for; by default what is free, with the start as reference.
+        inverse: Inverse information to start with, if known.
+        restricted: The restriction of the likelihood; by default that of the free parameters, with the start as
+            reference, if levels are free.
         tolerance: Expected gain in log-likelihood below which to stop.
-        most: Largest number of passes.
-        prior: Added to what is maximised.
+        most: Number of passes at which to stop.
+        prior: Added to the objective.
     """
     if restricted is None and free[-1]:
         restricted = restriction(records, point, free)
@@ -85,7 +86,7 @@ def maximise(
             inverse, active, fresh = inverted(_damped(best.information, point.n), movable), movable, True
         step = inverse @ best.gradient
         stuck = at_bound(point, step) & active
-        if stuck.any():  # at a bound, pushed outwards not by the gradient but by the others
+        if stuck.any():  # at a bound and pushed outwards by correlated parameters, not by its own gradient
             active = active & ~stuck
             inverse, fresh = inverted(_damped(best.information, point.n), active), True
             step = inverse @ best.gradient
@@ -116,10 +117,11 @@ def climb(
     most: int = 80,
     prior: GaussianPrior | None = None,
 ) -> Optimum:
-    """Maximises, and again from middling poles of the disturbance where the first climb ended at remote ones.
+    """Maximises, and again from moderate poles of the disturbance where the first climb ended at extreme ones.
 
-    Far below one the overlap leaves no trace in the likelihood, and neither do poles faster than the blocks: a climb
-    that was thrown there stays. The second start keeps the disturbance's velocity as large as it was found.
+    The likelihood is flat where the overlap is far below one and where a pole is faster than the blocks: a climb that
+    enters these regions stays there. The second start keeps the variance of the disturbance's velocity. The better of
+    the two maxima is returned; arguments as for `maximise`.
     """
     first = maximise(records, point, free, tolerance=tolerance, most=most, prior=prior)
     fast, flat = first.point.levels[:, 2] > FAST_DISTURBANCE, first.point.levels[:, 3] < FLAT_OVERLAP
@@ -149,7 +151,7 @@ def _line_search(
     restricted: Restriction | None,
     prior: GaussianPrior | None,
 ) -> tuple[Point, LikelihoodScore, int]:
-    """Shortens a step until the objective rises; gives up after eight."""
+    """Shortens a step until the objective rises, in at most eight tries; the last point, its score and their number."""
     tried = 0
     while True:
         trial = point.moved(step)
@@ -161,7 +163,7 @@ def _line_search(
 
 
 def _damped(information: Array, n: int) -> Array:
-    """The information with a little more of every level."""
+    """The information with `LEVEL_DAMPING` added for every level; n is the number of parameters before the levels."""
     out = information.copy()
     out[np.arange(n, len(out)), np.arange(n, len(out))] += LEVEL_DAMPING
     return out
@@ -177,14 +179,19 @@ def _secant(inverse: Array, step: Array, change: Array) -> Array:
 
 
 def at_bound(point: Point, gradient: Array) -> Mask:
-    """True where a parameter stands at a bound of its range and the gradient pushes it outwards."""
+    """True where a parameter is at a bound and the gradient points outwards."""
     value, (low, high) = point.flat(), point.bounds()
     return ((value <= low + EDGE) & (gradient < 0)) | ((value >= high - EDGE) & (gradient > 0))
 
 
 def limit_step(step: Array, K: int, extra: int = 0, levels: int = 4) -> Array:
-    """Shortens a step that moves log b or a further one by more than 1.5, the delay by 0.08 s, or a level by more
-    than e^2; so many of `step` are levels.
+    """Shortens a step that changes log b or a further parameter by more than 1.5, delay by 0.08 s, or log level by 2.
+
+    Args:
+        step: Step in the order of `Point.flat`.
+        K: Number of axes.
+        extra: Number of further parameters of all axes.
+        levels: Number of levels of all axes.
     """
     further = step[3 * K : 3 * K + extra]
     parts = ((step[K : 2 * K], 1.5), (step[2 * K : 3 * K], 0.08), (further, 1.5), (step[-levels:], 2.0))

@@ -1,4 +1,4 @@
-"""The disturbance levels that prediction needs, settled at coefficients that another estimator has found."""
+"""Disturbance levels for prediction, estimated at the coefficients of another estimator."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,17 +18,17 @@ from rotorfit.estimation.likelihood.parameters import DAMPING_RANGE
 def settle_levels(
     flights: Sequence[Flight], points: Mapping[str, Predictor]
 ) -> list[tuple[tuple[str, ...], list[Record], Optimum]]:
-    """Levels, trims and starts at given coefficients, by the restricted likelihood.
+    """Levels, trims and start velocities at given coefficients, by the restricted likelihood.
 
-    x and y of a vehicle that turns are settled together, by the filter that turns with it; an axis of the two without
-    a point only coasts. A damping below the range of the likelihood is taken as its end.
+    x and y of a vehicle that turns are estimated together; if only one of them has coefficients, the other gets a gain
+    of 0 and a damping of 1 1/s. A damping outside the range of the likelihood is clipped to it.
 
     Args:
-        flights: Those that serve these axes.
+        flights: Flights that command one of the axes.
         points: Axis to its coefficients: one axis, or x and y.
 
     Returns:
-        Axes, records and optimum, of all axes together or one each; none where the flights are too short.
+        Axes, records and optimum, of all axes together or one entry per axis; empty where the flights are too short.
     """
     axes = ("x", "y") if {"x", "y"} & set(points) else tuple(points)
     records = [rec for flight in flights if (rec := record(flight, axes))]
@@ -53,11 +53,11 @@ def _settled(
 
 
 def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str, Axis]:
-    """Axes of one group with the disturbance levels settled at their predictors.
+    """The axes of one group with the disturbance levels estimated at their predictors.
 
     Args:
-        flights: Those that serve the axes with a predictor.
-        axes: Axis name to what is known of it.
+        flights: Flights that command one of the axes.
+        axes: The axes by name; one without a predictor is left as it is.
     """
     out = dict(axes)
     points = {axis: known.predictor for axis, known in axes.items() if known.predictor}
@@ -69,7 +69,7 @@ def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str
 
 
 def noise_of(optimum: Optimum, k: int) -> dict[str, float]:
-    """Disturbance levels of an axis, by name, and the mean square of the flights' trims."""
+    """Disturbance levels of axis k by name, not as logarithms, and the variance of the trims as `trim_variance`."""
     levels = np.exp(optimum.point.levels[k])
     return {name: float(v) for name, v in zip(LEVELS_OF[optimum.point.measured], levels, strict=True)} | {
         "trim_variance": float(trim_variance(optimum)[k])

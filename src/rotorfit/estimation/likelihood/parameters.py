@@ -1,4 +1,4 @@
-"""Point: where the likelihood is looked at, as named arrays and as one flat vector, with the ranges of its search.
+"""Point: parameters of the likelihood, as named arrays and as one flat vector, with the ranges of the search.
 
 Coefficients enter as (g, log b, tau), so the damping is positive by construction.
 """
@@ -13,7 +13,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE, FIRST_ORDER_DELAY, Measured, Structure, law_of, level_range
 
 DAMPING_RANGE = (1e-3, 100.0)
-"""Damping that is searched [1/s]."""
+"""Range of dampings that is searched [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,18 @@ class Point:
     """A point of the parameter space of K axes and F flights.
 
     Attributes:
-        gain: g, shape (K,).
-        log_damping: log b, shape (K,).
+        gain: g, shape (K,) [m/s^2 or rad/s^2 per unit of the command].
+        log_damping: log b, b in 1/s, shape (K,).
         delay: tau, shape (K,) [s].
-        trim: c in the heading frame, shape (F, K).
-        start: Velocity at the start of each segment, shape (S, K), over the segments of all flights in turn.
-        levels: log of q, r, alpha, kappa, shape (K, L): L = 4; or 5, the last being r_v, where position and velocity
-            are measured. Where only a velocity is, r_v is in the place of r.
-        structures: Of each axis; none means the default of all.
-        extra: Coordinates of the E further parameters, shape (E, K): as many as the axis with the most has; those that
-            an axis does not have are not looked at.
-        measured: What the levels are of.
+        trim: c in the heading frame, shape (F, K) [m/s^2 or rad/s^2].
+        start: Velocity at the start of each segment, over the segments of all flights in turn, shape (S, K) [m/s or
+            rad/s]; world frame for x with y.
+        levels: Logarithms of q, r, alpha, kappa, shape (K, L): L = 4; or 5, the last being r_v, where position and
+            velocity are measured. Where only a velocity is, r_v is in the place of r.
+        structures: Structure of each axis; empty if all have the first-order law with a delay.
+        extra: Coordinates of the further parameters, shape (E, K); E is that of the axis with the most of them, and
+            entries that an axis does not have are ignored.
+        measured: Kind of measurement to which the levels belong.
     """
 
     gain: Array
@@ -45,13 +46,13 @@ class Point:
     measured: Measured = "position"
 
     def flat(self) -> Array:
-        """g of all axes, log b, tau, further ones, trims, start velocities, levels: shape (n + L K,)."""
+        """One vector of g of all axes, log b, tau, further parameters, trims, start velocities, levels: (n + L K,)."""
         parts = (self.gain, self.log_damping, self.delay, self.extra, self.trim, self.start, self.levels)
         return np.concatenate([part.ravel() for part in parts])
 
     @property
     def coefficients(self) -> int:
-        """Number of parameters before the trims: 3 + E of each axis."""
+        """Number of parameters before the trims: 3 + E per axis."""
         return 3 * self.gain.size + self.extra.size
 
     @property
@@ -60,16 +61,16 @@ class Point:
         return self.coefficients + self.trim.size + self.start.size
 
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper ends of the searched ranges, in the order of `flat`."""
+        """Lower and upper bounds of the search, in the order of `flat`."""
         others = self.trim.size + self.start.size
         return _bounds(self.gain.size, self.structures, len(self.extra), others, self.measured)
 
     def moved(self, step: Array) -> "Point":
-        """The point plus a step in the order of `flat`, kept inside the searched ranges."""
+        """The point plus a step in the order of `flat`, clipped to the bounds of the search."""
         return self.with_flat(np.clip(self.flat() + step, *self.bounds()))
 
     def reach(self, step: Array) -> float:
-        """Largest share, at most 1, of a step that stays inside the searched ranges."""
+        """Largest share of a step, at most 1, that stays inside the bounds; parameters already at one are ignored."""
         value, (low, high) = self.flat(), self.bounds()
         room = np.where(step > 0, high - value, value - low)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -88,7 +89,7 @@ class Point:
         )  # fmt: skip
 
     def place(self, name: str, k: int) -> int:
-        """Where a coefficient or further parameter of axis k stands in `flat`."""
+        """Index of a coefficient or further parameter of axis k in `flat`."""
         K = self.gain.size
         if name in ("input", "damping", "delay"):
             return ("input", "damping", "delay").index(name) * K + k
@@ -101,7 +102,7 @@ class Point:
 
     @property
     def laws(self) -> Array | None:
-        """The general law of each axis without its trim, shape (K, LAW_SIZE); None where all are of the default."""
+        """The general law of each axis without trim, shape (K, LAW_SIZE); None if all are first order with a delay."""
         if all(structure == FIRST_ORDER_DELAY for structure in self.structures):
             return None
         coefficients = zip(self.structures, self.gain, np.exp(self.log_damping), self.delay, strict=True)
@@ -110,7 +111,7 @@ class Point:
 
 @functools.cache
 def _bounds(K: int, structures: tuple[Structure, ...], E: int, others: int, measured: Measured) -> tuple[Array, Array]:
-    """Bounds of a point of K axes, E further parameters, and so many trims and start velocities."""
+    """Bounds of a point with K axes, E further parameters, and `others` trims and start velocities."""
     extra = np.tile(np.array([-np.inf, np.inf]), (E, K, 1))
     for k, structure in enumerate(structures):
         for e, one in enumerate(structure.extras):

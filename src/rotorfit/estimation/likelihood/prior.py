@@ -1,11 +1,11 @@
-"""What was believed before the flight: a Gaussian term on the coefficients (maximum a posteriori).
+"""Gaussian priors on the coefficients (maximum a posteriori).
 
-It is added to what is maximised, never to the log-likelihood that is reported. Input and delay as they are; damping in
-its logarithm, where its estimate lives and a prior of positive damping is natural: log(mean), with the share sd / mean.
+The prior is added to the objective, never to the reported log-likelihood. Input and delay have normal priors; damping
+has a log-normal one, since its logarithm is estimated: mean log(mean), standard deviation sd / mean.
 
-The default laws have one prior that no card need give: of the lag. Between command and acceleration stands an attitude
-loop; of multirotors it answers within hundredths to tenths of a second, and a flight in gusts cannot tell its lag from
-the delay. A logarithmic normal, wide enough that a calm flight does not notice it, keeps such a flight's input finite.
+The default laws have a prior of their own, on the lag, that the card does not give. Between command and acceleration is
+the attitude loop, which in multirotors responds within hundredths to tenths of a second, and in gusts its lag cannot be
+separated from the delay. A log-normal prior, wide enough to have no effect on a calm flight, keeps the input finite.
 
 Source: S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 11.5.
 """
@@ -27,16 +27,16 @@ LAG_MEDIAN = 0.1
 """Median of the prior of the lag [s]: attitude loops of the recorded and the simulated vehicles, 0.03 to 0.3 s."""
 
 LAG_SPREAD = 1.0
-"""Standard deviation of its logarithm: 95 % lie from 0.014 to 0.71 s."""
+"""Standard deviation of the logarithm of the lag: 95 % of the prior is from 0.014 to 0.71 s."""
 
 
 @dataclass(frozen=True)
 class GaussianPrior:
-    """The term of K axes, over their first coordinates in the order of `Point.flat`: g, log b, tau, further ones.
+    """Prior of K axes over the first coordinates of `Point.flat`: g, log b, tau, further parameters.
 
     Attributes:
-        mean: Shape (3 K,), or (3 K + E K,) where something is believed of a further parameter.
-        precision: One over the variance, 0 where nothing is believed, of the same shape.
+        mean: Shape (3 K,), or (3 K + E K,) if a further parameter has a prior.
+        precision: Inverse variance, 0 where there is no prior, of the same shape.
     """
 
     mean: Array
@@ -44,7 +44,7 @@ class GaussianPrior:
 
 
 def gaussian_prior(priors: Mapping[str, Mapping[str, Prior]], axes: Sequence[str]) -> GaussianPrior | None:
-    """The term of these axes from a card's priors; None where it says nothing of them."""
+    """The prior of these axes from a card's priors by axis and coefficient; None where the card has none for them."""
     mean, precision = np.zeros((3, len(axes))), np.zeros((3, len(axes)))
     for k, axis in enumerate(axes):
         for i, name in enumerate(_NAMES):
@@ -56,11 +56,14 @@ def gaussian_prior(priors: Mapping[str, Mapping[str, Prior]], axes: Sequence[str
 
 
 def lag_prior(structures: Sequence[Structure], known: GaussianPrior | None = None) -> GaussianPrior | None:
-    """The prior of the lag of every axis whose law has one, beside what is believed of the coefficients.
+    """The prior of the lag of every axis whose law has one, combined with a prior of the coefficients.
 
     Args:
-        structures: Of the K axes.
-        known: Of their coefficients.
+        structures: Structures of the K axes.
+        known: Prior of their coefficients.
+
+    Returns:
+        The combined prior; `known` if no law has a lag.
     """
     K, E = len(structures), max(len(structure.extras) for structure in structures)
     lags = [(3 + e) * K + k for k, law in enumerate(structures) for e, one in enumerate(law.extras) if one.place == LAG]
@@ -74,7 +77,7 @@ def lag_prior(structures: Sequence[Structure], known: GaussianPrior | None = Non
 
 
 def with_prior(likelihood: LikelihoodScore, point: Point, prior: GaussianPrior | None) -> LikelihoodScore:
-    """The score of likelihood and prior together."""
+    """The score with the prior included in objective, gradient and information."""
     if prior is None:
         return likelihood
     at = np.arange(prior.mean.size)
@@ -87,7 +90,7 @@ def with_prior(likelihood: LikelihoodScore, point: Point, prior: GaussianPrior |
 
 
 def redrawn(prior: GaussianPrior, rng: np.random.Generator) -> GaussianPrior:
-    """A prior that could have been held as well: its mean drawn from itself."""
+    """The prior with its mean drawn from the prior itself, for simulations that repeat the fit."""
     known = prior.precision > 0
     error = np.where(known, np.where(known, prior.precision, 1.0) ** -0.5, 0.0)
     return replace(prior, mean=prior.mean + error * rng.standard_normal(error.size))

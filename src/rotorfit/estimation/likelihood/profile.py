@@ -12,21 +12,22 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, level_share
 
 NOT_WALKED = 0.1
-"""Expected gain in log-likelihood that a re-maximisation leaves to be added rather than walked."""
+"""Expected gain in log-likelihood at which a re-maximisation stops; the gain is then added to the objective."""
 
 
 def hold(
     records: Sequence[Record], optimum: Optimum, index: int, target: float, tolerance: float = NOT_WALKED
 ) -> Optimum:
-    """Re-maximises over everything else with one parameter held at a target.
+    """Re-maximises over all other free parameters with one parameter held at a target.
 
-    Starts where the information expects the others to go, with the information conditional on the held one.
+    The start is the linear prediction of the other parameters from the information, with the information conditional on
+    the held parameter.
 
     Args:
         records: The flights.
         optimum: A maximum, free or at a neighbouring target.
-        index: Of the held parameter in the order of `Point.flat`.
-        target: Where it is held.
+        index: Index of the held parameter in `Point.flat`.
+        target: Value at which it is held.
         tolerance: Expected gain in log-likelihood below which to stop.
     """
     free = optimum.free.copy()
@@ -44,15 +45,15 @@ def hold(
 
 
 def height(optimum: Optimum) -> float:
-    """Objective of an optimum with the expected gain of the step that was not worth walking."""
+    """Objective of an optimum plus the expected gain of the last step, which was not taken."""
     return optimum.score.objective + min(optimum.gain, NOT_WALKED)
 
 
 def quantile(optimum: Optimum, direction: Array) -> float:
-    """97.5 % point for the signed root of twice the fall of the profile along a combination of coefficients.
+    """97.5 % point of the signed root of twice the fall of the profile along a direction, shape (n,).
 
-    Student's t at the degrees of freedom that the levels leave; widened because the information at estimated levels is
-    too large, by as much as their uncertainty adds to the variance. The profile itself holds what it adds, once.
+    It is that of Student's t, with the degrees of freedom at estimated levels. It is widened because the information at
+    estimated levels is too large by the variance that their uncertainty adds; the profile includes that variance once.
 
     Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997, the factor 2 of the adjusted covariance.
     """
@@ -64,23 +65,23 @@ def quantile(optimum: Optimum, direction: Array) -> float:
 
 
 MOST_SHARE = 1.0
-"""Largest share of the levels' uncertainty that is believed: beyond it the expansion says nothing."""
+"""Upper limit of the share of the levels' uncertainty: beyond it the expansion is not valid."""
 
 SCALED = 5
-"""Looks by scaled steps before a bracket is halved."""
+"""Number of evaluations by scaled steps before the bracket is bisected."""
 
 SECOND = 1.2
-"""Step, as a share of the way so far, by which a walk goes on from an end that did not hold."""
+"""Factor on the distance from the maximum with which the search continues from an end that was not confirmed."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """What holding one parameter showed.
+    """Profile of one parameter.
 
     Attributes:
-        ci95: The 95 % interval; an end that the searched range cuts off is None.
-        points: Values looked at, increasing, and the objective there, re-maximised, less its maximum.
-        fall: How far the objective falls to the ends of the interval.
+        ci95: The 95 % interval; an end that a bound of the search cuts off is None.
+        points: Increasing values of the parameter, each with the re-maximised objective less its maximum.
+        fall: Fall of the objective at the ends of the interval.
     """
 
     ci95: Interval
@@ -97,7 +98,7 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     Args:
         records: The flights.
         optimum: The free maximum.
-        index: Of the parameter in the order of `Point.flat`.
+        index: Index of the parameter in `Point.flat`.
     """
     values = optimum.point.flat()
     direction = np.zeros(values.size - optimum.point.levels.size)
@@ -143,10 +144,11 @@ def _crossing(
     bound: float,
     reach: float,
 ) -> float | None:
-    """Where the root of the fall passes `reach` on the way from `best` to `bound`; None where it does not.
+    """Where the root of the fall crosses `reach` between `best` and `bound`; None where it does not.
 
-    After twelve looks the outer end of the bracket is taken, if the fall holds there when it is reached from the inner
-    end: a leap so far may have failed to come back to the top. Where it does not hold, the way goes on from there.
+    After twelve evaluations the outer end of the bracket is returned, if the fall there is confirmed by re-maximising
+    from the inner end: after a long step the maximisation may have missed the maximum. If it is not confirmed, the
+    search continues from there.
     """
     end, inside, outside = _walk(root, best, best, guess, bound, reach)
     if end is not None or outside is None:
@@ -161,11 +163,11 @@ def _crossing(
 def _walk(
     root: Callable[[float], float], best: float, inside: float, target: float, bound: float, reach: float
 ) -> tuple[float | None, float, float | None]:
-    """Where the root of the fall is `reach`, if that was met, and the bracket around it; no outer end for none.
+    """Where the root of the fall equals `reach`, or None; and the bracket around it, with None for no outer end.
 
-    The root is nearly linear where the likelihood is nearly quadratic, so the steps scale with it; a bracket keeps them
-    honest where it is not and is halved where they are slow, as where the root is flat beyond the end: a level that no
-    command reaches.
+    The root is nearly linear where the likelihood is nearly quadratic, so steps scale with it. A bracket safeguards
+    them; it is bisected where they converge slowly, for example where the root is flat beyond the end, as for a
+    saturation level that no command reaches.
     """
     outside = None
     side = 1.0 if bound > best else -1.0
