@@ -1,9 +1,9 @@
-"""How late the vehicle's own velocity is against its pose: told by the motion itself, by the likelihood.
+"""Latency of the vehicle's own velocity relative to its pose, estimated from the motion by the likelihood.
 
-First as if the commands were unknown: all motion is a velocity coloured by two poles, which goes through the filter of
-`fusion`, and the latency is where pose and velocity fit each other best. Then, where the commands explain the motion,
-by the profile of the whole likelihood about that place, everything else at its best: steps of a command are no
-coloured noise, and an interval that takes them for it is too short.
+First the commands are ignored: the whole motion is a disturbance, a velocity coloured by two poles, in the filter of
+`velocity_fusion`, and the latency is that at which pose and velocity agree best. Then, where the commands explain the
+motion, the latency follows from the profile of the likelihood with commands, near the first estimate: steps of a
+command are not coloured noise, and an interval that treats them as such is too short.
 """
 
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.flights.onboard_velocity import moved
 
 LATENCY_RANGE = (-0.1, 0.5)
-"""Latencies that are searched [s]."""
+"""Range of latencies that is searched [s]."""
 
 GRID = 0.02
-"""Step of the first look [s]: a fraction of the time in which a multirotor changes its velocity."""
+"""Step of the grid search [s]: a fraction of the time in which a multirotor changes its velocity."""
 
 ENOUGH = 1e-4
-"""To this the top and the ends of the interval are found [s]."""
+"""Tolerance of the maximum and of the ends of the interval [s]."""
 
 NORMAL = 1.959964
 
@@ -37,19 +37,19 @@ FALL = 0.5 * NORMAL**2
 """Fall of the log-likelihood at the ends of the 95 % interval of one parameter."""
 
 GROUPS = (("x", "y"), ("z",), ("yaw",))
-"""Axes that share a latency."""
+"""Groups of axes that share a latency."""
 
 WIDEST = 0.1
-"""Width of the interval [s] beyond which a velocity says too little about when: it is left out."""
+"""Width of the interval [s] from which on the latency is not identifiable and the velocity is left out."""
 
 
 @dataclass(frozen=True)
 class Latency:
-    """How late a velocity is against the pose [s].
+    """Latency of a velocity relative to the pose; positive if the velocity is late.
 
     Attributes:
-        value: Where the likelihood is highest.
-        low: Lower end of its 95 % interval, None where the searched range cuts it off.
+        value: Estimate [s].
+        low: Lower end of its 95 % interval [s]; None where the range of the search cuts it off.
         high: Upper end, likewise.
     """
 
@@ -59,19 +59,19 @@ class Latency:
 
     @property
     def known(self) -> bool:
-        """Whether it is well enough known for the velocity to be of use."""
+        """Whether the interval is narrow enough for the velocity to be used."""
         return self.low is not None and self.high is not None and self.high - self.low < WIDEST
 
 
 def align_velocity(flight: Flight, wanted: Sequence[str] = AXES) -> Flight:
-    """The flight with its velocity on the clock of the poses, by what the motion tells, and a note for each group.
+    """The flight with its velocity on the clock of the poses, with a note for each group.
 
-    Horizontal velocity, climb and turn often come from different sensors and filters: each has a latency of its own.
-    A velocity whose latency the motion does not tell is left out. One that stands alone has no pose to be late against.
+    Horizontal velocity, climb rate and yaw rate often come from different sensors and filters, so each has a latency of
+    its own. A velocity whose latency is not identifiable is left out. Axes with a velocity only have no latency.
 
     Args:
-        flight: Any.
-        wanted: Axes that will be fitted; of groups without any of them the velocity is left out without a look.
+        flight: Any flight; without velocities, or with latencies known already, it is returned as it is.
+        wanted: Axes that will be fitted; velocities of groups without any of them are left out without a note.
     """
     velocity, both = flight.velocity, both_axes(flight)
     if velocity is None or not both or velocity.late is not None:
@@ -101,7 +101,7 @@ def align_velocity(flight: Flight, wanted: Sequence[str] = AXES) -> Flight:
 
 
 def both_axes(flight: Flight) -> tuple[str, ...]:
-    """The axes of which both pose and velocity are measured."""
+    """The axes with both a measured pose and a measured velocity."""
     velocity = flight.velocity
     if velocity is None:
         return ()
@@ -109,11 +109,11 @@ def both_axes(flight: Flight) -> tuple[str, ...]:
 
 
 def latency_of(flight: Flight, axes: Sequence[str]) -> Latency | None:
-    """How late the velocity of a flight is against its pose.
+    """Latency of the velocity of a flight relative to its pose.
 
     Args:
-        flight: With both.
-        axes: Of which both are measured. They share the latency; each has noise and motion of its own.
+        flight: Flight with a velocity.
+        axes: Axes with both. They share the latency; each has its own noise and disturbance levels.
 
     Returns:
         The latency; None where no segment is long enough.
@@ -134,13 +134,16 @@ def latency_of(flight: Flight, axes: Sequence[str]) -> Latency | None:
     if not found.known:
         return found
     assert part.velocity is not None
-    # turned by the heading of the right time, once for all: likelihoods of different data cannot be compared
+    # rotate by the heading at the right time once, since likelihoods of different data cannot be compared
     turned = moved(part.velocity, np.full(len(AXES), best), part.pose_time, part.yaw)
     return _by_the_commands(replace(part, velocity=turned), axes, found)
 
 
 def _by_the_commands(flight: Flight, axes: Sequence[str], found: Latency) -> Latency:
-    """The latency by the profile of the whole likelihood about the one that was found; that one where it tells none."""
+    """The latency from the profile of the likelihood with commands around a first estimate; else the first estimate.
+
+    The first estimate is kept where no axis is excited or the profile has no maximum.
+    """
     assert found.low is not None
     assert found.high is not None
     reach = (found.high - found.low) / NORMAL
@@ -166,7 +169,7 @@ def _by_the_commands(flight: Flight, axes: Sequence[str], found: Latency) -> Lat
 
 
 def _profile(flight: Flight, estimates: Sequence[Estimate], latency: float) -> float:
-    """The whole log-likelihood of some axes at a latency, with coefficients at their best and levels held."""
+    """Log-likelihood of all axes together at a latency [s], maximised over the coefficients, with levels held."""
     late, height = _late(flight, latency), 0.0
     for estimate in estimates:
         names = estimate.records[0].axes
@@ -176,18 +179,18 @@ def _profile(flight: Flight, estimates: Sequence[Estimate], latency: float) -> f
 
 
 def _at_best(records: Sequence[Record], estimate: Estimate) -> Optimum:
-    """The maximum on other records, from the estimate's own point with its levels."""
+    """The maximum on other records, from the point of the estimate, with its levels held."""
     free = estimate.optimum.free.copy()
     free[estimate.optimum.point.n :] = False
     return maximise(records, estimate.optimum.point, free)
 
 
 def delay_error(flights: Sequence[Flight], estimate: Estimate) -> float:
-    """Half the 95 % interval that the latencies of the velocities alone leave to the delay of an axis [s].
+    """Half the 95 % interval of the delay of an axis that is due to the latencies of the velocities alone [s].
 
     Args:
-        flights: Those that the estimate is of, in its order.
-        estimate: Of the axis, alone or x with y.
+        flights: The flights of the estimate, in its order.
+        estimate: Estimate of the axis, alone or x with y.
     """
     axes, place = estimate.records[0].axes, estimate.place
     axis, total = axes[place], 0.0
@@ -209,7 +212,7 @@ def delay_error(flights: Sequence[Flight], estimate: Estimate) -> float:
 
 
 def _inside(flight: Flight) -> Flight:
-    """The flight with those velocities only that lie inside a segment whatever the latency: all see the same data."""
+    """The flight with only those velocities that are inside a segment at every latency: the data are then the same."""
     assert flight.velocity is not None
     time = flight.velocity.time
     keep = np.zeros(time.size, bool)
@@ -226,7 +229,7 @@ def _late(flight: Flight, latency: float) -> Flight:
 
 
 def _point(flight: Flight, axis: str, latency: float) -> Point | None:
-    """Settled levels of the motion of an axis, as if the commands were unknown; None where it is too short."""
+    """Point of an axis without input, with estimated levels, at a latency [s]; None where the flight is too short."""
     rec = record(_late(flight, latency), (axis,))
     if rec is None or rec.measured != "both":
         return None
@@ -236,7 +239,7 @@ def _point(flight: Flight, axis: str, latency: float) -> Point | None:
 
 
 def _settled(flight: Flight, axis: str, point: Point, latency: float) -> Point:
-    """The levels where they are likeliest at a latency."""
+    """The point with its levels re-estimated at a latency [s]."""
     records = [rec for rec in [record(_late(flight, latency), (axis,))] if rec]
     free = free_of(records, [False])
     free[: point.n] = False
@@ -244,7 +247,7 @@ def _settled(flight: Flight, axis: str, point: Point, latency: float) -> Point:
 
 
 def _height(flight: Flight, points: dict[str, Point], latency: float) -> float:
-    """Log-likelihood of all axes together."""
+    """Log-likelihood of all axes together, without input, at a latency [s]."""
     late = _late(flight, latency)
     records = {axis: record(late, (axis,)) for axis in points}
     return sum(score([rec], points[axis]).log_likelihood for axis, rec in records.items() if rec)
@@ -260,7 +263,7 @@ def _top(flight: Flight, points: dict[str, Point], low: float, high: float) -> f
 
 
 def _end(flight: Flight, points: dict[str, Point], top: float, height: float, edge: float) -> float | None:
-    """Where the log-likelihood falls to a height between the top and an edge of the range; None where it does not."""
+    """Latency between the maximum and an edge of the range at which the log-likelihood is `height`; None if none."""
     from scipy.optimize import brentq
 
     if abs(edge - top) < ENOUGH or _height(flight, points, edge) > height:

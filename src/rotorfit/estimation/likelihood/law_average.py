@@ -1,9 +1,9 @@
-"""The default laws: delay and lag with a weak prior of the lag, or second order with a zero where the data ask for it.
+"""The default laws: delay and lag with a weak prior on the lag, or second order with a zero where the data require it.
 
-Between command and acceleration of x and y stands the attitude loop: a lag beside the delay. A velocity loop, on every
-axis that has one, overshoots: its integral part makes a second order, its feed-forward a zero. A fast attitude loop is
-no more than delay. Which of the three laws it is, the data say by the evidence for each; where they do not say, what is
-published of an axis holds what all of them say.
+Between command and acceleration of x and y is the attitude loop: a lag in addition to the delay. A velocity loop, on
+axes that have one, overshoots: its integral part gives a second order, its feed-forward a zero. A fast attitude loop
+is indistinguishable from a delay. The three laws are weighted by their evidence; where several remain, the published
+intervals of an axis contain those of all of them.
 
 Source: J. A. Hoeting et al., Statistical Science 14 (1999), pp. 382-417 (averaging over models).
 """
@@ -28,25 +28,25 @@ from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, Gaussia
 from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
 
 LAGGED, LED = STRUCTURES["first_order_delay_lag"], STRUCTURES["second_order_zero"]
-"""The laws of the family."""
+"""The laws of the family besides the first-order law with a delay."""
 
 WITH_LOOP = ("z", "yaw")
-"""Axes whose commands a velocity loop answers."""
+"""Axes that may have a velocity loop."""
 
 FAST = np.log([100.0, 0.05])
 """Logarithms of damping [1/s] and overlap of a fast disturbance."""
 
 ZERO_MEAN = 0.3
-"""Mean of the exponential density of the zero before the flight [s]; it weighs laws and moves no estimate."""
+"""Mean of the exponential prior of the zero [s]; it affects the weights of the laws and no estimate."""
 
 NO_ZERO = 0.005
-"""A zero below this is none [s]: there it and the delay do the same."""
+"""Zero below which a law counts as having none [s]: such a zero has the same effect as a change of the delay."""
 
 ROUNDING = 1e-9
-"""Share of a variance below which what others leave of it is rounding."""
+"""Lower limit of a conditional variance relative to the marginal one: below it is rounding."""
 
 LEAST_WEIGHT = 0.1
-"""Weight below which a law is left out: the data speak strongly against it (Kass and Raftery, odds of 10)."""
+"""Weight below which a law is left out: strong evidence against it (Kass and Raftery, odds of 10)."""
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,18 @@ class Law:
 
 @dataclass(frozen=True)
 class Family:
-    """What the default family says of one axis.
+    """The default laws of one axis.
 
     Attributes:
-        plain: The first-order law with a delay, at disturbance levels no worse than the others'.
-        laws: Those that the data do not rule out, the likeliest first.
+        plain: Estimate under the first-order law with a delay, tried also from the levels of a likelier law.
+        laws: The laws that the data do not rule out, by decreasing weight.
     """
 
     plain: Estimate
     laws: tuple[Law, ...]
 
     def of(self, laws: Sequence[Law]) -> "Family":
-        """The family with these of its laws alone, one or more."""
+        """The family with only these of its laws, one or more; their weights are normalised."""
         total = sum(law.weight for law in laws)
         return replace(self, laws=tuple(replace(law, weight=law.weight / total) for law in laws))
 
@@ -82,8 +82,8 @@ def families(
 
     Args:
         serving: The flights of the group.
-        estimates: Of the first-order law with a delay, by axis.
-        priors: Of the card, where they are wanted.
+        estimates: Estimates under the first-order law with a delay, by axis.
+        priors: Priors of the card by axis and coefficient; empty to use none.
     """
 
     def prior_of(axes: Sequence[str], structures: Sequence[Structure]) -> GaussianPrior | None:
@@ -105,9 +105,9 @@ def families(
 
 
 def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """The estimates climbed again from a fast disturbance, where that is likelier: its levels have two maxima, too.
+    """The estimates climbed again from a fast disturbance, where that is likelier: the levels can have two maxima.
 
-    Where commands are known and poses clean, what is left is what the law cannot say: soft at first, then nothing.
+    With little wind and pose noise the residuals are errors of the law: smooth over a short time, uncorrelated beyond.
     """
     found: dict[int, Optimum] = {}
     for estimate in estimates.values():
@@ -128,9 +128,9 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
 
 
 def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate | None:
-    """The law with a zero, from the levels of the better of two others; None where it adds nothing to a lag.
+    """The law with a zero, climbed from the levels of the likelier of the other two; None where it is not needed.
 
-    That is where it moves as the lagged law does, or predicts worse.
+    It is not where it is equivalent to the lagged law or predicts worse.
     """
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
@@ -142,14 +142,14 @@ def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate
 
 
 def _moves_as_lagged(led: Estimate) -> bool:
-    """Whether the zero is none and the poles are real: then damping and lag do the same in a row."""
+    """Whether there is no zero and the poles are real: then the law equals a first-order law with a lag."""
     value, k = led.optimum.point.extra_values(led.place), led.place
     overdamped = 4 * value["lag"] * float(np.exp(led.optimum.point.log_damping[k])) <= 1
     return overdamped and value["zero"] < NO_ZERO
 
 
 def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
-    """The laws with their weights: each has the same chance before the flight, and its evidence after it."""
+    """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
     plain = _no_worse(plain, ended)
     if not ended:
@@ -165,12 +165,12 @@ def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
 
 
 def _evidence(estimate: Estimate, share: float) -> float:
-    """Logarithm of the mean likelihood over what a law's lag and zero may be, by Laplace, one after the other.
+    """Logarithm of the likelihood averaged over the priors of lag and zero, by Laplace's method, one after the other.
 
-    Input, damping and delay belong to every law and are taken at the top. The likelihood counts as that of as many
-    innovations as are independent. A mean is no larger than the top: where a zero and the delay do the same, their
-    spread says nothing. Where lag and zero only move together, as they do where they cancel each other, the second has
-    the spread that the first leaves it.
+    Input, damping and delay belong to every law and are taken at the maximum. `share` scales the log-likelihood to the
+    effective number of independent innovations. An average cannot exceed the maximum: the factor is limited to 1, since
+    a zero and the delay may be equivalent, with a meaningless variance. Where lag and zero are correlated, as where
+    they cancel each other, the second one has its variance conditional on the first.
 
     Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 4.1.
     """
@@ -187,7 +187,7 @@ def _evidence(estimate: Estimate, share: float) -> float:
 
 
 def _log_prior(extra: Extra, value: float) -> float:
-    """Logarithm of the density of a further parameter, in the coordinate of the estimator, before the flight."""
+    """Logarithm of the prior density of a further parameter, in the coordinate of the estimator."""
     if extra.place == LAG:
         off = np.log(value / LAG_MEDIAN) / LAG_SPREAD
         return float(-0.5 * off**2 - np.log(LAG_SPREAD * np.sqrt(2 * np.pi)))
@@ -207,12 +207,12 @@ def _no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
 
 
 def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
-    """What is said of an axis where several laws hold: the likeliest, with intervals that hold what all of them say.
+    """The axis as published where several laws are plausible: the likeliest, with the unions of all their intervals.
 
     Args:
-        axes: What each law of the family says, in its order.
+        axes: The axis under each law of the family, in its order.
         family: The laws.
-        name: Of the axis.
+        name: Name of the axis.
     """
     first, *others = axes
     laws = tuple(told(law, family.plain, name) for law in family.laws)
@@ -252,7 +252,7 @@ def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
 
 
 def _union(intervals: Sequence[Interval]) -> Interval:
-    """The smallest interval that holds all; an open end stays open."""
+    """The smallest interval that contains all of them; an open end stays open."""
     lows, highs = [low for low, _ in intervals], [high for _, high in intervals]
     return (
         None if None in lows else min(low for low in lows if low is not None),
@@ -261,12 +261,12 @@ def _union(intervals: Sequence[Interval]) -> Interval:
 
 
 def told(law: Law, plain: Estimate, name: str) -> Weighed:
-    """A law of an axis as the model file tells it.
+    """A law of an axis as in the model file.
 
     Args:
         law: The law.
-        plain: The first-order law with a delay of the axis.
-        name: Of the axis.
+        plain: Estimate of the axis under the first-order law with a delay.
+        name: Name of the axis.
     """
     optimum, k = law.estimate.optimum, law.estimate.place
     found = Axis(None, None, None, {}, {}, {}, predictor=Predictor(0.0, 0.0, 0.0))
@@ -287,7 +287,7 @@ def told(law: Law, plain: Estimate, name: str) -> Weighed:
 
 
 def _lag_share(estimate: Estimate) -> float | None:
-    """Share of the information about the logarithm of the lag that is its prior's."""
+    """Share of the information about the logarithm of the lag that is due to its prior; None without such a prior."""
     optimum, k = estimate.optimum, estimate.place
     lag = next((extra.name for extra in estimated_extras(optimum, k) if extra.place == LAG), None)
     if lag is None or optimum.prior is None:

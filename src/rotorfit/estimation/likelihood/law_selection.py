@@ -1,11 +1,11 @@
-"""Which structure the data earn: by the information criterion and by predictions of what was not fitted, axis by axis.
+"""Selection of a structure for each axis, by the Bayesian information criterion and by predictions of held-out data.
 
-The simplest structure stays unless a richer one is better by both. Held out is each flight in turn, or each half of the
-only one. Squared prediction errors of two structures are compared start by start, because the same gusts disturb both;
-starts 0.5 s apart share most of what they predict, so standard errors are those of blocks longer than the horizon. To
-be better is to be better block by block (the logarithm of the ratio), where a few large errors do not rule; not to be
-worse is asked of the sum, too. Residuals of real flights are not quite white: the criterion counts the log-likelihood
-as that of as many innovations as are independent.
+The simplest structure is kept unless a richer one is better by both. Each flight in turn is held out, or each half of
+the only one. Squared prediction errors of two structures are compared start by start, because the same gusts disturb
+both; starts 0.5 s apart share most of the predicted interval, so standard errors are those of blocks longer than the
+horizon. A structure is better if it is better block by block (by the logarithm of the ratio), so that a few large
+errors do not dominate; to be no worse, its sum must be no worse, too. Residuals of real flights are not quite white:
+the criterion scales the log-likelihood to the effective number of independent innovations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,42 +27,43 @@ from rotorfit.estimation.likelihood.optima import between, dynamics_of, start_po
 from rotorfit.estimation.likelihood.richer_laws import applicable_structure, single
 
 AUTO = "auto"
-"""Asks for the choice."""
+"""Name that requests the selection."""
 
 NEAR, FAR = 1.0, 5.0
-"""Horizons of the velocity and of the end point that judge [s]."""
+"""Horizons at which predictions of velocity (near) and of the end point (far) are compared [s]."""
 
 BLOCK = {NEAR: 5.0, FAR: 10.0}
 """Length of the blocks over which errors of starts are averaged [s]."""
 
 NEGLIGIBLE_DELAY = 0.03
-"""A structure without a delay is chosen only where the delay is known to be shorter [s]; else damping would pay."""
+"""Longest possible delay at which a structure without a delay may be chosen [s]; else it would bias the damping."""
 
 LEAST_BLOCKS = 4
-"""Fewer blocks give no standard error, and nothing richer is chosen."""
+"""Smallest number of blocks for a standard error; with fewer, predictions are not tested."""
 
 VERY_STRONG = 10.0
-"""Fall of the criterion that counts as very strong evidence, where too little is held out for a test.
+"""Decrease of the criterion that counts as very strong evidence, where too little is held out for a test.
 
 Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-795, section 3.2.
 """
 
 LAGS = 20
-"""Lags of the autocorrelation of the innovations that are looked at."""
+"""Number of lags of the autocorrelation of the innovations that are used."""
 
 SAME = "not identifiable: what it adds cannot be told from its other parameters with these commands"
-"""Verdict on a structure that the commands do not tell from a simpler one."""
+"""Verdict on a structure whose further parameters are not identifiable with these commands."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for an axis, and from what.
+    """The structure chosen for an axis, and the candidates.
 
     Attributes:
-        structure: The chosen one.
-        candidates: All that were tried, the default first.
+        structure: The chosen structure.
+        candidates: All structures that were tried, the default first.
         samples: Effective number of independent innovations.
-        delay_plus_lag: The sum that stays known whether it is a delay, a lag or both; of `first_order_delay_lag`.
+        delay_plus_lag: Sum of delay and lag [s] under `first_order_delay_lag`, which is identifiable even where its
+            parts are not.
     """
 
     structure: Structure
@@ -73,34 +74,34 @@ class Choice:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors of predictions of what was not fitted, one a start.
+    """Squared prediction errors on held-out data, one per start.
 
     Attributes:
-        block: Which block each start is in, by horizon, each of shape (n,).
-        squares: Squared errors by horizon: mean over the steps of the velocity (near), end point (far), shape (n,).
+        block: Label of the block of each start, by horizon [s], each of shape (n,).
+        squares: Squared errors by horizon [s]: mean over the steps of the velocity (near), end point (far), shape (n,).
     """
 
     block: Mapping[float, Array]
     squares: Mapping[float, Array]
 
     def rmse(self, horizon: float) -> float | None:
-        """Root of the mean square; None without predictions."""
+        """Root mean square error at a horizon [s]; None without predictions."""
         values = self.squares[horizon]
         return float(np.sqrt(values.mean())) if values.size else None
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """One structure on one axis.
+    """One structure tried on one axis.
 
     Attributes:
-        structure: Which.
-        log_likelihood: Less the default's.
-        bic: Less the default's.
-        held_out: What it predicts.
-        told_apart: Whether the commands tell what it adds from its other parameters.
-        neglected: Longest delay that the data allow and it does without [s].
-        estimate: On all data.
+        structure: The structure.
+        log_likelihood: Log-likelihood less that of the default.
+        bic: Information criterion less that of the default.
+        held_out: Its prediction errors on held-out data.
+        told_apart: Whether its further parameters are identifiable with these commands.
+        neglected: Longest delay that the data allow, if the structure has none [s]; else 0.
+        estimate: Estimate from all data.
     """
 
     structure: Structure
@@ -113,19 +114,19 @@ class _Trial:
 
 
 def select_laws(serving: Sequence[Flight], estimates: Mapping[str, Estimate], axes: Sequence[str]) -> dict[str, Choice]:
-    """The structure that the data earn, for each axis of a group while the others keep the default.
+    """Selects a structure for each axis of a group, while the other axes keep the default.
 
     Args:
         serving: The flights of the group.
-        estimates: Of the default structure, by axis.
-        axes: Those to choose for.
+        estimates: Estimates under the first-order law with a delay, by axis.
+        axes: Axes to select for.
     """
     folds = _folds(serving)
     return {axis: _choice(serving, folds, estimates, axis) for axis in axes}
 
 
 def _folds(serving: Sequence[Flight]) -> list[tuple[list[Flight], Flight]]:
-    """What is fitted and what is held out: each flight in turn, or the halves of the only one."""
+    """Pairs of fitted flights and held-out flight: each flight in turn, or the halves of the only one."""
     parts = list(serving)
     if len(parts) == 1:
         start, end = parts[0].segments[0].start, parts[0].segments[-1].end
@@ -155,7 +156,7 @@ def _choice(
 
 
 def effective_samples(estimate: Estimate) -> tuple[float, float]:
-    """Number of independent innovations of an axis, and their share of all.
+    """Effective number of independent innovations of an axis, and its share of all innovations.
 
     Source: M. S. Bartlett, J. R. Statist. Soc. 8 (1946), pp. 27-41: sums of products of a series with autocorrelation r
     vary 1 + 2 sum r^2 times as much as those of a white one.
@@ -180,7 +181,7 @@ def _trial(
     samples: float,
     share: float,
 ) -> _Trial:
-    """One structure fitted to everything and to each fold."""
+    """One structure, fitted to all data and to each fold."""
     before, after = single(serving, estimates, axis, structure)
     gained = after.optimum.score.log_likelihood - before.optimum.score.log_likelihood
     size = structure.size - FIRST_ORDER_DELAY.size
@@ -191,7 +192,7 @@ def _trial(
 
 
 def _longest_delay(estimate: Estimate) -> float:
-    """Largest delay, of either sign, within two standard errors of the default's [s]."""
+    """Largest absolute delay within two standard errors of the estimate [s]."""
     optimum, k = estimate.optimum, estimate.place
     place = 2 * optimum.point.gain.size + k
     variance = inverted(optimum.score.information, optimum.free)[place, place]
@@ -199,7 +200,7 @@ def _longest_delay(estimate: Estimate) -> float:
 
 
 def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estimate, axis: str) -> HeldOut:
-    """Errors of what each fold holds out, predicted by what it fits."""
+    """Prediction errors on the held-out part of each fold, by the structure fitted to its other part."""
     axes, k = estimate.records[0].axes, AXES.index(axis)
     block: dict[float, list[Array]] = {NEAR: [], FAR: []}
     squares: dict[float, list[Array]] = {NEAR: [], FAR: []}
@@ -223,7 +224,7 @@ def _held_out(folds: Sequence[tuple[Sequence[Flight], Flight]], estimate: Estima
 
 
 def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
-    """The optimum on other records, climbed from its own coefficients and levels."""
+    """The optimum on other records, climbed from the coefficients and levels of this one."""
     point = optimum.point
     fresh = start_point(records, 0.0, 1.0, point.levels)
     start = replace(point, trim=fresh.trim, start=fresh.start)
@@ -235,14 +236,14 @@ def _refitted(records: Sequence[Record], optimum: Optimum) -> Optimum:
 
 @dataclass(frozen=True)
 class Change:
-    """How squared errors differ from a rival's.
+    """Change of squared errors relative to a rival's.
 
     Attributes:
-        total: Mean difference, as a share of the rival's mean.
-        total_error: Standard error of that.
-        typical: Mean over the blocks of the logarithm of the ratio of both means: what a few large errors do not rule.
-        typical_error: Standard error of that.
-        reach: How many standard errors make sure.
+        total: Mean difference over the rival's mean.
+        total_error: Standard error of `total`.
+        typical: Mean over the blocks of the logarithm of the ratio of both means, robust to a few large errors.
+        typical_error: Standard error of `typical`.
+        reach: Number of standard errors required for significance.
     """
 
     total: float
@@ -253,17 +254,17 @@ class Change:
 
     @property
     def better(self) -> bool:
-        """Whether they are smaller beyond the uncertainty."""
+        """Whether the errors are significantly smaller, and smaller in total."""
         return self.typical + self.reach * self.typical_error < 0 and self.total < 0
 
     @property
     def no_worse(self) -> bool:
-        """Whether they are not larger by more than a standard error, typically and in all."""
+        """Whether neither `typical` nor `total` exceeds 0 by more than its standard error."""
         return self.typical <= self.typical_error and self.total <= self.total_error
 
     @property
     def words(self) -> str:
-        """Both in per cent."""
+        """Both changes in per cent, with their standard errors, as text."""
         typical, error = float(np.expm1(self.typical)), self.typical_error * float(np.exp(self.typical))
         return (
             f"typically {100 * typical:+.1f} +- {100 * error:.1f} %, "
@@ -272,7 +273,14 @@ class Change:
 
 
 def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> Change | None:
-    """How the squared errors of one differ from those of a rival among so many tries; None with too few blocks."""
+    """Change of squared errors relative to a rival's at a horizon [s]; None with too few blocks.
+
+    Args:
+        one: Errors of a structure.
+        rival: Errors of its rival, at the same starts.
+        horizon: `NEAR` or `FAR` [s].
+        tries: Number of comparisons, for the Bonferroni correction.
+    """
     from scipy.special import stdtrit
 
     a, b = one.squares[horizon], rival.squares[horizon]
@@ -294,7 +302,7 @@ def change_of(one: HeldOut, rival: HeldOut, horizon: float, tries: int = 1) -> C
 
 @dataclass(frozen=True)
 class _Verdict:
-    """A trial, the rival it met, whether it takes its place, and why in words."""
+    """A trial, its rival, whether the trial replaces the rival, and the reason in words."""
 
     trial: _Trial
     rival: _Trial
@@ -303,12 +311,12 @@ class _Verdict:
 
 
 def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
-    """Whether a trial takes the place of its rival.
+    """Whether a trial replaces its rival.
 
-    A richer structure, or another of the same size, must be better by the criterion and beyond the uncertainty in one
-    kind of prediction, and no worse in the other. A simpler one must be better by the criterion and no worse in both,
-    and what it does without must be known to be small.
-    Many are tried, so each must be sure enough that all together are mistaken in 2.5 % (Bonferroni).
+    A richer structure, or another one of the same size, must be better by the criterion, significantly better in one
+    kind of prediction, and no worse in either. A simpler one must be better by the criterion and no worse in both. The
+    delay that a structure without one neglects must be known to be small. Since several structures are tried, the
+    significance level is 2.5 % for all of them together (Bonferroni).
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
@@ -356,13 +364,13 @@ def _candidate(verdict: _Verdict, best: _Trial) -> Candidate:
 
 
 def unidentifiable_candidate(structure: str) -> Candidate:
-    """The row of a structure that was asked for and cannot be told from the default."""
+    """The row of a requested structure whose further parameters are not identifiable."""
     size = 2 + STRUCTURES[structure].size
     return Candidate(structure, size, 0.0, 0.0, None, None, FIRST_ORDER_DELAY.name, None, None, SAME, False)
 
 
 def _on_little(trial: _Trial, rival: _Trial) -> _Verdict:
-    """The verdict on a flight too short to test predictions: very strong evidence of the criterion, and no denial."""
+    """The verdict where predictions are too few for a test: very strong evidence from the criterion, smaller errors."""
     error, other = trial.held_out.rmse(NEAR), rival.held_out.rmse(NEAR)
     if error is None or other is None:
         return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")

@@ -1,9 +1,9 @@
-"""Starts and optima: where the likelihood is climbed from, what the climbs found, and which optimum is believed.
+"""Search for optima of the likelihood from several starts, and selection of one of them.
 
-In closed loop the likelihood of a wrong model can stand far above that of the right one: a controller's command tells
-how the vehicle moves, so a model that reads the command as a measurement (no delay, huge damping) explains every
-small motion and predicts nothing. The optimum that is believed is therefore the one that predicts the training flights
-best over 1 s; the likelihood decides between optima that predict alike.
+In closed loop the likelihood of a wrong model can be far above that of the right one: a controller's command carries
+information about the motion, so a model that uses the command as a measurement (no delay, huge damping) explains every
+small motion and predicts nothing. The selected optimum is therefore the one that predicts the training flights best
+over 1 s; the likelihood decides between optima that predict equally well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,36 +26,36 @@ STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5,
 SAME_DELAY = 0.01
 
 SAME_LOG_DAMPING = 0.3
-"""Optima closer than this in delay [s] and log damping are one."""
+"""Optima closer than this in log damping, and than `SAME_DELAY` in delay [s], count as one."""
 
 START_BLOCKS = 6
-"""Blocks over which the velocity at a start is guessed."""
+"""Number of blocks from which the velocity at the start of a segment is estimated."""
 
 FINISH = 15
-"""Passes that an optimum found from a later start gets for levels of its own: enough to judge it."""
+"""Passes with free levels for an optimum from a later start: enough to judge it."""
 
 BACKWARDS = np.log(8.0)
-"""Logarithm of the damping beyond which a model has no memory: it reads the velocity off the command."""
+"""Logarithm of the damping above which a model has no memory: its velocity is proportional to the command."""
 
 ALIKE = 0.05
-"""Optima whose prediction errors differ by less than this share predict alike."""
+"""Relative difference of prediction errors below which optima predict equally well."""
 
 EXCERPT = 60.0
-"""Length of the stretch of a flight in which optima are searched [s]; the chosen one is then climbed on all of it."""
+"""Length of the stretch of a flight that is searched for optima [s]; the selected one is then climbed on all of it."""
 
 JUDGE_HORIZON = 1.0
-"""Horizon of the predictions that judge [s]."""
+"""Horizon of the predictions by which optima are judged [s]."""
 
 
 @dataclass(frozen=True)
 class CandidateOptimum:
-    """An optimum and what speaks for it.
+    """An optimum with its prediction errors.
 
     Attributes:
-        optimum: Of the likelihood.
-        starts: How many starts ended there.
-        prediction: RMSE of 1 s velocity predictions on the training flights, per axis, shape (K,).
-        held: The same of holding the velocity of the start.
+        optimum: The optimum of the likelihood.
+        starts: Number of starts from which it was reached; 0 if it was composed from other optima.
+        prediction: RMSE of 1 s velocity predictions on the training flights, shape (K,) [m/s or rad/s].
+        held: The same of predictions by constant velocity.
     """
 
     optimum: Optimum
@@ -65,7 +65,7 @@ class CandidateOptimum:
 
 
 def start_point(records: Sequence[Record], delay: float, damping: float, levels: Array) -> Point:
-    """A point of the given delay and damping on every axis, with a gain of the right order and measured velocities."""
+    """A start: given delay [s], damping [1/s] and levels (K, L), a typical gain, zero trims, measured velocities."""
     K = levels.shape[0]
     return Point(
         gain=np.full(K, 2.0 * max(damping, 1.0)),
@@ -79,7 +79,7 @@ def start_point(records: Sequence[Record], delay: float, damping: float, levels:
 
 
 def _start_velocity(rec: Record) -> Array:
-    """Mean velocity over the first blocks of each segment, shape (S, K)."""
+    """Mean velocity over the first blocks of each segment, shape (S, K) [m/s or rad/s]."""
     first = np.flatnonzero(rec.fresh)
     if rec.rate is not None:
         rates = np.flatnonzero(rec.rate)
@@ -91,15 +91,15 @@ def _start_velocity(rec: Record) -> Array:
 
 
 def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> tuple[CandidateOptimum, ...]:
-    """Climbs from every start and gathers the distinct optima, best first.
+    """Climbs from every start and collects the distinct optima, the selected one first.
 
-    The first start settles the disturbance levels too; the others climb at those levels and every new optimum is then
-    finished with levels of its own.
+    The climb from the first start also estimates the disturbance levels; the others start with those levels held, and
+    every new optimum is then climbed further with free levels.
 
     Args:
-        records: The flights as the likelihood needs them.
-        flights: The same flights, for the prediction that judges.
-        free: True for the parameters that may move.
+        records: The flights as input of the likelihood.
+        flights: The same flights, for the predictions by which optima are judged.
+        free: True for the free parameters, shape (n + L K,).
     """
     K = len(records[0].axes)
     levels = np.tile(start_levels(measured_by(records)), (K, 1))
@@ -114,7 +114,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
         if same is None:
-            rise = climb if number == 0 else maximise  # the levels of the first start have settled where poles are
+            rise = climb if number == 0 else maximise  # later starts have levels with moderate poles already
             climbed = rise(records, point, free, tolerance=0.3, most=60 if number == 0 else FINISH)
             same = _same(climbed.point, [optimum.point for optimum in optima])
         if same is None:
@@ -132,9 +132,9 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
 def _crossed(
     records: Sequence[Record], flights: Sequence[Flight], free: Mask, found: Sequence[CandidateOptimum]
 ) -> tuple[CandidateOptimum, ...]:
-    """The optimum that each axis of a pair finds best, put together and climbed, where no start ended there.
+    """An optimum climbed from the best optimum of each axis, combined; empty where it was found before.
 
-    A start that is right for one axis can be wrong for the other, and then no climb is right for both.
+    A start that is right for one axis of a pair can be wrong for the other, and then no climb is right for both.
     """
     best = [_best_on(found, k) for k in range(len(records[0].axes))]
     if len(set(best)) < 2:
@@ -155,13 +155,13 @@ def _crossed(
 
 
 def _best_on(found: Sequence[CandidateOptimum], k: int) -> int:
-    """Which optimum predicts an axis best, loops read backwards left out."""
+    """Index of the optimum that predicts axis k best; inverse loops are left out."""
     error = np.array([np.inf if is_inverse_loop(f.optimum, k) else f.prediction[k] for f in found])
     return int(np.argmin(np.where(np.isfinite(error), error, np.inf)))
 
 
 def _still(point: Point, free: Mask) -> Point:
-    """The point with no gain, damping 1 and no delay on the axes whose coefficients may not move."""
+    """The point with zero gain, a damping of 1 1/s and zero delay on the axes whose coefficients are fixed."""
     fixed = ~free[: point.gain.size]
     return replace(
         point,
@@ -181,16 +181,17 @@ def _same(point: Point, others: Sequence[Point]) -> int | None:
 
 
 def is_inverse_loop(optimum: Optimum, k: int) -> bool:
-    """Whether an optimum is a feedback loop read backwards: no memory, sign turned, the command behind the motion.
+    """Whether an optimum is the inverse of a feedback loop: large damping, negative gain, negative delay.
 
-    Such a model knows the future from the commands that answer it, so it explains and even predicts; never believe it.
+    Such a model infers the motion from commands that respond to it later, so it explains the motion and even predicts
+    it, but it is never the vehicle's.
     """
     point = optimum.point
     return bool(point.gain[k] < 0 and point.delay[k] < 0 and point.log_damping[k] > BACKWARDS)
 
 
 def _ranked(found: Sequence[CandidateOptimum]) -> tuple[CandidateOptimum, ...]:
-    """The believed optimum first: among those that predict alike, the likeliest; the others by prediction."""
+    """The selected optimum first, the likeliest of those that predict best; then the others by prediction error."""
     error = np.array([np.sqrt(np.mean((f.prediction / np.maximum(found[0].prediction, 1e-12)) ** 2)) for f in found])
     error[~np.isfinite(error)] = np.inf
     backwards = np.array([any(is_inverse_loop(f.optimum, k) for k in range(f.prediction.size)) for f in found])
@@ -203,10 +204,15 @@ def _ranked(found: Sequence[CandidateOptimum]) -> tuple[CandidateOptimum, ...]:
 
 
 def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Optimum) -> tuple[Array, Array]:
-    """RMSE of 1 s velocity predictions of an optimum on its own flights, and that of holding the velocity of the start.
+    """RMSE of 1 s velocity predictions on the training flights, by an optimum and by constant velocity.
+
+    Args:
+        flights: The flights.
+        axes: Axes of the optimum.
+        optimum: The optimum.
 
     Returns:
-        Both per axis, shape (K,); NaN where the flights are too short.
+        RMSE of the optimum and of constant velocity, both of shape (K,) [m/s or rad/s]; NaN if flights are too short.
     """
     dynamics = dynamics_of(axes, optimum)
     squares, count = np.zeros((2, len(axes))), np.zeros(len(axes))
@@ -225,7 +231,7 @@ def prediction_error(flights: Sequence[Flight], axes: Sequence[str], optimum: Op
 
 
 def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
-    """The stretch of a long flight in which the axes are commanded most: where the optima are, a minute tells."""
+    """The stretch of `EXCERPT` of a long flight with the strongest commands of the axes: enough to find the optima."""
     start, end = flight.segments[0].start, flight.segments[-1].end
     if end - start <= EXCERPT:
         return flight
@@ -238,7 +244,7 @@ def excerpt(flight: Flight, axes: Sequence[str]) -> Flight:
 
 
 def between(flight: Flight, low: float, high: float) -> Flight:
-    """What a flight holds between two times [s], from the command that acts at the first of them."""
+    """The part of a flight between two times [s], from the command in force at the first of them."""
     t = flight.command_time
     low = float(t[max(int(np.searchsorted(t, low, side="right")) - 1, 0)])
     commands, poses = (t >= low) & (t <= high), (flight.pose_time >= low) & (flight.pose_time <= high)
@@ -260,7 +266,7 @@ def between(flight: Flight, low: float, high: float) -> Flight:
 
 
 def thinned(flight: Flight) -> Flight:
-    """The flight with its poses thinned to about the rate of the blocks: enough to judge."""
+    """The flight with poses and velocities thinned, but not below the rate of the blocks: enough for predictions."""
     every = max(1, int(flight.pose_time.size / max(flight.duration, 1e-9) / BLOCK_RATE))
     velocity = flight.velocity
     if velocity is not None:
@@ -276,7 +282,7 @@ def thinned(flight: Flight) -> Flight:
 
 
 def trim_variance(optimum: Optimum) -> Array:
-    """Mean square of the flights' trims with their uncertainty: the prior of a new flight's trim, shape (K,)."""
+    """Mean square of the flights' trims plus their variance: the prior variance of a new flight's trim, shape (K,)."""
     K, F = optimum.point.gain.size, len(optimum.point.trim)
     first = optimum.point.coefficients
     variance = np.diag(inverted(optimum.score.information, optimum.free))[first : first + F * K].reshape(F, K)
@@ -284,7 +290,7 @@ def trim_variance(optimum: Optimum) -> Array:
 
 
 def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, AxisDynamics]:
-    """What prediction needs of an optimum, axis by axis."""
+    """The dynamics of an optimum for predictions, by axis."""
     point, variance = optimum.point, trim_variance(optimum)
     return {
         axis: AxisDynamics(
@@ -301,7 +307,7 @@ def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, AxisDynam
 
 
 def without_input(records: Sequence[Record], optimum: Optimum, axes: Sequence[int]) -> Optimum:
-    """The best that the likelihood does when the commands of some axes act on nothing."""
+    """The maximum of the likelihood with zero gain on the axes with these indices."""
     K = optimum.point.gain.size
     gain, log_damping, delay = optimum.point.gain.copy(), optimum.point.log_damping.copy(), optimum.point.delay.copy()
     free = optimum.free.copy()

@@ -1,14 +1,15 @@
-"""Poses that are not where the vehicle was: marker swaps and reflections, found and left out.
+"""Detection and removal of outlier poses, such as those from marker swaps and reflections.
 
-The pose noise is taken to have the tails of Student's t. A filter with the fitted levels runs over every pose, not over
-blocks: a pose that lies z standard deviations off its prediction enters with the weight (nu + 1) / (nu + z^2), so one
-that is far off leaves the state alone. It runs forwards and, the disturbance being the same both ways, backwards.
-A pose that is far off from both sides is an outlier: a filter that has just lost the vehicle, or not yet found it, is
-never the only witness. The outliers leave, the likelihood of the rest is maximised, and both are repeated until the
-outliers stay the same. Whole poses leave, since a swapped marker moves all axes; the other poses of its block stay.
+The pose noise is assumed to have the tails of Student's t. A filter with the fitted levels runs over every pose, not
+over blocks: a pose that is z standard deviations from its prediction enters with the weight (nu + 1) / (nu + z^2), so a
+distant one hardly changes the state. The filter runs forwards and, since the disturbance is reversible in time,
+backwards. A pose is an outlier if it is far off in both directions: a single filter that has just lost the vehicle, or
+not yet found it, is not enough evidence. Outliers are removed, the likelihood of the rest is maximised, and both steps
+are repeated until the outliers no longer change. Whole poses are removed, since a swapped marker affects all axes; the
+other poses of the block are kept.
 
-The rest is judged by the plain likelihood, so that on a clean flight the answer is that of `ml`, and intervals keep
-their meaning. Likelihoods of the two are of different data and are never compared.
+The rest is fitted by the plain likelihood, so that a clean flight gives the same result as `ml`, and intervals keep
+their meaning. The likelihoods of `ml` and `robust` are of different data and are never compared.
 
 Source: K. L. Lange, R. J. A. Little, J. M. G. Taylor, J. Amer. Statist. Assoc. 84 (1989), pp. 881-896 (the weights);
 G. Agamennoni, J. I. Nieto, E. M. Nebot, IEEE Trans. Signal Processing 60 (2012), pp. 5024-5037 (in a Kalman filter).
@@ -31,43 +32,43 @@ from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.likelihood import response, segments
 
 FREEDOM = 4.0
-"""nu of Student's t: tails heavy enough that a swapped marker weighs next to nothing."""
+"""nu of Student's t: tails heavy enough that a swapped marker has almost no weight."""
 
 OUTLIER = 5.0
-"""Standard deviations beyond which, from both sides, a pose is an outlier: of a clean flight none in a million."""
+"""Standard deviations beyond which, in both directions, a pose is an outlier: in a clean flight none in a million."""
 
 JUMP = 8.0
 """Robust standard deviations beyond which a step between poses is a jump."""
 
 JUMP_POSES = 11
-"""Poses over which the usual step is taken."""
+"""Number of steps in the running median that is subtracted from the steps."""
 
 ALIKE = 0.3
-"""Share of a jump within which the jumps after it must lead back."""
+"""Largest remaining offset, relative to the first jump, at which later jumps count as a return."""
 
 GRAIN = 0.2
-"""Share of suspects beyond which they are the grain of the pose, not bursts."""
+"""Share of suspects above which they are attributed to the resolution of the pose, not to bursts."""
 
 LONGEST_BURST = 1.0
-"""Longest time between the two [s]."""
+"""Longest time between a jump and the jump back [s]."""
 
 MOST_OF_BURST = 0.5
-"""Share of a burst that makes all of it outliers."""
+"""Share of suspicious poses in a burst above which all of its poses are outliers."""
 
 ODD = 3.0
-"""Standard deviations beyond which a pose of a burst speaks against the burst."""
+"""Standard deviations beyond which a pose of a burst is suspicious."""
 
 MOST_ROUNDS = 8
-"""Rounds of leaving out and maximising."""
+"""Largest number of iterations of removal and maximisation."""
 
 LISTED = 10
-"""Outliers that a note lists, the largest first."""
+"""Number of outliers that a note lists, the largest first."""
 
 SETTLING = 0.25
-"""Time after its start in which a filter is no witness: it takes the first pose for where the vehicle is [s]."""
+"""Time after the start of a filter in which its residuals are ignored [s]: it starts from the first pose."""
 
 MANY = 0.05
-"""Share of outliers beyond which the motion capture itself is in doubt."""
+"""Share of outliers above which the finding is a warning about the motion capture."""
 
 Estimator = Callable[[Sequence[Flight]], Mapping[str, Estimate]]
 
@@ -78,14 +79,14 @@ def student_filter(steps: Array, step: Any, fresh: Any, residual: Array, levels:
 
     Args:
         steps: Distinct steps between poses, shape (U,) [s].
-        step: Which of them leads to each pose, shape (N,).
+        step: Index of the step that leads to each pose, shape (N,).
         fresh: True where a segment starts, shape (N,).
-        residual: Pose less the response to the commands, shape (N,).
-        levels: q, r, alpha, kappa, shape (4,).
+        residual: Pose less the response to the commands, shape (N,) [m or rad].
+        levels: q, r, alpha, kappa, not as logarithms, shape (4,).
         freedom: nu of Student's t.
 
     Returns:
-        How far each pose lies off its prediction, shape (N,), and the same in standard deviations, shape (N,).
+        Difference of each pose from its prediction, shape (N,) [m or rad], and in standard deviations, shape (N,).
     """
     N = residual.size
     off, z = np.empty(N), np.empty(N)
@@ -109,14 +110,14 @@ def student_filter(steps: Array, step: Any, fresh: Any, residual: Array, levels:
 
 
 def without_outliers(flights: Sequence[Flight], estimator: Estimator) -> tuple[tuple[Flight, ...], Outliers]:
-    """Leaves out the outliers of flights.
+    """Removes the outliers of flights.
 
     Args:
-        flights: As recorded.
-        estimator: Maximises the likelihood of flights; axis name to its estimate.
+        flights: The flights as read.
+        estimator: Maximises the likelihood of flights; returns axis name to estimate.
 
     Returns:
-        The flights without their outliers, each with a note about them; and the outliers of each flight.
+        The flights without their outliers, with a note where there were any; and the outliers of each flight.
     """
     bursts = [jumped(flight) for flight in flights]
     found: Outliers = tuple(tuple(one for burst in some for one in burst) for some in bursts)
@@ -132,9 +133,9 @@ def without_outliers(flights: Sequence[Flight], estimator: Estimator) -> tuple[t
 
 
 def jumped(flight: Flight) -> tuple[tuple[Outlier, ...], ...]:
-    """Bursts of poses between a jump and a jump back: the suspects of the first round.
+    """Bursts of poses between a jump and a jump back, which are removed before the first fit.
 
-    A burst taken for motion makes the disturbance so lively that no filter would find anything odd in it.
+    A burst that is fitted as motion increases the disturbance levels so much that the filter would accept it.
     """
     from scipy.ndimage import median_filter
 
@@ -166,9 +167,9 @@ def _kept(flight: Flight, outliers: Sequence[Outlier]) -> Flight:
 def _outliers(
     flight: Flight, fitted: Flight, estimates: Mapping[str, Estimate], bursts: Sequence[Sequence[Outlier]]
 ) -> tuple[Outlier, ...]:
-    """Poses of a flight that are far off on any axis that was estimated from it, in order of time.
+    """Outliers of a flight on any axis that was estimated from it, in order of time.
 
-    Of a burst all are, if most of it is off at all: in its middle a filter has lost its certainty.
+    A burst counts as a whole if more than half of it is suspicious: in its middle the filter's variance is too large.
     """
     worst: dict[float, tuple[float, Outlier]] = {}
     for name, estimate in estimates.items():
@@ -187,18 +188,18 @@ def _outliers(
 
 
 def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number: int) -> tuple[Array, Array, Array]:
-    """How far each pose of a flight lies off what the two filters expect.
+    """Residual of each pose of a flight under the forward and the backward filter, whichever is smaller.
 
     Args:
-        flight: With all its poses.
-        fitted: The same flight with the poses that were fitted.
-        name: Of the axis.
-        estimate: Of that axis.
-        number: Of the flight among those of the estimate.
+        flight: The flight with all its poses.
+        fitted: The flight with only the poses that were fitted.
+        name: Name of the axis.
+        estimate: Estimate of that axis.
+        number: Index of the flight in the estimate.
 
     Returns:
-        Time [s], distance [m or rad] and the same in standard deviations, from the nearer of the two expectations: each
-        of shape (N,), over the poses that are scored.
+        Time [s], residual [m or rad] and absolute residual in standard deviations, each of shape (N,), over the poses
+        that enter the likelihood.
     """
     K, k = estimate.optimum.point.gain.size, estimate.place
     axes = (name,) if K == 1 else estimate.records[number].axes
@@ -207,7 +208,7 @@ def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number
         return np.empty(0), np.empty(0), np.empty(0)
     residual = (every.position - _expected(every, fitted, estimate, number))[:, k]
     levels = np.exp(estimate.optimum.point.levels)
-    # of a vehicle that turns the axes are judged in the world: by the livelier levels of the two
+    # for a vehicle that turns the axes are world axes: use the larger levels of the two
     own = levels[k] if K == 1 else np.append(levels[:, :2].max(axis=0), levels[levels[:, 0].argmax(), 2:])
     off, z = student_filter(every.steps, every.step, every.fresh, residual, own, FREEDOM)
     steps, step = distinct_steps(-every.pose_time[::-1])
@@ -222,7 +223,7 @@ def judged(flight: Flight, fitted: Flight, name: str, estimate: Estimate, number
 
 
 def _expected(every: Record, fitted: Flight, estimate: Estimate, number: int) -> Array:
-    """Where the commands take the vehicle at every pose, shape (N, K): as the estimate's record has it."""
+    """Response to the commands at every pose in the frame of the estimate's record, shape (N, K) [m or rad]."""
     point, own = estimate.optimum.point, estimate.records[number]
     began = dict(zip(own.starts, point.start[segments(estimate.records)[number]], strict=True))
     start = np.array([began.get(time, np.zeros(len(every.axes))) for time in every.starts])
@@ -230,7 +231,7 @@ def _expected(every: Record, fitted: Flight, estimate: Estimate, number: int) ->
     plain = record(fitted, every.axes)
     if plain is None:
         return mean
-    # what the other axis does through the small turns of a held heading was taken off the estimate's record
+    # the coupling through the small turns of a held heading was subtracted from the estimate's record
     turns = plain.position - own.position
     mean += np.column_stack([np.interp(every.pose_time, plain.block_time, turn) for turn in turns.T])
     return mean
@@ -248,7 +249,7 @@ def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
 
 
 def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[Finding]:
-    """What was left out, flight by flight; `flights` are those without their outliers."""
+    """Findings on the removed poses, one per flight with outliers; `flights` are those without their outliers."""
     if outliers and not any(outliers):
         yield Finding(
             "outliers",

@@ -90,7 +90,7 @@ def with_prior(likelihood: LikelihoodScore, point: Point, prior: GaussianPrior |
 
 
 def redrawn(prior: GaussianPrior, rng: np.random.Generator) -> GaussianPrior:
-    """The prior with its mean drawn from the prior itself, for simulations that repeat the fit."""
+    """The prior with its mean drawn at random from the prior itself, for the parametric bootstrap."""
     known = prior.precision > 0
     error = np.where(known, np.where(known, prior.precision, 1.0) ** -0.5, 0.0)
     return replace(prior, mean=prior.mean + error * rng.standard_normal(error.size))

@@ -1,7 +1,8 @@
-"""Estimates of the first-order law with a delay -> those of another: climbed from the optimum that the search believed.
+"""Estimates under another law than first order with a delay, climbed from the optimum that the search selected.
 
-The search and its judgement are those of the first-order law; the others start from where it ended, with some starts
-that trade the delay for what they add. A law with a lag has optima far from there: it starts from the best of a grid.
+Search and selection of an optimum use the first-order law; other laws start from its estimate, with some starts that
+trade delay, gain or damping against their further parameters. A law with a lag has optima far from there: it starts
+from the best points of a grid.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,13 +22,13 @@ from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.estimation.likelihood.prior import GaussianPrior
 
 SPEED_BLOCKS = 6
-"""Blocks over which the speed is measured for the reference of the quadratic drag."""
+"""Number of blocks over which speeds are measured for the reference speed of the quadratic drag."""
 
 Start = tuple[float, float, float, tuple[float, ...]]
-"""What a start multiplies the gain and the damping by, its delay [s] and its further parameters."""
+"""Factors of a start on gain and damping, its delay [s] and its further parameters."""
 
 PriorOf = Callable[[Sequence[str], Sequence[Structure]], GaussianPrior | None]
-"""Axes and their laws to what is believed of them before the flight."""
+"""From axes and their laws to the prior of their parameters."""
 
 
 def nothing_believed(_axes: Sequence[str], _structures: Sequence[Structure]) -> None:
@@ -40,13 +41,13 @@ def estimate_laws(
     structures: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
 ) -> dict[str, Estimate]:
-    """The axes of one group under other structures.
+    """Estimates of the axes of one group under other structures.
 
     Args:
         serving: The flights of the group.
-        estimates: Of the default structure, by axis.
-        structures: Wanted, by axis; an axis that was not excited keeps the default.
-        prior_of: What is believed of the laws.
+        estimates: Estimates under the first-order law with a delay, by axis.
+        structures: Requested structure of each axis; an axis that is not excited keeps the first-order law.
+        prior_of: Gives the prior of the laws.
     """
     group = tuple(estimates)
     wanted = {
@@ -69,11 +70,11 @@ def estimate_laws(
 def single(
     serving: Sequence[Flight], estimates: Mapping[str, Estimate], axis: str, structure: Structure
 ) -> tuple[Estimate, Estimate]:
-    """One axis under another structure while the others keep the default.
+    """Estimates of one axis under another structure, while the other axes keep the first-order law.
 
     Returns:
-        The default and the other on the same data, so that their likelihoods compare: where both axes of the plane are
-        needed, both are of the joint likelihood.
+        The estimates under the first-order law and under the structure, on the same data, so that their likelihoods are
+        comparable: where the vehicle turns or the structure couples x and y, both are from the joint likelihood.
     """
     before = estimates[axis]
     if before.optimum.point.gain.size == 1 and structure.kicks < 2:
@@ -88,7 +89,7 @@ def single(
 
 
 def applicable_structure(structure: Structure, group: Sequence[str]) -> Structure:
-    """The structure, or the default where it needs x and y and they are not estimated as one group."""
+    """The structure, or the first-order law where the structure couples x and y and these are not one group."""
     return FIRST_ORDER_DELAY if structure.kicks >= 2 and tuple(group) != ("x", "y") else structure
 
 
@@ -97,7 +98,7 @@ def _records(serving: Sequence[Flight], axes: Sequence[str]) -> list[Record]:
 
 
 def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: PriorOf = nothing_believed) -> Estimate:
-    """One axis by itself under a law."""
+    """Estimate of one axis by itself under a structure."""
     if structure == FIRST_ORDER_DELAY:
         return estimate
     prior = prior_of((axis,), (structure,))
@@ -110,7 +111,7 @@ def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: Pri
 
 
 def _finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
-    """The top; where it took the lag for the damping, the same top with the two in their places."""
+    """The maximum; where lag and damping ended swapped, the equivalent maximum with the two exchanged."""
     optimum = maximise_restricted(records, point, moving, prior)
     for k in range(point.gain.size):
         if other := swapped(optimum.point, k):
@@ -121,7 +122,7 @@ def _finished(records: Sequence[Record], point: Point, moving: Sequence[bool], p
 def _starts(
     records: Sequence[Record], point: Point, k: int, structure: Structure, prior: GaussianPrior | None
 ) -> list[Point]:
-    """Where to climb from: near the first-order law, or from the best of a grid where there is a lag."""
+    """Start points: near the first-order law, or the best points of a grid for a law with a lag."""
     if structure.order:
         return law_starts(records, point, k, structure, prior)
     return starts(records, point, k, structure)
@@ -130,7 +131,7 @@ def _starts(
 def _begun(
     records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None
 ) -> tuple[float, Point]:
-    """A short climb at the levels of the start: its objective and where it got."""
+    """Objective and end point of a short climb with the levels of the start held."""
     free = free_of(records, moving, point.structures)
     free[point.n :] = False
     optimum = maximise(records, point, free, tolerance=0.3, most=25, prior=prior)
@@ -144,7 +145,7 @@ def _together(
     wanted: Mapping[str, Structure],
     prior_of: PriorOf = nothing_believed,
 ) -> dict[str, Estimate]:
-    """x and y by one likelihood: each axis in turn takes the best of its starts, then both climb."""
+    """Estimates of x and y by their joint likelihood: each axis in turn takes its best start, then both climb."""
     first = estimates[group[0]]
     moving = [estimates[axis].excited for axis in group]
     if first.optimum.point.gain.size == 2:
@@ -164,7 +165,7 @@ def _together(
 
 
 def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> Point:
-    """Points of single axes as one of both, in the world frame of the joint record."""
+    """Points of single axes joined into one, with start velocities in the world frame of the joint record."""
     points = [estimate.optimum.point for estimate in estimates]
     start = np.hstack([point.start for point in points])
     for rec, at in zip(records, segments(records), strict=True):
@@ -181,7 +182,7 @@ def _side_by_side(records: Sequence[Record], estimates: Sequence[Estimate]) -> P
 
 
 def starts(records: Sequence[Record], point: Point, k: int, structure: Structure) -> list[Point]:
-    """Points of a structure on axis k from which to climb, made from a point of the default structure there."""
+    """Start points of a structure on axis k, from a point with the first-order law on that axis."""
     delay = float(point.delay[k])
     out = []
     for gain_by, damping_by, tau, values in _start_values(records, k, structure, delay):
@@ -208,7 +209,7 @@ def starts(records: Sequence[Record], point: Point, k: int, structure: Structure
 
 
 def _start_values(records: Sequence[Record], k: int, structure: Structure, delay: float) -> list[Start]:
-    """Starts of a structure next to the default's optimum."""
+    """Starts of a structure near the optimum of the first-order law; `delay` is that of the optimum [s]."""
     largest = max(float(np.abs(rec.command[:, k]).max()) for rec in records)
     match structure.name:
         case "first_order":
@@ -220,12 +221,15 @@ def _start_values(records: Sequence[Record], k: int, structure: Structure, delay
             return [(1.1, 1.0, delay, (0.8 * largest,)), (1.5, 1.0, delay, (0.5 * largest,))]
         case "dead_zone":
             return [(1.0, 1.0, delay, (0.02 * largest,)), (1.2, 1.0, delay, (0.2 * largest,))]
-        case _:  # what is added stands where it does nothing
+        case _:  # further parameters start at 0, where they have no effect
             return [(1.0, 1.0, delay, (0.0,) * len(structure.extras))]
 
 
 def reference_speed(records: Sequence[Record], k: int) -> float:
-    """Root mean square speed of an axis of the records, from differences over a fifth of a second [m/s or rad/s]."""
+    """Root mean square speed along axis k [m/s or rad/s], from velocities or from differences over a fifth of a second.
+
+    At least 1e-3.
+    """
     squares, count = 0.0, 0
     for rec in records:
         ahead = np.arange(SPEED_BLOCKS, rec.count.size)
