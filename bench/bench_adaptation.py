@@ -1,13 +1,13 @@
-"""Does prediction learn the wind of the flight that it predicts, and do its error bands hold?
+"""Does prediction adapt to the wind of the predicted flight, and do its error bands have their nominal coverage?
 
     python bench/bench_adaptation.py [PATTERN]
 
-Models of one flight predict another one: simulated vehicles in calm and in gusty air (from either to either, three
-vehicles, three kinds of wind), and recorded flights where they are. Three filters on the same starts, with the same
-coefficients: `adapted`, as `validate` predicts; `fixed`, with the levels of the training flight; `true`, with those of
-the flight's own wind, which is known in simulation only. Ratios are geometric means of velocity RMSE over axes and
-flights, and the worst one. Bands: share of the errors that the 50 and 95 % bands held, of all starts together.
-PATTERN picks sets by a part of their name; without it the result goes to adaptation.json beside this file.
+Models fitted to one flight predict another one: simulated vehicles in calm and in gusty air (from either to either,
+three vehicles, three kinds of wind), and recorded flights where available. Three filters run on the same starts with
+the same coefficients: `adapted`, as `validate` predicts; `fixed`, with the levels of the training flight; `true`, with
+those of the flight's own wind, which is known in simulation only. Reported are ratios of velocity RMSE, as geometric
+mean over axes and flights and as the worst one, and the coverage of the 50 and 95 % bands over all starts.
+PATTERN selects sets by a part of their name; without it the result is written to adaptation.json beside this file.
 """
 
 import os

@@ -1,11 +1,11 @@
-"""Recorded flights of one vehicle, each tracked after the model of another: is it ever taken for another vehicle?
+"""Recorded flights, each tracked from the model of another flight of the vehicle: is it taken for another vehicle?
 
-    python bench/bench_after.py [--data FOLDER] [--structure LAW] [--every]
+    python bench/bench_after.py [--data FOLDER] [--structure LAW] [--every] [--cache FOLDER]
 
-The vehicles and flights are those of `bench_real_coverage.py`. Each flight, or part, is fitted alone; then each is
-tracked as if live after the model of the flight before it (`--every`: of every other flight). Printed: alarms that it
-is another vehicle, alarms of other causes, and how many comparisons lie outside of their 95 % intervals at the end.
-What is compared holds little where a flight was made to excite one axis. No recording is part of the project.
+The vehicles and flights are those of `bench_real_coverage.py`, as is the cache. Each flight, or part, is fitted alone;
+then each is tracked as if live with `--after` the model of the previous flight (`--every`: of every other flight).
+Printed: alarms that it is another vehicle, alarms of other causes, and the number of comparisons outside their 95 %
+intervals at the end. A flight that excites only one axis allows few comparisons. No recording is part of the project.
 """
 
 import argparse

@@ -1,16 +1,17 @@
-"""How soon do other live estimators tell that a vehicle has changed? Beside rotorfit's alarm, on the same flights.
+"""How soon do other live estimators detect that a vehicle has changed? Compared with rotorfit's alarm, same flights.
 
     python bench/bench_alarm_peers.py [FLIGHTS] [--gusts 0.3,1] [--jobs N] [--first SEED]
 
-The flights of `bench_alarms.py`, of a payload picked up, of 50 ms more delay, and of wind that rises, where nothing of
-the vehicle changes and every alarm is false. Looked at is z: x and y would ask every peer for a model of the heading.
-The peers are those of `bench_track_peers.py`, with the same help. None of them has an alarm of its own, so each is
-given one: every second, what it tells against what it told `MEMORY` earlier. It sounds beyond the largest such
-difference within the last 20 s before the change, over all of the flights of a row: a threshold that knows the flights.
-It promises little: of N flights one false alarm in about N times 20 s, where rotorfit promises one in ten hours.
+The flights are those of `bench_alarms.py` with a payload picked up, with 50 ms more delay, and with rising wind, where
+the vehicle does not change and every alarm is false. Only z is used: x and y would require a model of the heading of
+every peer. The peers are those of `bench_track_peers.py`, with the same help. None of them has an alarm of its own, so
+each is given one: every second its estimate is compared with its estimate `MEMORY` earlier. The threshold is the
+largest such difference within the last 20 s before the change, over all flights of a row, so it is chosen with
+knowledge of the flights. Its false-alarm rate is high: over N flights one in about N times 20 s, where rotorfit
+promises one in ten hours.
 
-- `nis`: the usual watch over innovations: the mean of the squared innovations of the last 1, 2 or 5 s, of a Kalman
-  filter that knows rotorfit's estimate before the change; the threshold is found likewise.
+- `nis`: the usual innovation monitor: the mean of the squared innovations of the last 1, 2 or 5 s, of a Kalman filter
+  with rotorfit's estimate before the change; the threshold is found in the same way.
 """
 
 import argparse

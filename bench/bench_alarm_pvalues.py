@@ -1,18 +1,18 @@
-"""Are the p-values of the alarms good? Every look of flights in which nothing changes, and how rare its least is.
+"""Are the p-values of the alarms valid? Smallest p-value of every look, in flights in which nothing changes.
 
     python bench/bench_alarm_pvalues.py [HOURS] [--kinds a,b] [--structure S] [--first N] [--json FILE]
 
-The alarm sounds where the least p-value of a look, times the number of contrasts that were looked at, falls below
-what one look may have of the false alarms that are promised. So of all looks at most a share q may have such a value
-below q, for each q down to that: this counts them, and the alarms that were raised.
+An alarm is raised where the smallest p-value of a look, times the number of contrasts that were tested, falls below
+the share of the promised false-alarm rate that is allotted to one look. So at most a share q of all looks may have such
+a value below q, for every q down to that threshold: this script counts them, and the alarms that were raised.
 
 HOURS (default 0.5) of each kind:
 
 - paper: the paper's vehicle, five coefficient sets, open and closed loop, coloured wind (see `designs.py`); 60 s.
 - room: the flight room, 6 degrees of freedom, gusts of 0.3, 1 and 2 m/s, two vehicles, both loops; 120 s.
-- wind: the same; a minute after the start wind rises to 3 m/s and gusts to four times their strength within 10 s.
-- pilot: a Bebop 2 with its own brake at zero, flown by a pilot who lets go of the sticks; gusts of 0 to 1 m/s; 120 s.
-- recorded: every flight of `../../shared/data` (whatever HOURS are).
+- wind: as `room`; a minute after the start wind rises to 3 m/s and gusts to four times their strength within 10 s.
+- pilot: a Bebop 2 that brakes at zero command, flown by a pilot who releases the sticks; gusts of 0 to 1 m/s; 120 s.
+- recorded: every flight of `../../shared/data`, independent of HOURS.
 """
 
 import argparse

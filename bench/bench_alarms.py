@@ -1,21 +1,22 @@
-"""Which changes of a vehicle does `rotorfit track` tell, how soon, as what; and how soon could they be told at all?
+"""Which changes of a vehicle does `rotorfit track` detect, how soon, and as what; how soon could they be detected?
 
     python bench/bench_alarms.py [FLIGHTS] [--causes a,b] [--gusts 0.3,1] [--structure S] [--jobs N] [--first SEED]
                                  [--json FILE]
 
 Flights of the flight room (see `changing_flights.py`): 6 degrees of freedom, rotors, gusts, a radio; FLIGHTS (default
 2) of each change for each strength of gusts, each of two vehicles (a Bebop 2 by tilts, a Tello by velocities), and each
-loop. 60 s of learning; the change comes within the second after. A flight is the same up to its change whatever comes,
-so it is learnt once.
+loop. 60 s of learning; the change comes within the second after. Flights with different changes are identical until
+then, so each is learnt once.
 
-- found: within 20 s (a fading battery: 65 s). Time from the change to the alarm, median and 95 %; what it was named.
-- knowing: a test that knows course and size of the change, but not when it comes. It looks for the innovations of the
-  changed flight less those of the same flight unchanged, both under the estimate before the change: it correlates, as
-  often as the tracker looks, at a threshold that promises as few false alarms for as many windows. What it does not
+- found: share detected within 20 s (a fading battery: 65 s); time from the change to the alarm, median and 95 %; the
+  cause that was named.
+- knowing: a test that knows course and size of the change, but not its time. It correlates with the innovations of the
+  changed flight less those of the same flight unchanged, both under the estimate before the change, as often as the
+  tracker looks, at a threshold with the same rate of false alarms over the same number of windows. What it does not
   find cannot be found.
-- ratio: median time to the alarm over that of the knowing test, of flights in which both find it.
+- ratio: median time to the alarm over that of the knowing test, for flights in which both find the change.
 
-False alarms are counted by `bench_alarm_pvalues.py`; those before a change here, too.
+False alarms are counted by `bench_alarm_pvalues.py`; those before a change are counted here, too.
 """
 
 import argparse

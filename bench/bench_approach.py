@@ -1,14 +1,14 @@
-"""The approach to a plan's start: how near it ends and how far it goes beyond, over a family of vehicles.
+"""The approach to a plan's start: final distance and overshoot, over a family of vehicles.
 
     python bench/bench_approach.py [--count 500] [--seed 0] [--list]
 
 Tilt-, velocity- and acceleration-commanded vehicles in equal parts, drawn as planning draws them: input and damping of
-each differ from what the approach believes by the belief's own spread, the delay is believed to be 0.15, 0.30 or 0.50 s
-and is up to 0.6 s in truth, with another lag of 0.1 s of which the belief knows nothing; a third fly in a steady wind,
-all in gusts, with trim. From 2 to 3 m away, in any direction, turned by up to 57 degrees.
+each differ from the belief of the approach by the belief's own spread; the delay is believed to be 0.15, 0.30 or 0.50 s
+and is up to 0.6 s in truth, with a further lag of 0.1 s that the belief does not include; a third fly in a steady wind,
+all in gusts, with trim. They begin 2 to 3 m away, in any direction, turned by up to 57 degrees.
 
-Printed: how many arrive, the quantiles of the distance at the end, of the overshoot (how far beyond the start along the
-line from where the vehicle was), and of the time it takes.
+Printed: how many arrive, and the quantiles of the final distance, of the overshoot (beyond the start of the plan, along
+the line from the vehicle's first position), and of the time.
 """
 
 import argparse

@@ -1,12 +1,12 @@
-"""Do the intervals hold what a real autopilot was measured to do? ArduCopter in software, sines and steps as truth.
+"""Do the intervals contain the measured response of a real autopilot? ArduCopter in software, sines and steps as truth.
 
     python bench/bench_autopilot.py [FOLDER_OF_arducopter-sitl] [--structures averaged,...] [--flights s01,...]
 
-Of every flight and axis: steady gain, total lag, and gain and delay at 1, 2, 3 and 4.5 rad/s, each with the model's own
-95 % interval. The truth was measured without rotorfit (truth.json); its own error (gain 0.01, delay 5 ms, 10 ms below
-2 rad/s) is added to the intervals' ends in the second figure of each pair. The poses of these flights are stamped
-early; reading them puts their clock right. The steady gain is that of the steps, the total lag the delay at 0.5 rad/s,
-less what a straight line in the square of the frequency takes off towards 0. Prints Markdown.
+For every flight and axis: steady gain, total lag, and gain and delay at 1, 2, 3 and 4.5 rad/s, each with the model's
+own 95 % interval. The truth was measured without rotorfit (truth.json); its own error (gain 0.01, delay 5 ms, 10 ms
+below 2 rad/s) is added to the ends of the intervals in the second figure of each pair. The poses of these flights are
+stamped early; the reader corrects their clock. The true steady gain is that of the steps; the true total lag is the
+delay at 0.5 rad/s, extrapolated to 0 by a straight line in the square of the frequency. Prints Markdown.
 """
 
 import argparse

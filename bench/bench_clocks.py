@@ -1,13 +1,13 @@
-"""Two files, two clocks: how well are offset and drift recovered, do the intervals hold, and is nonsense refused?
+"""Two files, two clocks: how well are offset and drift estimated, are the intervals valid, is nonsense refused?
 
     python bench/bench_clocks.py [FLIGHTS]
 
 Simulated flights of five published vehicles (the paper's vehicle, seeds from 0), 40 to 100 s, half of them under the
 paper's two sines and half under steps, in wind. Offsets of 20 to 500 ms of either sign, in a quarter of the flights
-with five minutes on top; drifts to 100 us/s of either sign. The onboard sensors: see `CASES`. The true offset is that
-in the middle of the commands. Where the recorded flights are, six of them are cut in two files, too: they carry onboard
-velocity and pose in one file, so the offset that is found after the cut, less the one injected, is the latency of
-their velocity, whatever it is, and must be the same in all. Results: bench/clocks.json.
+with five minutes added; drifts to 100 us/s of either sign. The onboard sensors: see `CASES`. The true offset is that
+in the middle of the commands. Where recorded flights are available, six of them are split into two files, too: they
+have onboard velocity and pose in one file, so the offset estimated after the split, less the injected one, is the
+unknown latency of their velocity and must be the same in all. Results: bench/clocks.json.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Are the intervals true, and is anything left to gain? Simulated flights, every method, open and closed loop.
+"""Coverage of the intervals and efficiency of the estimates: simulated flights, every method, open and closed loop.
 
     python bench/bench_coverage.py [FLIGHTS] [--methods ml,paper,...] [--seed N]
 
@@ -7,13 +7,13 @@ FLIGHTS (default 400) flights of 60 s in open loop and as many in closed loop, a
 
 - bias: mean error over the Cramer-Rao bound of its flight, and its t,
 - rmse: root mean square of the same ratio, 1 being the best that any unbiased method can do,
-- covered: share of 95 % intervals that hold the truth; a missing number counts as a miss on a well excited axis, in the
-  weak table an interval counts wherever its status is `not_identifiable`,
-- width: mean half-width over 1.96 bounds,
-- a coefficient is rejected where a binomial test denies 95 % at a family-wise 1 %.
+- covered: share of 95 % intervals that contain the truth; a missing number counts as a miss on a well excited axis; in
+  the weak table an interval counts wherever its status is `not_identifiable`,
+- width: mean half width over 1.96 bounds,
+- a coefficient is rejected where a binomial test rejects 95 % at a family-wise level of 1 %.
 
-Intervals are those of "this flight": the vehicles obey the law, so there is nothing else to hold.
-An axis whose bounds are wide (`designs.EXCITED`) goes to the weak table of its loop. Results: bench/coverage.json.
+Intervals are those of "this flight": the vehicles obey the law, so no other error has to be covered.
+An axis with wide bounds (`designs.EXCITED`) goes to the weak table of its loop. Results: bench/coverage.json.
 """
 
 import argparse

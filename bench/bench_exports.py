@@ -1,4 +1,4 @@
-"""How far every export's motion is from the model's own, and what a step of the C predictor costs.
+"""Difference of every export's motion from that of the model, and the time of a step of the C predictor.
 
     python bench/bench_exports.py MODEL
 

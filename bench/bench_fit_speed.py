@@ -1,13 +1,13 @@
-"""How long does a fit take beside those of other packages, on the same flights in the same process?
+"""How long does a fit take, compared with other packages, on the same flights in the same process?
 
     python bench/bench_fit_speed.py
 
-Two flights: x of 168 s of a Bebop 2 (`bebop2-wsu` X, beside the project), and 168 s simulated that move all four axes.
-Processor time, one thread, after import and compilation; all take turns, and the best of five turns counts. Printed is
-the range of three such runs, over the time of N4SID for one axis of that flight in that run.
+Two flights: x of 168 s of a Bebop 2 (`bebop2-wsu` X, beside the project), and 168 s simulated that excite all four
+axes. Processor time, one thread, after import and compilation; the packages take turns, and the best of five turns
+counts. Printed is the range of three such runs, relative to the time of N4SID for one axis of that flight in that run.
 
 Every other package fits one setting, without a search: 20 Hz, half a second of lags or block rows of 0.75 s. rotorfit
-searches the delay and gives intervals; its judgement of itself (`estimation/judgement`) is told apart.
+searches the delay and computes intervals; the time of its judgement (`estimation/judgement`) is listed separately.
 """
 
 import os

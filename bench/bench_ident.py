@@ -1,10 +1,11 @@
-"""The paper's manoeuvre under feedback: what the paper's regression and the likelihood make of it.
+"""The paper's manoeuvre under feedback: estimates of the paper's regression and of the likelihood.
 
     python bench/bench_ident.py [FLIGHTS]
 
-drone_dev tracks position references (`rotorfit plan --design ident`): every command answers the measured pose. Flown
-in the virtual flight room (Bebop 2, gusts of 0.2 m/s, seeds from 1) and by the paper's own equation (the same plan, the
-same seeds). Writes ident.json beside this file. Mean and standard deviation of the estimates beside the truth.
+drone_dev tracks position references (`rotorfit plan --design ident`): every command responds to the measured pose.
+Flown in the virtual flight room (Bebop 2, gusts of 0.2 m/s, seeds from 1) and by the paper's own equation (the same
+plan, the same seeds). Mean and standard deviation of the estimates with the truth; written to ident.json beside this
+file.
 """
 
 import json

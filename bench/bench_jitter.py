@@ -1,9 +1,9 @@
-"""By how much commands come late: 100 Hz over UDP to a vehicle in a process of its own, while every core is busy.
+"""Lateness of commands: 100 Hz over UDP to a vehicle in a process of its own, while every core is busy.
 
     python bench/bench_jitter.py [SECONDS]
 
-Prints the lateness of the commands for an idle and a busy computer, with and without real-time priority, and what a
-loop that merely sleeps for a period reaches beside it.
+Prints the lateness of the commands for an idle and a busy computer, with and without real-time priority, and that of a
+loop that only sleeps for a period, for comparison.
 """
 
 import multiprocessing

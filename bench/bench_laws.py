@@ -1,13 +1,12 @@
-"""Are the intervals of the default laws true, whatever the law of the vehicle? One axis, simulated without rotorfit.
+"""Coverage of the intervals of the default laws under several true laws: one axis, simulated without rotorfit.
 
     python bench/bench_laws.py [FLIGHTS] [--truths delay,lag,loop] [--structures averaged,first_order_delay] [--seed N]
 
-FLIGHTS (default 40) flights of 60 s of each truth, by Latin hypercube: of a delay alone; of a delay and a lag of 0.05
-to 0.3 s, both flown on x; and of a velocity loop that overshoots (second order with a zero), flown on z. Steps at
-random times, coloured wind, noise of the poses. Of each coefficient and combination, and of gain and delay at 1 and
-3 rad/s: the share of 95 % intervals that hold the truth, and their median width over that of the first structure. The
-simulation has steps of 2 ms, exact for commands held over them; commands, delays and poses are on that grid. Prints
-Markdown.
+FLIGHTS (default 40) flights of 60 s under each true law, by Latin hypercube: a delay alone; a delay and a lag of 0.05
+to 0.3 s, both flown on x; and a velocity loop that overshoots (second order with a zero), flown on z. Steps at random
+times, coloured wind, pose noise. For each coefficient and combination, and for gain and delay at 1 and 3 rad/s: the
+share of 95 % intervals that contain the truth, and their median width over that of the first structure. The simulation
+has steps of 2 ms, exact for commands held over them; commands, delays and poses are on that grid. Prints Markdown.
 """
 
 import argparse

@@ -3,9 +3,9 @@
     python bench/bench_length.py [MINUTES ...]        by default 1, 3, 10 and 30
 
 A simulated flight in closed loop, turning, 120 poses a second; fitted on all axes by the default laws and by
-`first_order_delay`, then validated. Each task in a process of its own, compiled before, on a flight that another one
-has simulated: processor seconds of the task alone, and the largest memory of its process, with the libraries and the
-flight itself. One thread.
+`first_order_delay`, then validated. Each task runs in a process of its own, after compilation, on a flight simulated by
+another process: processor seconds of the task alone, and the peak memory of its process, including the libraries and
+the flight itself. One thread.
 """
 
 import json

@@ -1,11 +1,11 @@
-"""What does the estimator find in the virtual flight room, beside what `Vehicle.linear` says?
+"""Estimates in the virtual flight room, compared with the coefficients of `Vehicle.linear`.
 
     python bench/bench_linear_truth.py
 
 Each vehicle flies 100 s in calm air, 1 mm mocap noise, a radio without jitter, a soft start; x with y, and z with yaw:
 slow (0.10 to 0.37 rad/s), usual (0.5 to 2.3 rad/s), and usual but wide (three times the amplitude); then all four axes
-at once, so that it flies while it turns. Printed is by how much the fit (method ml) differs from the linear truth: what
-a first-order model with delay cannot have.
+at once, so that it flies while it turns. Printed is the difference of the fit (method ml) from the linear truth: the
+error of a first-order model with a delay.
 """
 
 import os

@@ -1,12 +1,12 @@
-"""Does the disturbance earn a damping of its own? Simulated flights that obey the tied form, and real ones.
+"""Does the disturbance need a damping of its own? Simulated flights that obey the tied form, and real ones.
 
     python bench/bench_noise_model.py [FLIGHTS]
 
 Tied: the disturbance is a force with a memory of its own that acts through the vehicle's damping b, so one of its two
 poles is b. Own (the default): both poles are free. On simulated flights (`designs.py`, z and yaw, open and closed loop)
-the tied form is the truth: what does freedom cost? Intervals of both are the plain ones, estimate +- t standard errors.
-On recorded flights, where they are, nobody knows the truth: which predicts flights that were not fitted better?
-Results: bench/noise_model.json.
+the tied form is the truth: how much precision does the free form lose? Intervals of both are the plain ones, estimate
++- t standard errors. On recorded flights, where available, the truth is unknown: which form predicts held-out flights
+better? Results: bench/noise_model.json.
 """
 
 import json

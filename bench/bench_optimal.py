@@ -5,9 +5,9 @@
 The demo's vehicle (set B, delay 0.15 s, light wind, 0.5 mm mocap), axes x and z, 60 s. x: 1.86 m to either side, 1.5
 m/s; z: 0.96 m, 1 m/s; commands up to half of full scale. Scores are compared by the factor on the mean standard error
 (geometric over input, damping, delay for D, root mean square in units of `optimal.TARGETS` for A). Takes 3 minutes.
-The commands are hard steps but in one row, where they are smoothed as the planner does it.
+The commands are hard steps except in one row, where they are smoothed as in the planner.
 
-The bound. The mean squares of command, position and speed over the N steps cannot be beyond those of the limits. With
+The bound. The mean squares of command, position and speed over the N steps cannot exceed those of the limits. With
 any weights d >= 0, sum d = 1, the command u of a design inside the limits has u' B u <= 1, where B = sum_i d_i A_i / N
 and A_i are the three quadratic forms over their limits squared. With any W > 0
 
@@ -17,7 +17,7 @@ on the commands that end at rest, and scaling W makes the right side 3 log(lambd
 bounds every design; the least bound that Nelder and Mead find is printed.
 
 Source: the relaxation of I. R. Manchester, Input design for system identification via convex relaxation (2010), arXiv
-1009.5614, with the limits of all steps added up to three, which makes its dual so small.
+1009.5614, with the limits of all steps summed to three, which makes its dual that small.
 """
 
 import json

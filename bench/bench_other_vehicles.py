@@ -1,12 +1,12 @@
-"""Do intervals hold on vehicles that were not made by the estimator's equations? Full rigid bodies, every design.
+"""Coverage on vehicles that do not obey the estimator's equations: full rigid bodies, every design.
 
     python bench/bench_other_vehicles.py [--vehicles bebop2,tello,...] [--structures averaged,first_order_delay]
 
 The flight room's vehicles (rigid body, rotors, attitude loop and, where they have one, velocity loop) fly 60 s of
-steps, of a multisine and of two sines, small and large, in calm and in gusty air, x and y, then z and yaw. Of steady
-gain and total lag, whose truth for small slow motion `Vehicle.linear` has from the parameters: the share of the
-intervals of "this flight" and of "the vehicle" that hold it, and the median of the ratio of their widths. Then the six
-flights of small commands together. Seed: the number of the flight.
+steps, of a multisine and of two sines, small and large, in calm and in gusty air, x and y, then z and yaw. For steady
+gain and total lag, whose true values for small slow motion `Vehicle.linear` computes from the parameters: the share of
+the intervals of "this flight" and of "the vehicle" that contain them, and the median of the ratio of their widths. Then
+the six flights with small commands are fitted together. Seed: the number of the flight.
 """
 
 import argparse

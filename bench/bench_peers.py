@@ -1,14 +1,14 @@
-"""How well do others predict? PySINDy, SysIdentPy, N4SID and plain regression beside rotorfit, on the same flights.
+"""Prediction by PySINDy, SysIdentPy, N4SID, plain regression and rotorfit, on the same flights.
 
     python bench/bench_peers.py [PATTERN]
 
-PATTERN picks sets by a part of their name, such as `simulated` or `bebop2-wsu X`; then no file is written. Prints a
+PATTERN selects sets by a part of their name, such as `simulated` or `bebop2-wsu X`; then no file is written. Prints a
 table, and writes peers.json beside this file and the section "Peers" of docs/benchmarks.md.
 
-Everybody fits the same training flights and predicts the same test flights by the protocol of `forecast`: 2 s for the
-state, starts every 0.5 s, from a start on only the commands. Settings of the peers are chosen on the training flights
-alone, by the very scores that are compared (`peers.tuning`); those in peers.json that the same version of a package
-chose are taken from there. Delete the file to have all chosen anew.
+All packages fit the same training flights and predict the same test flights by the protocol of `forecast`: 2 s for the
+state, starts every 0.5 s, only commands after a start. Settings of the peers are chosen on the training flights alone,
+by the scores that are compared (`peers.tuning`); settings in peers.json that were chosen with the same version of a
+package are reused. Delete the file to choose all of them again.
 """
 
 import os

@@ -1,23 +1,23 @@
-"""Does a flight tell what its plan promised, and how much more does an optimal design tell than the paper's two sines?
+"""Is a flight as precise as its plan predicted, and how much more precise is an optimal design than the paper's sines?
 
     python bench/bench_plans.py [FLIGHTS] [--designs two_sines,optimal_d,...] [-o FILE]
 
 Every design flies 60 s on x, y and z together and 60 s on yaw, FLIGHTS (default 100) times, with the demo's vehicle
 (set B, delay 0.15 s, light wind, 0.5 mm mocap, 8 % stale frames; seeds 1 to FLIGHTS for x, y, z, from 10,001 on for
 yaw; the same wind and noise for every design). The room is 4 m by 4 m by 2 m, the speed at most 1.5 m/s along x and y
-each, the climb 1 m/s, a command at most half of full scale, yaw at most 1 rad from its start and 1 rad/s. Bands end,
-and the optimal commands are smoothed, as the planner does it (`planning.fastest`).
+each, the climb 1 m/s, a command at most half of full scale, yaw at most 1 rad from its start and 1 rad/s. The bands of
+frequencies and the smoothing of the optimal commands are the planner's (`planning.fastest`).
 
 In open loop the wind alone would carry this vehicle out of such a room within 60 s (`hover` below), so all designs are
-flown with the planner's soft centring feedback, but for `two_sines_paper`, which is flown as the paper flies, in open
-loop and at the paper's amplitude, whatever room it takes. What wind takes of the room in 19 of 20 hovers is put aside.
-Each other signal is made as large, axis by axis, as the rest of the room, the speed and the command allow for the
-likeliest vehicle in still air. A flight starts where its path lies in the middle of the room. `ident` is a position
+flown with the planner's soft centring feedback, except `two_sines_paper`, which is flown as in the paper, in open loop
+and at the paper's amplitude, without a limit of room. The room that the wind takes in 19 of 20 hovers is reserved.
+Every other signal is made as large, axis by axis, as the rest of the room, the speed and the command allow for the
+likeliest vehicle in still air. A flight starts such that its path is in the middle of the room. `ident` is a position
 reference under its own feedback.
 
-Per coefficient: the standard error that the plan predicted (`precision`, one flight of the likeliest vehicle), the root
-mean square error over the flights, the mean standard error that the fits state, and the ratios of these two to the
-first. Results: bench/plans.json.
+Per coefficient: the standard error predicted by the plan (`precision`, one flight of the likeliest vehicle), the root
+mean square error over the flights, the mean standard error of the fits, and the ratios of the last two to the first.
+Results: bench/plans.json.
 """
 
 import argparse

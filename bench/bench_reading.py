@@ -1,13 +1,13 @@
-"""How fast are logs read, against the readers of others on the same file in the same run?
+"""How fast are logs read, compared with other readers on the same file in the same run?
 
     python bench/bench_reading.py [--megabytes 60] [--runs 3] [--folder FOLDER] [LOG...]
 
 Bags against rosbags, ULog against pyulog, DataFlash against pymavlink: everything, and two of the tables. Writes the
-files to FOLDER (a temporary one unless named; files that are there are used again); logs of autopilots that are named
-are read besides. Every reading is a process of its own, timed after imports. The readers take turns, and a ratio is
-the median of those of neighbours, so that the load of the machine, which is printed, weighs on both alike; the second
-ratio is of processor time, all threads together. Peak memory is as Linux counts it from the start of the reading.
-Last, 512 bytes of each ULog are set to zero at eight places (seed 0), and the messages that are lost are counted.
+files to FOLDER (a temporary one by default; existing files are reused); autopilot logs given as LOG are read in
+addition. Every reading is a process of its own, timed after imports. The readers take turns, and a ratio is the median
+over neighbouring runs, so that the load of the machine, which is printed, affects both equally; the second ratio is of
+processor time, all threads together. Peak memory is as Linux counts it from the start of the reading. Finally, 512
+bytes of each ULog are set to zero at eight places (seed 0), and the lost messages are counted.
 Needs `pip install pyulog pymavlink`.
 """
 

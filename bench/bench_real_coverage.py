@@ -1,16 +1,16 @@
-"""Do intervals hold on the next flight? Pairs of recorded flights of one vehicle, and of parts of a flight.
+"""Do intervals hold for the next flight? Pairs of recorded flights of one vehicle, and of parts of a flight.
 
     python bench/bench_real_coverage.py [--data FOLDER] [--structure LAW] [--cache FOLDER] [-o FILE]
 
 Every flight, or part, is fitted alone. Two of one vehicle are a pair; their intervals agree about a coefficient if the
-difference is no larger than both half widths that face each other, in quadrature. With half widths of 1.96 standard
-errors of "the vehicle", 95 of 100 pairs agree and the root mean square of
+difference is no larger than the two half widths that face each other, added in quadrature. With half widths of 1.96
+standard errors of "the vehicle", 95 of 100 pairs agree and the root mean square of
 
     z = 1.96 (a - b) / sqrt(h_a^2 + h_b^2)
 
-is 1. Input, damping, steady gain and lag are compared by their logarithms, delays and lags of the whole as they are. A
-pair counts where both intervals are closed. Intervals of "this flight" are shown beside those of "the vehicle": what
-they lack is what flights of one vehicle differ by. No recording is part of the project; without them nothing is run.
+is 1. Input, damping, steady gain and lag are compared by their logarithms, delay and total lag by their values. A pair
+counts where both intervals are closed. Intervals of "this flight" are shown in addition to those of "the vehicle": the
+difference is the spread between flights. No recording is part of the project; without them nothing is run.
 """
 
 import argparse

@@ -1,18 +1,17 @@
-"""Size and load time of the report beside pages of plotly and bokeh with the same charts, in headless Chromium.
+"""Size and load time of the report and of pages of plotly and bokeh with the same charts, in headless Chromium.
 
     python bench/bench_report.py [RUNS] [--chromium PATH] [-o FILE]
 
 The content is one flight of ten minutes, poses at 120 Hz, all four axes (set B, seed 2), scored by a model that was
 fitted to another of 60 s (seed 1): measured against predicted velocity and acceleration of each axis, errors over the
-horizon, delay profiles, correlations of the residuals. All three pages get the very same series, as reduced for
-drawing, as binary float32, and carry their plotting library inside. The report has all its text and tables besides, and
-a drawn picture of every chart for readers without scripts; it builds a chart that zooms when it comes near the window,
-the others build all at once.
+horizon, delay profiles, correlations of the residuals. All three pages get the same series, as reduced for drawing, as
+binary float32, and contain their plotting library. The report contains all its text and tables in addition, and a
+static picture of every chart for readers without scripts; it builds an interactive chart when the chart comes near the
+window, the other pages build all charts at once.
 
 RUNS (default 15) loads of each page, in turn, each in a fresh browser context: time to the first contentful paint, to
-the load event, what the main thread has worked until 2 s after that, and the same after the page was scrolled through
-to its end, when every chart is built; medians and quartiles. Needs the extra `bench`
-and a Chromium. Results: bench/report.json.
+the load event, work of the main thread until 2 s after that, and the same after the page was scrolled to its end, when
+every chart is built; medians and quartiles. Needs the extra `bench` and a Chromium. Results: bench/report.json.
 """
 
 import argparse

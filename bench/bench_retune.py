@@ -1,20 +1,20 @@
-"""Does re-tuning in flight give the flight that gains of the true vehicle give? A vehicle that changes half-way.
+"""Does re-tuning in flight perform as well as gains for the true vehicle? A vehicle that changes half-way.
 
     python bench/bench_retune.py [SEEDS] [--structure S] [--only "SHAPE CHANGE;SHAPE CHANGE"]
 
 A Bebop 2 of the flight room follows a circle (1 m) or a lemniscate (1.2 m) at 1 m/s in the wind of its seed: a mean of
-1 to 2 m/s from anywhere along the floor, Dryden gusts of 0.3, 0.3 and 0.15 m/s. At `AT` it changes: a payload of 30 %
-of its mass is taken up, its tilt limit goes from 10 to 15 degrees, or commands come 50 ms later. Nothing excites it but
-the path and the wind. Four flights with the same wind and noise:
+1 to 2 m/s from any horizontal direction, Dryden gusts of 0.3, 0.3 and 0.15 m/s. At `AT` it changes: a payload of 30 %
+of its mass is taken up, its tilt limit goes from 10 to 15 degrees, or commands come 50 ms later. Only the path and the
+wind excite it. Four flights with the same wind and noise:
 
-kept        gains by a model of the vehicle before the change, off by as much as `DOUBT` says, to the end
-re-tuned    the same, until re-tuning, which hears poses and commands and comes after that model, publishes others
-true        each time gains of the true vehicle after the change, with the bandwidth that re-tuning chose
-known       from the change on, gains of the true vehicle after it, with the margins for such a doubt
+kept        gains from a model of the vehicle before the change, with errors of the size of `DOUBT`, to the end
+re-tuned    the same, until re-tuning, which starts from that model and receives poses and commands, publishes others
+true        at each re-tuning gains for the true vehicle after the change, with the bandwidth that re-tuning chose
+known       from the change on, gains for the true vehicle after it, with the margins for such a doubt
 
-Re-tuned against true is what the estimates cost, true against known what the doubt costs. Printed: when which axis was
-tuned anew, and why; root mean square distance from the path from `SETTLE` after the last new gains on, to the end, in
-the same window for all four. At the end a flight whose commands stop before the payload is taken up: nothing may be
+Re-tuned against true is the cost of the estimates, true against known the cost of the doubt. Printed: when and why each
+axis was re-tuned; root mean square distance from the path, from `SETTLE` after the last new gains to the end, in the
+same window for all four. Last comes a flight whose commands stop before the payload is taken up: nothing may be
 published after that.
 """
 

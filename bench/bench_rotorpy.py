@@ -2,9 +2,9 @@
 
     python bench/bench_rotorpy.py [SECONDS]
 
-Prints the coefficients of both logs with their 95 % half-widths and their difference in standard errors of the
-difference, how far the two paths part, and how far after a small step, for shorter and shorter steps of rotorpy.
-Skips where rotorpy is not installed (`pip install rotorpy`).
+Prints the coefficients of both logs with their 95 % half widths and their difference in standard errors of the
+difference, the distance between the two paths, and that after a small step, for decreasing step sizes of rotorpy.
+Skipped where rotorpy is not installed (`pip install rotorpy`).
 """
 
 import os

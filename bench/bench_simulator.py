@@ -3,8 +3,8 @@
     python bench/bench_simulator.py
 
 One thread. For each vehicle: 60 s with all four axes moving, mocap at 120 Hz with noise, commands at 100 Hz, in calm
-air and in gusts, as a batch (simulated seconds per second of processor time, best of several); what a call of `send`
-and `advance` costs at 100 Hz; and how far the path moves when the step is halved.
+air and in gusts, as a batch (simulated seconds per second of processor time, best of several); the time of a call of
+`send` and `advance` at 100 Hz; and the change of the path when the step is halved.
 """
 
 import os

@@ -1,16 +1,16 @@
-"""Scales of the prior on what flights of a vehicle differ by: made from recorded flights, and proven on others.
+"""Scales of the prior on the spread between flights of a vehicle: estimated from recorded flights, tested on others.
 
     python bench/bench_spread_scales.py --cache FOLDER [--data FOLDER] [--structure LAW]
 
 Of every pair of flights of one vehicle (`bench_real_coverage.py`, whose cache it reads) the difference d of a
-coefficient is taken as normal, of variance
+coefficient is taken as normal, with variance
 
     s_a^2 (D_a^2 + t^2) + s_b^2 (D_b^2 + t^2),    t ~ half t_3 of scale k,
 
-s being the standard error of "this flight" and D what the tests of the law found. k maximises the likelihood of all
-pairs, averaged over t, on a grid; each flight counts once, however many pairs it is in. Nothing is chosen by how many
-pairs agree. Then every vehicle is left out in turn, with all its sets, its pairs are judged by scales made from the
-others, and the share inside and the factor are told as in `bench_real_coverage.py`.
+where s is the standard error of "this flight" and D the factor from the tests of the law. k maximises the likelihood of
+all pairs, averaged over t, on a grid; each flight has the same total weight, however many pairs it is in. Nothing is
+chosen by how many pairs agree. Then every vehicle is left out in turn, with all its sets, its pairs are judged by the
+scales from the others, and the share inside and the factor are reported as in `bench_real_coverage.py`.
 """
 
 import argparse

@@ -1,12 +1,12 @@
-"""Five standard errors against the scatter that is there.
+"""Five standard errors compared with the observed scatter.
 
     python bench/bench_standard_errors.py [REPETITIONS] [FIRST_SEED]
 
 Each repetition is three flights of 20 s that step the x command (set B, 0.15 s delay, the demo's wind and mocap),
-fitted together. Cases: the disturbance of the model's kind; a wobble of 2.5 Hz and 2 mm, in bursts, that no command
-causes, added to the measured pose; wind with two memories, 0.3 s and 8 s; a position controller in the loop. Per
+fitted together. Cases: a disturbance of the model's kind; a wobble of 2.5 Hz and 2 mm, in bursts, not caused by any
+command, added to the measured pose; wind with two memories, 0.3 s and 8 s; a position controller in the loop. Per
 coefficient: root mean square of each standard error over the standard deviation of the estimates, and the share of
-intervals of +-1.96 of each that hold the truth.
+intervals of +-1.96 of each that contain the truth.
 """
 
 import json

@@ -1,10 +1,10 @@
-"""What a new process costs: the verbs of a first session, with compiled code in the cache, and without.
+"""Time of a new process: the verbs of a first session, with compiled code in the cache, and without.
 
     python bench/bench_start.py [LOG] [--card CARD] [--runs N]
 
-LOG (168 s of a Bebop 2, where it lies beside the project) is fitted, looked through and validated, each time in a
-process of its own; medians of N runs (default 10), in turn, so that a busy machine is busy for all of them. "Fresh" is
-each verb with an empty cache of compiled code: what it takes beyond a warm run is compiling.
+The verbs are `--help`, and `info`, `fit` and `validate` of LOG (default: 168 s of a Bebop 2, beside the project), each
+in a process of its own; medians of N runs (default 10), in turn, so that the load of the machine affects all of them.
+"Fresh" is each verb with an empty cache of compiled code: the difference from a warm run is compilation.
 """
 
 import argparse

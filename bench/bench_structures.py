@@ -1,4 +1,4 @@
-"""Delay, lag or both? Each half of a flight is fitted with each and predicts the other half; then `auto` is asked.
+"""Delay, lag or both? Each half of a flight is fitted with each law and predicts the other half; then `auto` selects.
 
     python bench/bench_structures.py FOLDER_OF_bebop2-wsu
 

@@ -3,8 +3,8 @@
     python bench/bench_studio.py [--keep FOLDER]
 
 Simulates a flight of 5,000 s with poses at 200 Hz and commands at 20 Hz (seed 1), writes it as CSV, starts the studio
-in a process of its own and drops the log into headless Chromium. Times are wall clock; the server's memory is what
-Linux counts for its process. One run, 800 pixels wide, windows from a seed.
+in a process of its own and drops the log into headless Chromium. Times are wall-clock times; the server's memory is as
+Linux counts it for its process. One run, 800 pixels wide, windows from a seed.
 """
 
 import argparse

@@ -1,16 +1,17 @@
-"""Is what `rotorfit track` says true at every moment? Simulated flights of the coverage benchmark, as if live.
+"""Are the intervals of `rotorfit track` valid at every moment? Simulated flights of the coverage benchmark, as if live.
 
     python bench/bench_track.py [FLIGHTS] [--structure S] [--jobs N]
 
 FLIGHTS (default 40) of 60 s in open loop and as many in closed loop, over five coefficient sets (see `designs.py`), by
 default under `first_order_delay`, the law that these vehicles obey.
 
-- covered: share of the 95 % intervals of input, damping and delay that hold the truth, 5, 10, 20, 40 s after the start
-  and at landing, of the axes that had numbers by then: this flight's (these vehicles obey their law) and the vehicle's.
+- covered: share of the 95 % intervals of input, damping and delay that contain the truth, 5, 10, 20, 40 s after the
+  start and at landing, for the axes with numbers by then: this flight's (these vehicles obey their law) and the
+  vehicle's.
 - known: time until an axis is `known`, over the time at which the Cramer-Rao bound of the flight so far, taken as an
-  interval, would first have been: median.
-- landing: what the last step before landing says less what the batch fit says, in standard errors of the batch.
-- cost: processor seconds of tracking a second of flight, steps and refits apart.
+  interval, would first have been `known`: median.
+- landing: estimate of the last step before landing less that of the batch fit, in standard errors of the batch fit.
+- cost: processor seconds of tracking per second of flight, steps and refits separately.
 """
 
 import argparse

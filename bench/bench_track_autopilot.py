@@ -1,10 +1,10 @@
-"""Do the intervals of `rotorfit track` hold, at every moment, what a real autopilot was measured to do?
+"""Do the intervals of `rotorfit track` contain, at every moment, the measured response of a real autopilot?
 
     python bench/bench_track_autopilot.py [FOLDER] [--structure S]
 
-FOLDER (default ../../shared/data/arducopter-sitl) holds flights of ArduCopter in software and its truth, measured by
-sines and steps without rotorfit (see `bench_autopilot.py`): no law of ours is exact there. Steady gain and total lag of
-all axes, 10, 20, 40 and 59 s after the start, with the truth's own error; and how many alarms were raised.
+FOLDER (default ../../shared/data/arducopter-sitl) contains flights of ArduCopter in software and its true response,
+measured by sines and steps without rotorfit (see `bench_autopilot.py`): none of our laws is exact there. Steady gain
+and total lag of all axes, 10, 20, 40 and 59 s after the start, with the error of the truth; and the number of alarms.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""How late the commands of a flight by the wall clock are, without and with a tracker beside it.
+"""Lateness of the commands of a flight in real time, without and with a tracker in parallel.
 
     python bench/bench_track_beside.py [SECONDS] [ROUNDS]
 
-Flights of 100 commands a second in the virtual flight room on the wall clock, in turn without and with `--track`.
+Flights with 100 commands a second in the virtual flight room in real time, in turn without and with `--track`.
 """
 
 import sys

@@ -1,14 +1,15 @@
-"""A day of flight through a whole `Tracker`: memory, time of a look, and false alarms, ten minutes by ten minutes.
+"""A day of flight through a whole `Tracker`: memory, time of a look, and false alarms, in stretches of ten minutes.
 
     python bench/bench_track_day.py [HOURS] [--rate HZ] [--structure S]
 
-A vehicle of the first-order law on four axes in gusty wind, 20 poses and 10 commands a second: thin, so that a day
-takes hours and not a week; looks come once a second as ever. In turns it is flown for eight minutes, hovers for one
-under commands that do not change, and nobody commands it for one. Nothing of it changes: every alarm is a false one.
+A vehicle under the first-order law on four axes in gusty wind, with 20 poses and 10 commands a second: few, so that a
+day takes hours and not a week; looks come once a second as usual. It is alternately flown for eight minutes, hovers for
+one under constant commands, and gets no commands for one. Nothing in it changes: every alarm is a false one.
 
-- memory: of the process [MB]; to be constant once 900 s are remembered.
-- look: processor time of one, mean of ten minutes, refits apart [ms]; to be constant once 300 s are looked back over.
-- refits: how many and their processor time together [s].
+- memory: memory of the process [MB]; should be constant once 900 s are remembered.
+- look: processor time of a look without refits, mean over ten minutes [ms]; should be constant once looks reach back
+  over 300 s.
+- refits: number of refits and their total processor time [s].
 """
 
 import argparse

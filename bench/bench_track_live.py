@@ -1,17 +1,17 @@
-"""How late is what a live tracker says after each sample, and what does it cost?
+"""How late are the states of a live tracker after each sample, and what does it cost?
 
     python bench/bench_track_live.py [SECONDS] [--structure S] [--here]
 
-A simulated flight in closed loop (see `designs.py`: 120 poses and about 100 commands a second, four axes) is handed to
-a live `Tracker` by the wall clock, sample by sample; after each pose the motion is asked for.
+A simulated flight in closed loop (see `designs.py`: 120 poses and about 100 commands a second, four axes) is fed to a
+live `Tracker` in real time, sample by sample; after each pose the motion is requested.
 
-- filter: compiled Kalman step and driven motion, microseconds a pose, all four axes.
+- filter: compiled Kalman step and driven motion, microseconds per pose, all four axes.
 - sample to state: from the instant at which a sample is due until `update` and `motion` have returned; on a busy
-  machine that is also how late the process was woken, so the computing alone stands beside it.
-- look to state: from the sample that makes a look due until its state has come.
-- cost: processor time of this process and of the one beside, from the first look on, per second of flight.
+  machine that includes the delay in waking the process, so the computing time alone is given, too.
+- look to state: from the sample that makes a look due until its state has arrived.
+- cost: processor time of this process and of the parallel one, from the first look on, per second of flight.
 
-`--here` looks in this process, as trackers did before.
+`--here` makes the looks in this process instead of a parallel one.
 """
 
 import argparse

@@ -1,18 +1,18 @@
-"""How well do others learn a vehicle while it flies? Recursive estimators beside rotorfit, on the same flights.
+"""Accuracy of live estimation: recursive estimators compared with rotorfit, on the same flights.
 
     python bench/bench_track_peers.py [FLIGHTS] [--jobs N] [--recorded]
 
-FLIGHTS (default 10) of 60 s in open loop and as many in closed loop (see `designs.py`). Scored are z and yaw, for x and
-y would ask every peer for a model of the heading, at 10, 20, 40 and 60 s: the median error in Cramer-Rao bounds of the
-flight so far, and the share of 95 % intervals that hold the truth, where there are any. `--recorded`: two recorded
-flights, where the batch fit of the whole flight stands for the truth and its standard error for the bound.
+FLIGHTS (default 10) of 60 s in open loop and as many in closed loop (see `designs.py`). z and yaw are scored, since x
+and y would require a model of the heading of every peer, at 10, 20, 40 and 60 s: the median error in Cramer-Rao bounds
+of the flight so far, and the share of 95 % intervals that contain the truth, where there are any. `--recorded`: two
+recorded flights, with the batch fit of the whole flight as truth and its standard error as bound.
 
 Peers, each in its plain published form and with help that rotorfit does not get:
 
-- `rls`: recursive least squares of v+ = a v + beta u + c at 10 Hz, forgetting within 20 s; told the true delay.
+- `rls`: recursive least squares of v+ = a v + beta u + c at 10 Hz, forgetting within 20 s; given the true delay.
 - `sift`: the same, forgetting only along the regressor (SIFt-RLS: B. Lai, D. S. Bernstein, arXiv 2404.10844; of one
   measurement a step, information filter 1e-3 of the mean square).
-- `ekf`: extended Kalman filter of position, velocity, log g, log b, wind and trim at every pose; told the true delay,
+- `ekf`: extended Kalman filter of position, velocity, log g, log b, wind and trim at every pose; given the true delay
   and the true strengths of wind and noise.
 - `paper`: the paper's regression over the last 20 s; without a delay.
 - `xcorr`: the delay at the peak of the masked normalised cross-correlation of command and measured acceleration (D.

@@ -1,14 +1,14 @@
-"""What does `rotorfit track` say of every recorded flight, as if it were live?
+"""Results of `rotorfit track` on every recorded flight, as if it were live.
 
     python bench/bench_track_recorded.py [FOLDER] [--structure S] [--least SECONDS]
 
-FOLDER (default ../../shared/data) holds recorded flights of nine vehicles; those of at least SECONDS (default 9) are
+FOLDER (default ../../shared/data) contains recorded flights of nine vehicles; those of at least SECONDS (default 9) are
 tracked whole. No recording is part of the project; without them nothing is run.
 
-- known: seconds after the start at which each axis is `known` first.
-- landing: the last step before landing less the batch fit, in standard errors of the batch.
-- kept: share of the intervals of the vehicle at 10, 20, 40 s that hold what the whole flight gives: a prophecy kept.
-- alarms: each, to be read.
+- known: time after the start at which each axis is first `known` [s].
+- landing: the last step before landing less the batch fit, in standard errors of the batch fit.
+- kept: share of the intervals of the vehicle at 10, 20, 40 s that contain the estimate from the whole flight.
+- alarms: every alarm, for inspection.
 """
 
 import argparse

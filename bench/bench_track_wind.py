@@ -1,15 +1,15 @@
-"""Does `rotorfit track` know the wind? Flights of the flight room in gusts, beside a filter that knows the vehicle.
+"""How well does `rotorfit track` estimate the wind? Flights in gusts, compared with a filter that knows the vehicle.
 
     python bench/bench_track_wind.py [FLIGHTS] [--gusts 1,2] [--structure S]
 
 FLIGHTS (default 4) of 90 s for each of gusts of 1, 2, 3 and 5 m/s (Dryden) with a mean wind of 3 m/s, a Bebop 2 in
 closed loop (tilts: its damping is drag).
 
-- ratio: RMS error, from 30 s on, of the acceleration that the air gives x and y, over that of the same filter at the
-  vehicle's true input, damping and delay, its levels and trim fitted there.
-- held: share of the 95 % intervals of that acceleration that hold it.
+- ratio: RMS error, from 30 s on, of the acceleration of x and y due to the air, over that of the same filter at the
+  vehicle's true input, damping and delay, with levels and trim fitted there.
+- held: share of the 95 % intervals that contain that acceleration.
 - mean wind: errors of speed and direction over all seconds from 30 s on, median and 90 %, and the share of intervals
-  that hold the mean of the wind over the same time.
+  that contain the mean of the wind over the same time.
 """
 
 import argparse

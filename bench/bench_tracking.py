@@ -1,29 +1,29 @@
-"""Does better identification give better flight? Controllers from `ml`, from `paper` and from elsewhere, side by side.
+"""Does better identification give better flight? Controllers from `ml`, from `paper` and from elsewhere, compared.
 
     python bench/bench_tracking.py [VEHICLE] [--seeds 20] [--only "NAME;NAME"] [--picture FILE] [--json FILE]
 
 For each seed the vehicle of the virtual flight room first flies the paper's two sines (x with y, z, yaw: the three
 training flights of `rotorfit demo`, gusts of 0.2 m/s), and both methods are fitted to them. Then every controller flies
-a circle, a lemniscate and steps, in a wind of its seed: a mean of 1 to 2 m/s (Tello: 0.5 to 1) from anywhere along the
-floor, and Dryden gusts of 0.3, 0.3 and 0.15 m/s. Same seed, same wind, same noise: the comparison is paired.
+a circle, a lemniscate and steps, in a wind of its seed: a mean of 1 to 2 m/s (Tello: 0.5 to 1) from any horizontal
+direction, and Dryden gusts of 0.3, 0.3 and 0.15 m/s. Same seed, same wind, same noise: the comparison is paired.
 
 Printed for each controller: median and quartiles of the errors over the seeds, the share of flights that left the
 fence, and the ratio of the error of each to that of the first, as the median over seeds with a 95 % interval by
 bootstrap (10,000 resamples, seed 0). Models are kept in `bench/.tracking`, so that a second run is short.
 
 `predictor`, `lqr`, `linearising`   the three designs, each by the same rule of bandwidth
-ml, paper                           by the method of the model. Of the delay `paper` knows nothing: by the rule its
-                                    margins then hold for that of commercial quadrotors, 0.15 +- 0.10 s
+ml, paper                           by the method of the model. `paper` has no delay: by the rule its margins then
+                                    hold for that of commercial quadrotors, 0.15 +- 0.10 s
 paper at its word                   its delay of 0 and its intervals taken as they are
-ml without delay                    the ablation: input and damping of `ml`, and nothing of its delay
-paper with a guess                  every delay taken to be 0.15 s, as sure
+ml without delay                    the ablation: input and damping of `ml`, without its delay
+paper with a guess                  every delay assumed to be exactly 0.15 s
 published gains                     feedback linearisation with the gains of drone_dev (KpFL, KdFL), by hand, for the
                                     coefficients of ml and of paper; as published, and with an integral
 default PID                         Bebop 2: the gains that drone_dev's configuration calls best under Vicon at 100 Hz
                                     (0.5, 0.5; yaw 1.2, 0.8; integral 0.01). Tello: the defaults of PX4's position loop
                                     (MPC_XY_P 0.95, MPC_Z_P 1.0, MC_YAW_P 2.8) on velocity commands, velocity forward
-PID by trial                        the same form, with gains of x and y that 60 rounds of trial flights (a round is
-                                    the three paths in wind of seed 1000) found by Nelder and Mead: no model
+PID by trial                        the same form, with gains of x and y found by Nelder and Mead in 60 rounds of trial
+                                    flights (a round is the three paths in wind of seed 1000): no model
 """
 
 import json

@@ -1,12 +1,12 @@
-"""Intervals from the vehicle's own velocity, alone and beside the pose, on flights whose truth is known.
+"""Intervals from the vehicle's own velocity, alone and together with the pose, on flights with known truth.
 
     python bench/bench_velocity.py [CASE ...] [--flights N]
 
 Each flight lasts 40 s, is open loop, and steps the commands at random about every 0.7 s (set B, 0.15 s delay, the
 demo's wind). The velocity is measured forward and left at 20 Hz with a noise of 3 cm/s and a bias of 1 cm/s, 60 ms
 late; in the case `rounded` at 10 Hz, without noise, in whole dm/s. The pose is the demo's motion capture (0.5 mm,
-120 Hz), or a poor one (5 cm, 20 Hz). Printed: how many 95 % intervals hold the truth, bias and scatter of the
-estimates, and the root mean square of the standard errors; the same of the latency. Seeds 0, 1, 2 ...
+120 Hz), or a poor one (5 cm, 20 Hz). Printed: how many 95 % intervals contain the truth, bias and scatter of the
+estimates, and the root mean square of the standard errors; the same for the latency. Seeds 0, 1, 2 ...
 """
 
 import sys

@@ -2,14 +2,14 @@
 
     python bench/changing_flights.py          what each change leaves in the pose, and how fast such flights are made
 
-`changing_flight(seed, scenario)` flies one and gives it back as it comes from its log. The vehicle flies a multisine on
-its axes, as `rotorfit plan` makes it, in open loop or by the planner's soft centring feedback on the measured pose. The
-seed draws the heading at the start, the direction of the wind, the weak rotor, and where in its period the signal
-begins, besides all noise.
+`changing_flight(seed, scenario)` flies one and returns it as read from its log. The vehicle flies a multisine on its
+axes, as from `rotorfit plan`, in open loop or with the planner's soft centring feedback on the measured pose. The seed
+determines the initial heading, the direction of the wind, the weak rotor, the initial phase of the signal, and all
+noise.
 
-The vehicle is one of the room's with a battery that lasts and an autopilot that does not brake on zero. Its autopilot
-learns thrust, rotors and mass within `Scenario.learning`. Closed loops run in compiled code, which gives the commands
-that `plan_control` gives; the flight itself is then flown by `fly_commands`, as every other.
+The vehicle is one of the room's with a battery that lasts and an autopilot that does not brake at zero command. Its
+autopilot learns thrust, rotors and mass within `Scenario.learning`. Closed loops run in compiled code, which gives the
+same commands as `plan_control`; the flight itself is then flown by `fly_commands`, like every other one.
 """
 
 import functools

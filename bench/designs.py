@@ -1,6 +1,7 @@
 """Simulated flights for the coverage benchmark: drawn by Latin hypercube, flown by the paper's vehicle.
 
-Nothing here is known to the estimator. The Cramer-Rao bound of a flight is the likelihood's information at the truth.
+The estimator knows nothing of this. The Cramer-Rao bound of a flight follows from the likelihood's information at the
+truth.
 """
 
 import functools

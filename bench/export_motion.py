@@ -1,4 +1,4 @@
-"""Random commands, the motion that they lead to by two ways of computing it, and the walk from change to change."""
+"""Random commands, the resulting motion computed in two ways, and the walk from change to change."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Every export, imported again and run: how each format is driven, and how far it is off."""
+"""Every export, imported again and run: how to run each format, and its error."""
 
 import importlib.util
 import re

@@ -1,13 +1,13 @@
-"""Mutated files and command lines of every kind: does rotorfit ever crash, hang, fill the memory or show a trace?
+"""Mutated files and command lines of every kind: does rotorfit ever crash, hang, exhaust memory or show a traceback?
 
     python bench/fuzz.py [--minutes 10] [--seed 0] [--keep FOLDER] [--corpus FOLDER] [KIND...]
 
-A kind is a row of `KINDS`: samples, what changes them and what reads them. Logs are changed byte by byte, what is text
-as the tree that it is parsed to: types, nesting, huge numbers, NaN, control characters, keys that are double, unknown
-or gone. Where atheris is installed (`pip install atheris`), it keeps of text what reaches new lines of code; without
-it, and of logs, whose readers are compiled, what ends in a new way is kept. A kind has a process of its own for so many
-minutes. What goes wrong is put into the folder to keep: a process that ended by a signal, an exception that is none of
-rotorfit's own, an error of several lines, more than 10 s of processor time, more than 1 GB. Then it ends with 1.
+A kind is a row of `KINDS`: samples, a mutator and a reader. Logs are mutated byte by byte, text as its parsed tree:
+types, nesting, huge numbers, NaN, control characters, keys that are duplicated, unknown or missing. Where atheris is
+installed (`pip install atheris`), text that reaches new lines of code is kept for further mutation; without it, and for
+logs, whose readers are compiled, inputs with a new outcome are kept. A kind has a process of its own for the given
+minutes. Failures are saved in the folder `--keep`: a process ended by a signal, an exception that is not rotorfit's
+own, an error of several lines, more than 10 s of processor time, more than 1 GB. The exit code is then 1.
 """
 
 import argparse

@@ -1,17 +1,17 @@
-"""Every figure that rotorfit gives of fixed flights, to the last bit: does a change of its layout change a number?
+"""Every figure that rotorfit gives for fixed flights, to the last bit: does a refactoring change a number?
 
     python bench/golden.py write FILE [--only NAME]
     python bench/golden.py compare A B [--tolerance 0] [--rename OLD=NEW ...]
 
 `write` plans, flies, surveys, fits, validates, compares, tunes and exports, on flights of both simulators and on the
-recorded flights beside the project; `--only` takes the cases whose names begin so. `compare` lists the figures that
-differ by more than a relative tolerance and the keys that only one file has. Of a text that is meant to be read only
-the numbers count, so that a better sentence is no difference. `--rename` is for a word in the keys of A that has
-another name in B.
+recorded flights beside the project; `--only` selects the cases whose names begin with NAME. `compare` lists the figures
+that differ by more than a relative tolerance and the keys that only one file has. In texts only the numbers are
+compared, so that a better sentence is no difference. `--rename` is for a word in the keys of A that has another name in
+B.
 
-Kernels round otherwise in the process that compiles them than in those that load them from the cache, probably because
-`fastmath` contracts other products and sums where more is inlined: the first run of a fresh installation differs from
-all later ones in the last bits. Compare second runs.
+Kernels round differently in the process that compiles them than in processes that load them from the cache, probably
+because `fastmath` contracts other products and sums where more is inlined: the first run of a fresh installation
+differs from all later ones in the last bits. Compare second runs.
 """
 
 import os

@@ -1,7 +1,7 @@
 """The same manoeuvre in rotorpy and in the virtual flight room, with the same vehicle parameters.
 
 rotorpy is an independent simulator (Spencer Folk et al., University of Pennsylvania, MIT). Its `cmd_vel` mode takes a
-velocity in the world and flies it by a velocity loop, a thrust direction and an attitude loop; heading stays at 0.
+world velocity and tracks it by a velocity loop, a thrust direction and an attitude loop; the heading stays at 0.
 """
 
 from collections.abc import Mapping

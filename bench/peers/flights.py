@@ -1,4 +1,4 @@
-"""Which flights train and which test: recorded ones where they are, and simulated ones for everybody."""
+"""Training and test flights: recorded ones where available, and simulated ones for everybody."""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Do the recorded commands answer the vehicle? Then a flexible regression reads the future from them."""
+"""Do the recorded commands respond to the vehicle? Then a flexible regression infers the future from them."""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,8 @@
-"""The peers: each as its documentation recommends, with the settings that a careful user would try.
+"""The peers: each used as its documentation recommends, with the settings that a careful user would try.
 
-What a package has no notion of, its user supplies: delays are lags or shifted inputs, an initial state is the last
-samples, a Kalman filter, or a one-sided polynomial. Predictions are computed from the coefficients that the package
-gave, for all starts at once, because the packages' own loops over samples take minutes.
+What a package does not provide, its user supplies: delays are lags or shifted inputs; an initial state is the last
+samples, a Kalman filter, or a one-sided polynomial. Predictions are computed from the coefficients of the package, for
+all starts at once, because the packages' own loops over samples take minutes.
 """
 
 import functools

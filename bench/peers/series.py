@@ -1,10 +1,10 @@
-"""What the peers are given: uniform samples of one axis, from the past only, and how predictions return to the poses.
+"""Data of the peers: uniform samples of one axis, from the past only, and conversion of predictions to the poses.
 
-Every peer wants uniform samples. A piece of a flight becomes a grid that starts with the piece; 0.5 s is a whole number
-of its steps, so that every start of the protocol falls on a sample. A sample of the pose is the last pose,
-carried on to the instant by the slope of the last poses: nothing after an instant is in its sample, in the training
-too, so that the models learn on what they will see. The output is the mean velocity over the step before, resolved in
-the heading of that step; the input is the command's mean over the step after, held between its own stamps.
+Every peer requires uniform samples. A piece of a flight becomes a grid that starts with the piece; 0.5 s is a whole
+number of its steps, so that every start of the protocol is a sample. A sample of the pose is the last pose,
+extrapolated to the instant by the slope of the last poses: a sample contains nothing later than its instant, in the
+training data, too, so that models are trained on the same kind of data. The output is the mean velocity over the
+previous step, in the heading frame of that step; the input is the mean over the next step of the held command.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How the settings of a peer are chosen: by prediction on held-out parts of the training flights, never of the test."""
+"""Choice of the settings of a peer: by prediction of held-out parts of the training flights, never of the test."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
