@@ -1,8 +1,8 @@
-"""Flight -> Record: one axis, or x with y, in blocks, as the likelihood needs it.
+"""Flight -> Record: one axis, or x with y, in blocks, as input of the likelihood.
 
-Everything that is measured is linear in the position at some times. A pose is the position at its stamp; a velocity is
-the difference of the positions shortly after and before its stamp, over the time between: so one kernel answers for
-both, and what it gives for these samples is put together block by block (`observed`).
+Every measurement is linear in the position at certain times. A pose is the position at its stamp; a velocity is the
+difference of the positions shortly after and before its stamp, divided by the time between. So one kernel serves both,
+and its results for these samples are combined block by block (`observed`).
 """
 
 from collections.abc import Sequence
@@ -17,49 +17,49 @@ from rotorfit.core.laws import DELAY_RANGE, Measured
 from rotorfit.dynamics.disturbance import distinct_steps
 
 BLOCK_RATE = 30.0
-"""Poses are averaged over blocks to this rate [1/s], with their modelled response alike. At the full rate of a mocap
+"""Rate of the blocks over which poses and their modelled response are averaged [1/s]. At the full rate of a mocap
 system the likelihood of real flights can prefer a false delay of a few milliseconds."""
 
 HELD_HEADING = np.radians(10.0)
-"""Up to this deviation from its mean the heading counts as held in the filter (never in the response)."""
+"""The heading counts as held if its range is below twice this [rad]: in the filter only, never in the response."""
 
 HALF_STEP = 1e-3
-"""Half of the time over which a velocity is a difference of positions [s]: off by 1e-6 of what it changes in a second,
-and by a part of one change of acceleration where a command switches inside."""
+"""Half of the time over which a velocity is a difference of positions [s]. The error is 1e-6 of the change of velocity
+in a second, and a fraction of one change of acceleration if a command switches inside."""
 
 
 @dataclass(frozen=True)
 class Record:
     """One flight, one axis or the pair x, y, in blocks. M commands, N samples, B blocks, K axes (1 or 2), S segments.
 
-    Samples are poses. Where velocities are measured they are also the two ends of each velocity's difference, and what
-    the response gives comes in G groups of samples, one a block of poses, two a block of velocities.
+    Samples are poses. Where velocities are measured, the two ends of each velocity's difference are samples, too, and
+    the response is computed for G groups of samples, one per block of poses, two per block of velocities.
 
     Attributes:
         axes: Names of the K axes.
         starts: Where scoring starts in each segment, shape (S,) [s]: late enough for every delay in the range.
-        pose_range: First and one past the last pose of each segment, shape (S, 2).
+        pose_range: First and one past the last sample of each segment, shape (S, 2).
         command_range: The same for the commands, shape (S, 2).
-        pose_time: Shape (N,) [s].
-        yaw: Heading at the poses, shape (N,) [rad].
+        pose_time: Stamps of the samples, shape (N,) [s].
+        yaw: Heading at the samples, shape (N,) [rad].
         block: Block of each pose, shape (N,); the group of each sample where velocities are measured.
-        count: Poses or velocities of each block, shape (B,).
+        count: Number of poses or velocities in each block, shape (B,).
         block_time: Mean stamp of each block, shape (B,) [s].
         steps: Distinct steps between the blocks, shape (U,) [s].
-        step: Which of them leads to each block, shape (B,).
+        step: Index of the step that leads to each block, shape (B,).
         block_yaw: Mean heading of each block, shape (B,) [rad].
-        position: Mean pose of each block less the first of its segment, world, shape (B, K) [m or rad]; the mean
-            velocity of a block of velocities [m/s or rad/s].
+        position: Mean pose of each block less the first of its segment, shape (B, K) [m or rad]; the mean velocity for
+            a block of velocities [m/s or rad/s]. World frame; x or y alone is along `heading`.
         fresh: True for the first block of a segment, shape (B,).
-        command_time: Shape (M,) [s].
-        command: Shape (M, K).
-        held: Whether the filter may take the heading as constant.
+        command_time: Stamps of the commands, shape (M,) [s].
+        command: Commands in the heading frame, shape (M, K).
+        held: Whether the filter may treat the heading as constant.
         heading: Mean heading [rad].
-        rate: True for blocks of velocities, shape (B,); None where there are none.
-        groups: Groups of each block: of its poses, or of the ends and the beginnings of its velocities, shape (B, 2);
-            None likewise.
-        size: Samples of each group, shape (G,); None likewise.
-        rounding: Variance that the rounding adds to a velocity, shape (K,); None likewise.
+        rate: True for blocks of velocities, shape (B,); None without velocities.
+        groups: Groups of each block, shape (B, 2): that of its poses and -1, or those of the ends and of the beginnings
+            of its velocities' differences; None likewise.
+        size: Number of samples in each group, shape (G,); None likewise.
+        rounding: Variance that the rounding adds to a velocity, shape (K,) [m^2/s^2 or rad^2/s^2]; None likewise.
     """
 
     axes: tuple[str, ...]
@@ -87,26 +87,26 @@ class Record:
 
     @property
     def measured(self) -> Measured:
-        """What the blocks hold."""
+        """Kind of measurement in the blocks."""
         if self.rate is None:
             return "position"
         return "velocity" if self.rate.all() else "both"
 
     @cached_property
     def weight(self) -> Array:
-        """One over the samples of each block or group of the response, shape (B,) or (G,)."""
+        """Inverse number of samples in each block or group of the response, shape (B,) or (G,)."""
         return 1.0 / (self.count if self.size is None else self.size)
 
     @cached_property
     def segment(self) -> Indices:
-        """Segment of each block, shape (B,)."""
+        """Index of the segment of each block, shape (B,)."""
         return np.cumsum(self.fresh) - 1
 
     @cached_property
     def switches(self) -> tuple[Array, Array, Indices]:
-        """Stamps and values of the commands that differ from the one before, and their range in each segment.
+        """Stamps and values of the commands that differ from the previous one, and their range in each segment.
 
-        Many logs repeat a command until the next: what is repeated changes no motion, and takes as long to follow.
+        Many logs repeat a command until the next one: repetitions do not change the motion, but cost as much time.
         """
         new = np.ones(self.command_time.size, bool)
         new[1:] = np.any(np.diff(self.command, axis=0) != 0, axis=1)
@@ -115,7 +115,7 @@ class Record:
         return self.command_time[new], np.ascontiguousarray(self.command[new]), place[self.command_range]
 
     def observed(self, groups: Array) -> Array:
-        """What the blocks measure of a response: shape (G, ...) to (B, ...)."""
+        """Response as measured by the blocks: from groups of samples (G, ...) to blocks (B, ...)."""
         if self.rate is None or self.groups is None:
             return groups
         out = groups[self.groups[:, 0]]
@@ -123,23 +123,23 @@ class Record:
         return out
 
     def only(self, k: int) -> "Record":
-        """The record with one axis of its commands; what it measured is left as it is."""
+        """The record with only axis k of its commands; its measurements are unchanged."""
         return replace(self, axes=self.axes[k : k + 1], command=np.ascontiguousarray(self.command[:, k : k + 1]))
 
 
 def measured_by(records: Sequence[Record]) -> Measured:
-    """What the records hold together; all are of one card."""
+    """Kind of measurement in all records together; `both` if they differ."""
     kinds = {rec.measured for rec in records}
     return "both" if len(kinds) > 1 else next(iter(kinds), "position")
 
 
 def record(flight: Flight, axes: Sequence[str], rate: float | None = None) -> Record | None:
-    """Cuts a flight into what the likelihood of these axes needs; None where no segment is long enough.
+    """The record of a flight for the likelihood of these axes; None where no segment is long enough.
 
-    x or y alone is the position along the mean heading: right where the heading is held, else take both.
+    x or y alone is the position along the mean heading, which is valid only where the heading is held.
 
     Args:
-        flight: What was flown.
+        flight: The flight.
         axes: Names of one axis, or of x and y.
         rate: Blocks per second [1/s], by default `BLOCK_RATE`; infinite gives every pose a block of its own.
     """
@@ -208,8 +208,8 @@ class _Blocks:
     """Blocks of one segment and of one kind. N samples, B blocks, K axes.
 
     Attributes:
-        time: Of the samples, shape (N,) [s].
-        block: Of each sample, shape (N,).
+        time: Stamps of the samples, shape (N,) [s].
+        block: Block of each sample, shape (N,).
         value: Mean of each block, shape (B, K).
     """
 
@@ -219,12 +219,12 @@ class _Blocks:
 
     @property
     def count(self) -> Array:
-        """Samples of each block, shape (B,)."""
+        """Number of samples in each block, shape (B,)."""
         return np.bincount(self.block).astype(float)
 
 
 def _blocks(time: Array, value: Array, low: float, high: float, rate: float) -> _Blocks:
-    """Samples between two times, in blocks."""
+    """Samples between two times [s] in blocks of a rate [1/s]; `value` has shape (samples, K)."""
     first, last = np.searchsorted(time, [low, high])
     time, value = time[first:last], value[first:last]
     block = np.arange(time.size)
@@ -236,7 +236,7 @@ def _blocks(time: Array, value: Array, low: float, high: float, rate: float) -> 
 
 
 def _with_velocity(flight: Flight, axes: Sequence[str], rate: float) -> Record | None:
-    """The record of axes of which the vehicle's own velocity is measured, with the poses where there are any."""
+    """The record of axes with a measured velocity, and with their poses where there are any; None likewise."""
     assert flight.velocity is not None
     column, heading = [AXES.index(axis) for axis in axes], float(np.mean(flight.yaw))
     pose, velocity = np.column_stack([flight.position, flight.yaw]), flight.velocity.value

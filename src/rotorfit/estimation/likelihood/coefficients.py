@@ -1,4 +1,4 @@
-"""Estimate -> Axis: coefficients with intervals, statuses, combinations and optima, as the model says them."""
+"""Estimate -> Axis: coefficients with intervals, statuses, combinations and optima, as published in the model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,24 +24,24 @@ from rotorfit.estimation.likelihood.optima import SAME_DELAY, SAME_LOG_DAMPING
 from rotorfit.estimation.likelihood.profile import Profile, profile, quantile
 
 Blocks = dict[tuple[str, ...], Array]
-"""Names of coefficients, such as `x.input`, to their covariance: one block a likelihood."""
+"""Names of coefficients, such as `x.input`, to their covariance: one block per likelihood."""
 
 WIDEST_DAMPING = 6.0
-"""Ratio of the ends of the damping's interval beyond which it is not identifiable."""
+"""Ratio of the ends of the damping's interval beyond which the damping is not identifiable."""
 
 AT_BOUND = 1e-4
-"""How close to an end of its range a delay is at it [s]."""
+"""Distance from an end of its range below which a delay counts as at the bound [s]."""
 
 DIVERGED = 0.5
-"""Expected gain in log-likelihood of one more step above which the climb has not ended."""
+"""Expected gain in log-likelihood of one more step above which the climb has not converged."""
 
 
 def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
-    """Everything that is said of one axis.
+    """The published axis of an estimate.
 
     Args:
-        estimate: After the climb.
-        places: For each flight of the fit its row among the trims; None where it did not serve.
+        estimate: The estimate of the axis.
+        places: Row of the trims for each flight of the fit; None for a flight that was not used.
     """
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     nothing = replace(
@@ -60,7 +60,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     for name, i in index.items():
         if structure.delayed or name != "delay":
             profiles[name] = profile(records, optimum, i)
-        if holds_zero(profiles["input"].ci95):  # whatever the others say
+        if holds_zero(profiles["input"].ci95):  # not excited, whatever the other profiles
             return replace(nothing, status=dict.fromkeys(COEFFICIENTS, "not_excited"))
     ends: dict[str, Interval] = {"delay": (0.0, 0.0)} | {name: found.ci95 for name, found in profiles.items()}
     more = further(optimum, k, ends)
@@ -95,35 +95,41 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
 
 
 def unfinished(optimum: Optimum, k: int) -> bool:
-    """Whether one more step would still gain, and by moving the coefficients of an axis by more than a thousandth."""
+    """Whether the climb has not converged: one more step has a gain and moves a coefficient of axis k by over 1e-3.
+
+    The change is relative for the gain, and in log b and in seconds for damping and delay.
+    """
     K, step = optimum.point.gain.size, optimum.inverse @ optimum.score.gradient
     moved = (step[k] / max(abs(optimum.point.gain[k]), 1e-9), step[K + k], step[2 * K + k])
     return bool(optimum.gain > DIVERGED and np.abs(moved).max() > 1e-3)
 
 
 def _too_fast(records: Sequence[Record], optimum: Optimum, k: int) -> dict[str, str]:
-    """Input and damping of an axis that settles within one sample of the log: no fit tells how fast it does."""
+    """Statuses of input and damping of an axis whose time constant is below the sampling period: not identifiable."""
     if np.exp(-optimum.point.log_damping[k]) >= sample_time(records):
         return {}
     return dict.fromkeys(("input", "damping"), "not_identifiable")
 
 
 def sample_time(records: Sequence[Record]) -> float:
-    """Longest of the flights' median times between samples of the motion [s]."""
+    """Sampling period of the motion [s]: the longest of the medians of the flights."""
     stamps = (rec.pose_time if rec.rate is None else rec.block_time[rec.rate] for rec in records)
     return max(float(np.median(np.diff(time))) for time in stamps)
 
 
 def _at_bound(optimum: Optimum, k: int) -> bool:
-    """Whether the delay ended at an end of its range. There, or unknown in a feedback loop, it takes the rest with it:
-    what such a loop leaves is a slow answer to old commands, whatever the vehicle is."""
+    """Whether the delay ended at a bound of its range.
+
+    Then, and where it is not identifiable in a feedback loop, no coefficient is identifiable: such a fit shows a slow
+    response to old commands, whatever the vehicle.
+    """
     return bool(min(abs(optimum.point.delay[k] - end) for end in DELAY_RANGE) < AT_BOUND)
 
 
 def _uncut(gain: Interval, damping: Interval, value: float) -> Interval:
-    """The input gain's interval, open where it only ends because the searched range of the damping does.
+    """The interval of the input gain, with its outer end open where the upper end of the damping is.
 
-    Gain and damping of a fast vehicle grow together, so an open upper end of the one opens the other.
+    Gain and damping of a fast vehicle grow together, so that end of the gain is only due to the bound of the damping.
     """
     low, high = gain
     if damping[1] is not None:
@@ -137,15 +143,15 @@ def _exponential(ends: Interval) -> Interval:
 
 
 def holds_zero(ends: Interval) -> bool:
-    """Whether an interval, an open end being infinite, holds 0."""
+    """Whether an interval contains 0; an open end is infinite."""
     low, high = ends
     return (low is None or low <= 0) and (high is None or high >= 0)
 
 
 def statuses(ends: Mapping[str, Interval]) -> dict[str, str]:
-    """Per coefficient, `ok` or `not_identifiable`, from the intervals alone.
+    """Status of each coefficient, `ok` or `not_identifiable`, from the intervals alone.
 
-    Where the searched range cuts the delay off it cuts the damping off too, and the damping's interval is not its own.
+    Where a bound of the search cuts off the delay, the interval of the damping is not valid either.
     """
     early, late = ends["delay"]
     delay = early is not None and late is not None and late - early < WIDEST_DELAY
@@ -160,7 +166,7 @@ def statuses(ends: Mapping[str, Interval]) -> dict[str, str]:
 
 
 def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
-    """Steady gain and total lag, with intervals by the delta method (the gain's in its logarithm)."""
+    """Steady gain and total lag, with intervals by the delta method (for the gain on its logarithm)."""
     K = optimum.point.gain.size
     C = inverted(optimum.score.information, optimum.free)
     g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
@@ -180,7 +186,13 @@ def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
 
 
 def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Mapping[str, Axis]) -> Blocks:
-    """Covariance of what is estimated of the axes with a predictor, a block for each likelihood."""
+    """Covariance of the estimated parameters of the axes with a predictor, one block per likelihood.
+
+    Args:
+        group: Names of the axes.
+        estimates: Their estimates, in the same order.
+        results: The axes by name; only those with a predictor are included.
+    """
     blocks: dict[int, list[int]] = {}
     names = [
         (*COEFFICIENTS, *(extra.name for extra in estimated_extras(estimate.optimum, estimate.place)))
@@ -200,14 +212,14 @@ def covariances(group: Sequence[str], estimates: Sequence[Estimate], results: Ma
 
 
 def _natural(optimum: Optimum, k: int) -> Array:
-    """Slopes of the coefficients and further parameters of axis k by what the estimator moves."""
+    """Derivatives of the coefficients and further parameters of axis k with respect to the estimator's coordinates."""
     values = optimum.point.extra_values(k)
     further = [values[extra.name] if extra.logarithmic else 1.0 for extra in estimated_extras(optimum, k)]
     return np.array([1.0, np.exp(optimum.point.log_damping[k]), 1.0, *further])
 
 
 def block_diagonal(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
-    """Block diagonal of the groups' covariances."""
+    """Names and block-diagonal covariance of all blocks together."""
     names = tuple(name for block in blocks for name in block)
     matrix = np.zeros((len(names), len(names)))
     at = 0
@@ -218,13 +230,13 @@ def block_diagonal(blocks: Blocks) -> tuple[tuple[str, ...], Array]:
 
 
 def _modes(estimate: Estimate) -> tuple[Mode, ...]:
-    """The optima as this axis sees them; where two axes were searched together, those alike on this one are one."""
+    """The optima of the search on this axis; of two axes searched together, those equal on this one are merged."""
     k, best = estimate.place, max((f.optimum.score.log_likelihood for f in estimate.found), default=0.0)
     modes: list[Mode] = []
     for number, f in enumerate(estimate.found):
         final = number == 0 and estimate.excited
         point = (estimate.optimum if final else f.optimum).point
-        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other
+        at = min(k, point.gain.size - 1)  # an axis that was searched alone may have been climbed with the other one
         rmse = float(f.prediction[min(k, f.prediction.size - 1)])
         mode = Mode(
             delay=float(point.delay[at]),

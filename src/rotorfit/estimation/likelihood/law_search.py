@@ -1,8 +1,9 @@
-"""Starts of a law with a lag: a grid over its delay, damping, lag and zero on thinned records, the best of it climbed.
+"""Starts of a law with a lag: the best nodes of a grid over delay, damping, lag and zero, climbed on thinned records.
 
-From the top of the default law alone a climb ends in what is nearest, not in what is best: a loop that overshoots and a
-long lag are both taken for more delay. At fixed delay, damping, lag and zero the motion is linear in all else, so one
-pass tells how good the best input, trim and start are there; records at a third of the rate tell it well enough.
+A climb that starts only from the maximum of the first-order law finds the nearest optimum, not the best one: a loop
+that overshoots and a long lag are both mistaken for more delay. At fixed delay, damping, lag and zero the motion is
+linear in all other parameters, so one pass gives the objective at their best values; records at a third of the rate are
+sufficient for that.
 
 Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973), pp. 413-432 (linear parameters projected out).
 """
@@ -30,52 +31,52 @@ DAMPINGS = (0.3, 1.2, 4.0, 12.0)
 LAGS = (0.03, 0.1, 0.25, 0.6)
 
 ZEROS = (0.0, 0.1, 0.3)
-"""Nodes of the grid [s, 1/s, s, s]."""
+"""Nodes of the grid: `DELAYS` [s], `DAMPINGS` [1/s], `LAGS` [s] and `ZEROS` [s]."""
 
 EVERY = 3
-"""Every third block of a record is looked at, which is still ten a second."""
+"""Every third block of a record is used, which is still ten a second."""
 
 COMMAND_TIME = 0.08
-"""Commands that come closer than this are averaged over it [s]."""
+"""Commands at shorter intervals are averaged over this time [s]."""
 
 SEARCHED, STRETCH = 300.0, 30.0
-"""Of a longer record so much is looked at, in stretches of so much, evenly spread [s]: the nodes of the grid are far
-apart, and what is found is climbed from on all of it."""
+"""Total length of a longer record that is searched, and length of the evenly spaced stretches of which it consists [s]:
+the nodes of the grid are far apart, and the final climb uses the whole record."""
 
 LEAST = 10
-"""Blocks of a stretch that is looked at."""
+"""Smallest number of blocks in a stretch."""
 
 CLIMBED = 4
-"""Nodes that are climbed: the best, but none near a better one."""
+"""Number of nodes that are climbed: the best ones, without those near a better one."""
 
 APART = (0.06, 0.6, 0.8)
-"""Nodes are near each other within this of the delay [s] and of the logarithms of damping and lag."""
+"""Largest differences of nodes that count as near each other: delay [s], logarithms of damping and lag."""
 
 KEPT = 2
-"""Of what they climbed to, so many are starts, but..."""
+"""Number of climbed points that become starts, without..."""
 
 REJECTED = 10.0
-"""... none whose log-likelihood on the thinned records is less than the best by more than this."""
+"""... those whose objective on the thinned records is below the best by this or more."""
 
 SHORT = 12
-"""Passes of such a climb."""
+"""Largest number of passes of such a climb."""
 
 
 def law_starts(
     records: Sequence[Record], point: Point, k: int, structure: Structure, prior: GaussianPrior | None = None
 ) -> list[Point]:
-    """Points of a law with a lag on axis k from which to climb, the best first.
+    """Start points of a law with a lag on axis k, the best first.
 
     Args:
         records: The flights.
-        point: Any point of the axes; what it says of axis k gives the sign of the steady gain only.
-        k: Which axis.
-        structure: With a lag, and linear.
-        prior: Of the law's parameters.
+        point: Any point of the axes; of its coefficients of axis k only the sign of the gain matters.
+        k: Index of the axis.
+        structure: Linear law with a lag.
+        prior: Prior of the parameters of the laws.
     """
     coarse, start = [thinned_record(rec) for rec in records], point.start
     if (count := sum(rec.starts.size for rec in coarse)) > len(start):
-        point = replace(point, start=np.zeros((count, point.gain.size)))  # the motion is linear in them: found at once
+        point = replace(point, start=np.zeros((count, point.gain.size)))  # linear parameters, found in one step
     levels_held = free_of(coarse, [True] * point.gain.size, _at(point, k, structure, (0.1, 1.0, 0.1, 0.0)).structures)
     levels_held[-point.levels.size :] = False
     sign = np.sign(point.gain[k])
@@ -92,9 +93,9 @@ def law_starts(
 
 
 def swapped(point: Point, k: int) -> Point | None:
-    """The same motion of axis k with the faster pole as its lag; None where it is already.
+    """The point with lag and damping of axis k exchanged, for the same motion; None where the lag is the faster pole.
 
-    A lag on the input and the damping are two poles in a row: no motion tells which is which. The lag is the faster.
+    A lag on the input and the damping are two poles in series, which are interchangeable. The faster one is the lag.
     """
     structure = point.structures[k] if point.structures else FIRST_ORDER_DELAY
     if structure.order != 1:
@@ -132,7 +133,7 @@ def _at(point: Point, k: int, structure: Structure, node: Sequence[float]) -> Po
 
 
 def projected(records: Sequence[Record], point: Point, k: int, prior: GaussianPrior | None) -> tuple[float, Point]:
-    """The best objective over the input of axis k, trims and starts, and the point with them."""
+    """Largest objective over the gain of axis k, trims and start velocities, and the point at which it is attained."""
     here = with_prior(score(records, point), point, prior)
     linear = np.zeros(point.flat().size, bool)
     linear[k] = True
@@ -142,7 +143,7 @@ def projected(records: Sequence[Record], point: Point, k: int, prior: GaussianPr
 
 
 def _spread(points: Iterable[Point], k: int, most: int) -> list[Point]:
-    """The first points, without those that are near an earlier one on axis k."""
+    """The first `most` points, without those that are near an earlier one on axis k."""
     kept: list[Point] = []
     for point in points:
         here = _coordinates(point, k)
@@ -159,9 +160,9 @@ def _coordinates(point: Point, k: int) -> Array:
 
 
 def thinned_record(rec: Record) -> Record:
-    """Every third block, seen at its mean stamp, under commands averaged where they are dense; stretches of a long one.
+    """The record with every third block, as a single pose, and with dense commands averaged; stretches of a long one.
 
-    A record of velocities is left as it is.
+    A record with velocities is returned as it is.
     """
     if rec.rate is not None:
         return rec
@@ -195,7 +196,7 @@ def thinned_record(rec: Record) -> Record:
 
 
 def _stretches(rec: Record) -> Record:
-    """As much of a thinned record as is searched, each stretch a segment of its own."""
+    """The stretches of a thinned record that are searched, each as a segment of its own."""
     time, segment = rec.block_time, np.cumsum(rec.fresh) - 1
     ends = np.append(np.flatnonzero(rec.fresh), time.size)
     every = STRETCH / SEARCHED * float(np.sum(time[ends[1:] - 1] - rec.starts))
@@ -236,7 +237,7 @@ def _stretches(rec: Record) -> Record:
 
 
 def _thinned_commands(rec: Record) -> tuple[Array, Array, Indices]:
-    """Stamps, commands and the range of each segment, the mean over `COMMAND_TIME` in place of what comes closer."""
+    """Stamps, commands and the range of each segment; commands within `COMMAND_TIME` are replaced by their mean."""
     times, values, ranges, n = [], [], [], 0
     for first, last in rec.command_range:
         time, value = rec.command_time[first:last], rec.command[first:last]

@@ -25,23 +25,24 @@ from rotorfit.estimation.likelihood.parameters import Point
 
 
 def segments(records: Sequence[Record]) -> list[slice]:
-    """Which rows of `Point.start` belong to each flight."""
+    """The rows of `Point.start` that belong to each flight."""
     ends = np.cumsum([0, *(rec.starts.size for rec in records)])
     return [slice(int(low), int(high)) for low, high in itertools.pairwise(ends)]
 
 
 def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Array, Array]:
-    """Position of the blocks as the commands explain it, and its sensitivities.
+    """Response of the blocks to the commands, and its sensitivities.
 
     Args:
         rec: The flight.
         point: Coefficients and trims.
-        flight: Which row of the trims.
-        start: Velocity at the start of its segments, world where K is 2, shape (S, K).
+        flight: Row of the trims.
+        start: Velocity at the start of its segments, world frame where K is 2, shape (S, K) [m/s or rad/s].
 
     Returns:
-        World position (B, K), and d/d(g, log b, tau, further ones, c, v0) in that order with K columns each,
-        (B, (5 + E) K, K); v0 is that of the block's own segment.
+        Response in the frame of `Record.position`, shape (B, K) [m or rad; m/s or rad/s for blocks of velocities]; and
+        its derivatives d/d(g, log b, tau, further parameters, c, v0) in that order with K columns each, shape
+        (B, (5 + E) K, K), where v0 is that of the block's own segment.
     """
     laws = point.laws
     if laws is not None:
@@ -63,7 +64,7 @@ def response(rec: Record, point: Point, flight: int, start: Array) -> tuple[Arra
 
 
 def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start: Array) -> tuple[Array, Array]:
-    """The same under the general law."""
+    """`response` under the general law."""
     laws[:, TRIM] = trim
     if len(laws) == 1 and point.structures[0].linear and point.structures[0].order:
         return _lagged_response(rec, point, laws, start)
@@ -81,7 +82,7 @@ def _general_response(rec: Record, point: Point, laws: Array, trim: Array, start
 
 
 def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tuple[Array, Array]:
-    """The same of one axis under a linear law with a lag."""
+    """`response` of one axis under a linear law with a lag."""
     command_time, command, command_range = rec.switches
     out = rec.observed(
         lagged_axis_response(
@@ -96,12 +97,12 @@ def _lagged_response(rec: Record, point: Point, law: Array, start: Array) -> tup
 
 
 _LAGGED_COLUMNS = (MEAN, GAIN, DAMPING, DELAY, LAG, ZERO, TRIM, START)
-"""What the columns of `lagged_axis_response` are by."""
+"""The columns of `lagged_axis_response`: the mean, then the parameters of its derivatives."""
 
 
 @functools.cache
 def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indices, Mask]:
-    """What each column of the general response is, whose, and whether it is by a logarithm."""
+    """For each column of the general response: parameter, axis, and whether the derivative is by its logarithm."""
     K = len(structures)
     what, whose = [MEAN], [0]
     for place in (GAIN, DAMPING, DELAY):
@@ -118,23 +119,27 @@ def _columns(structures: tuple[Structure, ...], E: int) -> tuple[Indices, Indice
         what += [place] * K
         whose += range(K)
         scaled += [False] * K
-    assert len(what) <= COLUMNS  # more would be written beyond the end of what the kernel moves
+    assert len(what) <= COLUMNS  # the kernel has no room for more
     return np.array(what), np.array(whose), np.array(scaled)
 
 
 def whiten(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array]:
-    """Passes columns (B, C, K) through the filter: rows (B, C, K), x, y in the heading frame, variances (B, K)."""
+    """Passes columns (B, C, K) through the filter of log levels (K, L).
+
+    Returns:
+        Standardised rows (B, C, K), x and y in the heading frame, and variances (B, K).
+    """
     rows, _, variance = _filtered(rec, np.ascontiguousarray(columns.transpose(0, 2, 1)), levels[None], 0)
     return rows.transpose(0, 2, 1), variance[0]
 
 
 def whiten_under(rec: Record, columns: Array, levels: Array) -> tuple[Array, Array, Array]:
-    """The same by the first of several levels, and the first column by each of them.
+    """Passes all columns through the filter of the first of several levels, and the first column through each of them.
 
     Args:
         rec: The flight.
         columns: Shape (B, C, K), world frame.
-        levels: Their logarithms, shape (M, K, L).
+        levels: Log levels, shape (M, K, L).
 
     Returns:
         Rows (B, C, K), the first column (M, B, K), and the variances (M, B, K).
@@ -150,8 +155,8 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
     Args:
         rec: The flight.
         columns: Shape (B, K, C), world frame.
-        levels: Their logarithms, shape (M, K, L).
-        few: The first filter takes all columns, the others the first so many.
+        levels: Log levels, shape (M, K, L).
+        few: Number of columns for all filters but the first, which takes all of them.
 
     Returns:
         Rows of the first filter (B, K, C), x, y in the heading frame, those of the others (M - 1, B, K, few), and the
@@ -172,11 +177,11 @@ def _filtered(rec: Record, columns: Array, levels: Array, few: int) -> tuple[Arr
 
 
 LONG = 20_000
-"""Blocks from which on filters of several levels run by fours: what all of them give at once takes 100 MB and more."""
+"""Number of blocks from which on filters of several levels run in groups of four: all at once take 100 MB and more."""
 
 
 def _passes(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[tuple[Array, Array]]:
-    """Rows and variances of each filter: see `_filtered`."""
+    """Rows and variances of each filter in turn; see `_filtered`."""
     at_once = len(levels) if rec.count.size < LONG else LANES
     first, others, variance = _filtered(rec, np.ascontiguousarray(columns), levels[:at_once], few)
     yield first, variance[0]
@@ -188,7 +193,7 @@ def _passes(rec: Record, columns: Array, levels: Array, few: int) -> Iterator[tu
 
 
 def fused(rec: Record, columns: Array, levels: Array, coloured: bool = False) -> tuple[Array, Array]:
-    """The filter of a record that holds velocities; see `whiten_fused`. `levels` (K, L) are no logarithms here."""
+    """The filter of a record with velocities; see `whiten_fused`. Here `levels` (K, L) are not logarithms."""
     assert rec.rate is not None
     assert rec.rounding is not None
     noise = levels[:, [1, 1 if rec.measured == "velocity" else 4]]
@@ -205,13 +210,16 @@ class LikelihoodScore:
     """The likelihood at a point, over the n coefficients, trims and start velocities and the L K levels.
 
     Attributes:
-        log_likelihood: Of all flights together.
-        adjustment: Of the restricted likelihood: less half the log determinant of the coefficients' information.
-        gradient: Shape (n + L K,); the levels' part is that of both together.
-        information: Expected; block diagonal between the coefficients with the trims and the levels.
-        slopes: Derivative of the coefficients' information, at the reference, by each level, shape (L K, n, n).
-        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each level, (n, L K).
-        innovations: Per flight, standardised, heading frame, shape (B, K).
+        log_likelihood: Log-likelihood of all flights together.
+        adjustment: Term of the restricted likelihood, minus half the log determinant of the coefficients' information;
+            and of a prior, if one was added.
+        gradient: Gradient of the log-likelihood, for the levels with the adjustment, shape (n + L K,).
+        information: Expected information, shape (n + L K, n + L K); block diagonal, with one block for the n parameters
+            and one for the levels.
+        slopes: Derivative of the coefficients' information, at the reference, by each log level, shape (L K, n, n).
+        cross: Derivative of the coefficients' gradient, at the sensitivities of the reference, by each log level, shape
+            (n, L K).
+        innovations: Standardised innovations of each flight, heading frame, shape (B, K).
     """
 
     log_likelihood: float
@@ -224,22 +232,22 @@ class LikelihoodScore:
 
     @property
     def objective(self) -> float:
-        """What is maximised."""
+        """The maximised function: log-likelihood plus adjustment."""
         return self.log_likelihood + self.adjustment
 
 
 LEVEL_STEP = 1e-6
-"""Step of the differences by the logarithm of a level."""
+"""Step of the finite differences by the logarithm of a level."""
 
 
 @dataclass(frozen=True)
 class Restriction:
-    """What restricted likelihood projects out of the data before it looks at the levels.
+    """The effects that restricted likelihood projects out of the data for the levels.
 
     Attributes:
-        active: Coefficients and trims that are being fitted, shape (n,).
-        sensitivities: Per flight, of the response at a fixed reference point near the top, (B, (5 + E) K, K). Fixed, so
-            that the coefficients themselves are judged by the plain likelihood.
+        active: True for the free parameters before the levels, shape (n,).
+        sensitivities: Sensitivities of the response of each flight at a reference point near the maximum, shape
+            (B, (5 + E) K, K). They are fixed, so that the coefficients follow the plain likelihood.
     """
 
     active: Mask
@@ -259,13 +267,13 @@ def _flights(records: Sequence[Record]) -> list[tuple[Record, slice]]:
 def score(records: Sequence[Record], point: Point, restricted: Restriction | None = None) -> LikelihoodScore:
     """Log-likelihood with gradient and information in one pass over the flights.
 
-    The levels are those of the restricted likelihood: the coefficients that are fitted take up part of the disturbance,
-    and plain likelihood would take what is left for all of it.
+    The levels follow the restricted likelihood: fitted coefficients absorb part of the disturbance, and the plain
+    likelihood would treat the rest as all of it.
 
     Args:
         records: The flights.
-        point: Where.
-        restricted: What the levels account for; None leaves out everything about the levels.
+        point: The parameters.
+        restricted: The restriction; None leaves out gradient and information of the levels.
 
     Source: H. D. Patterson, R. Thompson, Biometrika 58 (1971), pp. 545-554; D. R. Cox, N. Reid, J. R. Statist. Soc.
     B 49 (1987), pp. 1-39.
@@ -285,7 +293,7 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
         residual = (rec.position - mean)[:, None, :]
         fixed = [] if restricted is None else [restricted.sensitivities[j]]
         columns = np.concatenate([residual, *fixed, sensitivity], axis=1).transpose(0, 2, 1)
-        few = columns.shape[2] - width  # the residual and what is fixed: all that the levels' part needs
+        few = columns.shape[2] - width  # the residual and the fixed sensitivities, for the derivatives by the levels
         passes = _passes(rec, columns, levels, few)
         del columns, residual, sensitivity
         first, variance = next(passes)
@@ -314,13 +322,13 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
                 slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
                 cross[where, i] += change[1:, 0] / LEVEL_STEP
         if scaled:
-            # q and r together only scale every variance but that of the unknown start: one filter pass saved.
+            # q and r together only scale every variance except that of the unknown start: this saves a filter pass
             later = ~rec.fresh
             d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
             d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
         for (where, _), product in zip(parts, products, strict=True):
             projected[where[:, None], where] += product[1:few, 1:few]
-            if scaled:  # minus the gradient, of which the second level's share is taken off below
+            if scaled:  # minus the gradient; the second level's share is subtracted below
                 cross[where, 0] -= product[1:few, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
@@ -338,19 +346,19 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
 
 
 def _start_places(first_trim: int, K: int, F: int, at: slice) -> range:
-    """First place of the start velocity of each segment among all parameters."""
+    """Index of the first start velocity of each segment among all parameters."""
     first = first_trim + F * K
     return range(first + at.start * K, first + at.stop * K, K)
 
 
 def _segment_parts(rec: Record, K: int) -> list[slice]:
-    """Which entries of the flattened blocks (B K,) belong to each segment."""
+    """The entries of the flattened blocks (B K,) that belong to each segment."""
     ends = [*(int(i) * K for i in np.flatnonzero(rec.fresh)), rec.count.size * K]
     return [slice(low, high) for low, high in itertools.pairwise(ends)]
 
 
 def _log_determinant(information: Array, active: Mask) -> float:
-    """Of the active block, with the ridge of `inverted`."""
+    """Log determinant of the active block, with the ridge of `inverted`."""
     index = np.flatnonzero(active)
     block = information[index[:, None], index]
     size = np.sqrt(np.maximum(np.diag(block), 1e-12))
@@ -359,16 +367,16 @@ def _log_determinant(information: Array, active: Mask) -> float:
 
 
 LEAST_FREEDOM = 3.0
-"""Degrees of freedom below which the approximation has no finite variance and says nothing."""
+"""Lower limit of the degrees of freedom: below it the approximation has no finite variance and is not valid."""
 
 
 def degrees_of_freedom(score_: LikelihoodScore, free: Mask, direction: Array) -> float:
-    """How many the levels leave for the variance of a combination of coefficients.
+    """Degrees of freedom of the variance of a combination of coefficients, at estimated levels.
 
     Args:
-        score_: With the levels' part.
-        free: True for the parameters that were fitted, shape (n + L K,).
-        direction: Of the combination, shape (n,).
+        score_: Score with the derivatives by the levels.
+        free: True for the free parameters, shape (n + L K,).
+        direction: Direction of the combination, shape (n,).
 
     Source: F. E. Satterthwaite, Biometrics Bulletin 2 (1946), pp. 110-114, as used for restricted likelihood by
     M. G. Kenward and J. H. Roger, Biometrics 53 (1997), pp. 983-997.
@@ -381,15 +389,15 @@ def degrees_of_freedom(score_: LikelihoodScore, free: Mask, direction: Array) ->
 
 
 def level_share(score_: LikelihoodScore, free: Mask, direction: Array) -> float:
-    """What not knowing the levels adds to the variance of a combination of coefficients, as a share of it.
+    """Relative increase of the variance of a combination of coefficients due to the uncertainty of the levels.
 
-    The estimate moves with the levels as far as the data happen to pull; this is the square of that pull over the
-    levels' own uncertainty, from the observed cross derivatives.
+    The estimate depends on the levels by the observed cross derivatives; this is the variance of the estimate under the
+    uncertainty of the levels, relative to its variance at known levels.
 
     Args:
-        score_: With the levels' part.
-        free: True for the parameters that were fitted, shape (n + L K,).
-        direction: Of the combination, shape (n,).
+        score_: Score with the derivatives by the levels.
+        free: True for the free parameters, shape (n + L K,).
+        direction: Direction of the combination, shape (n,).
 
     Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997: the term Phi (Q - P Phi P) Phi.
     """
@@ -403,7 +411,7 @@ def inverted(information: Array, active: Mask) -> Array:
     """Inverse of the information over the active parameters, zero elsewhere."""
     out = np.zeros_like(information)
     index = np.flatnonzero(active)
-    square = index[:, None], index  # as numpy.ix_, in a tenth of its time: this runs at every step of every climb
+    square = index[:, None], index  # numpy.ix_ in a tenth of its time: this runs at every step of every climb
     block = information[square]
     scale = 1 / np.sqrt(np.maximum(block.diagonal(), 1e-12))
     both = scale[:, None] * scale
