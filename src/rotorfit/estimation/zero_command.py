@@ -2,9 +2,10 @@
 
 The innovations of the fit are tested for a damping that acts only while the command is zero. Its effect on the position
 is simulated: the velocity that results from the commands alone, with the sign reversed and only while the command is
-zero, is an acceleration, and the linear law turns it into a position, which passes through the likelihood's filter as
-the pose does. The effects of any linear law (every coefficient, trim, start, and each command of the previous second
-with a weight of its own) are projected out first, so that an unmodelled lag is not mistaken for braking.
+zero, is an acceleration; the first-order law, whatever the axis obeys, turns it into a position, which passes through
+the likelihood's filter as the pose does. The effects of any linear law (every coefficient, trim, start, and each
+command of the previous second with a weight of its own) are projected out first, so that an unmodelled lag is not
+mistaken for braking.
 """
 
 from collections.abc import Iterator, Sequence
