@@ -1,6 +1,7 @@
 """Two intervals of every number, and what refutes it."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.judgement.refutation import cuts, homogeneity
+from rotorfit.estimation.judgement.residual_variance import Weighted
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.flights.assemble import flight_from_log
@@ -162,3 +165,18 @@ def test_a_vehicle_that_brakes_at_command_zero_is_found_and_its_commanded_parts_
     assert axis.damping is not None
     assert axis.damping == pytest.approx(vehicle.drag[0], rel=0.05)
     assert axis.damping < 0.5 * whole.damping  # of braking and coasting together
+
+
+def test_a_coefficient_that_drifts_is_found_however_long_the_flight_is() -> None:
+    """Stretches of 12 s of half an hour would each hold too little information to be compared."""
+    time = np.arange(0.0, 1800.0, 0.1)
+    weight = np.full((time.size, 1, 1), time.size**-0.5)
+    drift = 100.0 * (time[:, None] / 1800.0 - 0.5) * weight[:, :, 0]
+    noise = np.random.default_rng(5).standard_normal((time.size, 1))
+    commands = SimpleNamespace(command_time=time, command=np.sin(time)[:, None])
+    for innovation, found in ((noise + drift, True), (noise, False)):
+        flight = Weighted(time, innovation, weight, weight)
+        test = homogeneity([flight], cuts([commands], [flight], 0)["time"], 0, 1.0, 1.0)  # type: ignore[list-item]
+
+        assert test is not None
+        assert (test.p_value < 1e-6) == found

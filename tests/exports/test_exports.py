@@ -203,6 +203,22 @@ def test_rounding_the_delay_is_written_down_with_its_size(model: Model) -> None:
     assert "PARTS = 1" in made.text
 
 
+def test_no_export_lets_a_command_act_before_it_is_sent(model: Model) -> None:
+    x = model.axes["x"]
+    assert x.predictor is not None
+    early = replace(model, axes={**model.axes, "x": replace(x, predictor=replace(x.predictor, delay=-0.03))})
+
+    made = export(early, "c", dt=0.02)
+
+    assert made.notes[0] == (
+        "The delay of x is negative in the model, -0.0300 s, and 0 here: no command acts before it is sent."
+    )
+    rows = re.findall(r"^ *\{ ((?:-?\d+, )+-?\d+) \},$", made.text, re.MULTILINE)
+    ages = [int(age) for row in rows for age in row.split(",")]
+    assert rows
+    assert min(ages) == 0
+
+
 def test_an_axis_that_the_data_cannot_tell_is_left_out_with_a_sentence_and_keeps_its_velocity(
     run: ModuleType, model: Model, tmp_path: Path
 ) -> None:

@@ -12,7 +12,7 @@ from models import VEHICLE, model_of
 from rotorfit.app.cli import main
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import ModelError
-from rotorfit.exports.gains import save_gains, tuning_mapping
+from rotorfit.exports.gains import read_gains, save_gains, tuning_mapping
 from rotorfit.files.models import save
 
 
@@ -84,3 +84,8 @@ def test_errors_are_one_line_and_nothing_is_written_over(model_path: Path, tmp_p
         assert text.startswith("Error: ")
         assert len(text.strip().splitlines()) == 1
     assert taken.read_text() == "mine = true\n"
+
+
+def test_a_gains_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"gone\.toml: No such file"):
+        read_gains(tmp_path / "gone.toml")

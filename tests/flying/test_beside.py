@@ -8,7 +8,7 @@ import pytest
 
 from flying import Watched, plan_of, room_link
 from rotorfit.files.logs import read
-from rotorfit.flying.beside import ROOM, Beside, tracked_beside
+from rotorfit.flying.beside import ROOM, Beside, title_of, tracked_beside
 from rotorfit.flying.flight_loop import fly
 from rotorfit.flying.recorder import record
 
@@ -37,6 +37,10 @@ def test_alarms_become_events_of_the_recording(tmp_path: Path, monkeypatch: pyte
     beside.close()
 
     assert [one.text for one in read(tmp_path / "flight.mcap").events] == ["ALARM x: payload: because"]
+
+
+def test_the_title_of_an_alarm_ends_before_its_reasons() -> None:
+    assert title_of("ALARM z: payload: weight against thrust changed: by 0.3 m/s^2") == "ALARM z: payload"
 
 
 def test_a_tracker_that_is_gone_is_never_waited_for() -> None:

@@ -236,6 +236,19 @@ def test_a_connection_that_breaks_is_opened_again(monkeypatch: pytest.MonkeyPatc
     assert "the link is back" in news[1:]
 
 
+class Faulty(Breaking):
+    """A live link with a bug."""
+
+    def receive(self, _until: int) -> list[Sample]:
+        raise ZeroDivisionError
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # it is what is wanted
+def test_a_bug_in_the_thread_that_listens_ends_it_and_is_not_waited_for() -> None:
+    with pytest.raises(RuntimeError, match="has failed"):
+        heard(Listening(Faulty, 4.0, None, 1.0))
+
+
 def test_the_simulated_pilot_stays_in_its_place_and_excites_every_axis() -> None:
     from rotorfit.files.cards import card_from_mapping
     from rotorfit.simulation.vehicle import load_vehicle

@@ -7,6 +7,7 @@ import pytest
 
 from flights import STILL, flown, steps
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import world_from_heading
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.tracking.air import courses, motion_now
 from rotorfit.tracking.refits import refitted
@@ -25,6 +26,20 @@ def test_a_constant_acceleration_is_told_as_wind() -> None:
     assert motion["x"].wind == pytest.approx(0.3, abs=0.02)
     assert motion["y"].wind == pytest.approx(-0.2, abs=0.02)
     assert motion["z"].wind == pytest.approx(0.1, abs=0.02)
+
+
+def test_x_alone_has_a_motion_along_the_worlds_x_only() -> None:
+    """It is fitted along the heading; at another one its push lies in both axes of the world."""
+    flight = flown(STILL, steps(("x",), seed=8), 14.0, seed=8)
+    turn = np.full(flight.pose_time.size, 1.2)
+    turned = replace(
+        flight,
+        yaw=flight.yaw + 1.2,
+        position=np.column_stack([world_from_heading(flight.position[:, :2], turn), flight.position[:, 2]]),
+    )
+
+    assert motion_now(flight, refitted(flight, ("x",), LAW, 14.0).estimates)["x"].wind == pytest.approx(0.0, abs=0.02)
+    assert not motion_now(turned, refitted(turned, ("x",), LAW, 14.0).estimates)
 
 
 def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:

@@ -159,13 +159,13 @@ def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[Horizo
 
 def _pooled(flights: Sequence[FlightScores], axis: str, key: str) -> tuple[float | None, float | None, int]:
     """Velocity RMSE, position RMSE and n at one horizon over several flights."""
-    squares, n = np.zeros(2), 0
-    for flight in flights:
-        errors = flight.axes[axis].horizons.get(key)
-        if errors and errors.velocity_rmse is not None and errors.position_rmse is not None:
-            squares += errors.n * np.array([errors.velocity_rmse, errors.position_rmse]) ** 2
-            n += errors.n
-    if not n:
-        return None, None, 0
-    velocity, position = np.sqrt(squares / n)
-    return float(velocity), float(position), n
+    every = [errors for flight in flights if (errors := flight.axes[axis].horizons.get(key))]
+    velocity = [(errors.n, errors.velocity_rmse) for errors in every if errors.velocity_rmse is not None]
+    position = [(errors.n, errors.position_rmse) for errors in every if errors.position_rmse is not None]
+    return _rms(velocity), _rms(position), sum(n for n, _ in velocity)
+
+
+def _rms(errors: Sequence[tuple[int, float]]) -> float | None:
+    """The RMS of RMS errors, each over n; None without any."""
+    n = sum(count for count, _ in errors)
+    return float(np.sqrt(sum(count * error**2 for count, error in errors) / n)) if n else None

@@ -181,6 +181,7 @@ def _fastest(
     peak: float,
 ) -> AxisTuning | str:
     """The fastest law that keeps the margins, with the shortest filter that keeps it quiet; or why there is none."""
+    quietest = None
     for filter_time in FILTERS:
         for bandwidth in np.geomspace(*BANDWIDTHS[:2], int(BANDWIDTHS[2]))[::-1].tolist():
             law = law_of_bandwidth(kind, vehicle, bandwidth, period, latency, filter_time)
@@ -189,9 +190,10 @@ def _fastest(
         else:
             continue
         noise = _command_noise(model, axis, law, vehicle)
-        if noise is None or noise <= RESTLESS or filter_time == FILTERS[-1]:
-            return AxisTuning(law, bandwidth, margins(law, vehicle), known, noise, _note(model, axis, noise))
-    return (
+        quietest = AxisTuning(law, bandwidth, margins(law, vehicle), known, noise, _note(model, axis, noise))
+        if noise is None or noise <= RESTLESS:
+            break
+    return quietest or (
         f"too poorly known: not even at {BANDWIDTHS[0]:g} rad/s do 95 % of the vehicles that its covariance allows "
         f"keep a peak of {peak:g}; fly the next flight (`rotorfit plan --after`) and fit again"
     )

@@ -177,7 +177,7 @@ def read_gains(path: str | Path) -> dict[str, Any]:
     """The contents of a gains file, as `tuning_mapping` gives them, without the keys that have no number.
 
     Raises:
-        ModelError: It is not a gains file, or is damaged.
+        ModelError: It is not there, is not a gains file, or is damaged.
     """
     path = Path(path)
     check_gains_name(path)
@@ -186,6 +186,8 @@ def read_gains(path: str | Path) -> dict[str, Any]:
         for axis, one in mapping["axes"].items():
             law_of(mapping, axis)
             float(one["bandwidth"])
+    except OSError as error:
+        raise ModelError(f"{path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
         raise ModelError(f"{path}: is no gains file of `rotorfit tune` ({type(error).__name__})") from None
     return mapping

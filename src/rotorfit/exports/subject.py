@@ -36,7 +36,7 @@ class Subject:
     Attributes:
         name: Name of the vehicle in the generated code, an identifier.
         model: The model whose simulation the export reproduces: axes that are left out have no predictor and keep their
-            velocity; gains are per command of the export; delays are rounded if requested.
+            velocity; gains are per command of the export; delays are at least 0, and rounded if requested.
         original: The model as given: coefficients with intervals.
         commands: Meaning of the command of each axis.
         physical: Whether commands are in SI units where the card has fractions.
@@ -116,6 +116,8 @@ def subject_of(
             f"a sample period of {dt:g} s cannot be used; give seconds between 0.0001 and 10, such as 0.02"
         )
     kept, notes = _kept(model, predictor)
+    kept, said = _causal(kept)
+    notes = [*notes, *said]
     if physical:
         kept, said = _physical(kept)
         notes = [*notes, *said]
@@ -192,6 +194,20 @@ def _physical(model: Model) -> tuple[Model, list[str]]:
                 f"The command of {name} is physical: what the vehicle takes is this divided by {meaning.setting:.10g} "
                 f"{COMMAND_UNITS[meaning.asked]}, its limit in the training flights."
             )
+    return replace(model, axes=axes), notes
+
+
+def _causal(model: Model) -> tuple[Model, list[str]]:
+    """The model with delays of at least 0, and a note for each that was negative."""
+    axes, notes = dict(model.axes), []
+    for name, axis in model.axes.items():
+        if axis.predictor is None or axis.predictor.delay >= 0:
+            continue
+        axes[name] = replace(axis, predictor=replace(axis.predictor, delay=0.0))
+        notes.append(
+            f"The delay of {name} is negative in the model, {axis.predictor.delay:.4f} s, and 0 here: no command acts "
+            "before it is sent."
+        )
     return replace(model, axes=axes), notes
 
 

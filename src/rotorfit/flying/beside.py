@@ -109,7 +109,7 @@ class Beside:
             told = json.loads(line)
             self.words = told["words"]
             self._news.extend(told["alarms"])
-            self.alarm = told["alarms"][-1].rpartition(": ")[0] if told["alarms"] else self.alarm
+            self.alarm = title_of(told["alarms"][-1]) if told["alarms"] else self.alarm
 
 
 @contextmanager
@@ -125,6 +125,11 @@ def tracked_beside(card: Mapping[str, Any], wanted: bool) -> Iterator[Beside | N
         beside.close()
 
 
+def title_of(alarm: str) -> str:
+    """An alarm without its reasons, which may have colons of their own: `ALARM z: payload`."""
+    return ": ".join(alarm.split(": ")[:2])
+
+
 def words_of(state: Tracked) -> str:
     """The state of each axis, in a few words."""
     return ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
@@ -135,13 +140,15 @@ def main() -> None:
     from rotorfit.tracking.tracker import Tracker
 
     os.nice(NICE)
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a library prints is no answer
     stream = sys.stdin.buffer
     tracker = Tracker(card_from_mapping(json.loads(stream.readline()), "of the flight"))
     last = tracker.state()
 
     def tell(state: Tracked) -> None:
         alarms = [f"ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
-        print(json.dumps({"words": words_of(state), "alarms": alarms}), flush=True)
+        print(json.dumps({"words": words_of(state), "alarms": alarms}), file=answers, flush=True)
 
     while len(data := stream.read(RECORD.size)) == RECORD.size:
         number, stamp, received, *values = RECORD.unpack(data)

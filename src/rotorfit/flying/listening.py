@@ -114,13 +114,15 @@ class Listening:
             time.sleep(max(left, 0.0))
 
     def _live(self) -> Iterator[Heard]:
-        batches: queue.Queue[Heard | LinkError] = queue.Queue()
+        batches: queue.Queue[Heard | LinkError | None] = queue.Queue()
         over = threading.Event()
         thread = threading.Thread(target=self._run, args=(batches, over), name="rotorfit-listening", daemon=True)
         thread.start()
         try:
             while True:
                 found = batches.get()
+                if found is None:
+                    raise RuntimeError("the thread that listens has failed; its trace is above")
                 if isinstance(found, LinkError):
                     return self._end(str(found), lost=True)
                 yield found
@@ -129,7 +131,14 @@ class Listening:
             thread.join(5.0)
 
     def _run(self, batches: Any, over: threading.Event) -> None:
-        """Body of the thread: reads the link, and reopens it if it breaks."""
+        """Body of the thread: a failure of ours ends what it hands over, so that nobody waits for it."""
+        try:
+            self._read(batches, over)
+        finally:
+            batches.put(None)
+
+    def _read(self, batches: Any, over: threading.Event) -> None:
+        """Reads the link, and reopens it if it breaks."""
         link: Link | None = self._link
         broken, since, due = "", 0.0, 0
         while not over.is_set():

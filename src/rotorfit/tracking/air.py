@@ -48,6 +48,10 @@ Pair = tuple[str, str]
 PAIRS: tuple[Pair, ...] = (("x", "y"), ("z", "yaw"))
 """Axes that share a filter."""
 
+ALONG = 0.1
+"""Largest angle between the heading and the world's x at which x or y alone has a motion [rad]: beyond it, the force on
+it lies along both axes of the world."""
+
 STILL = (0.0, 1.0, 0.0)
 """Input, damping and delay that stand in for an axis without an estimate, to complete its pair."""
 
@@ -95,6 +99,8 @@ def courses(
     air, found = None, []
     for pair in PAIRS:
         known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
+        if pair == PAIRS[0] and len(known) == 1 and abs(np.angle(np.exp(1j * flight.yaw[-1]))) > ALONG:
+            continue  # alone it was fitted along the heading, and this filter's axes are those of the world
         if known and (followed := _followed(flight, pair, known, damping)):
             running, wind = followed
             force = flight.command_time[running.k]

@@ -170,7 +170,8 @@ class Following:
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continues from what `memory` returned."""
-        self._since, self._changed, self.next_look = memory["since"], memory["changed"], memory["next_look"]
+        self._since, self._changed = dict(memory["since"]), dict(memory["changed"])
+        self.next_look = memory["next_look"]
         self._bounds = [(since, alarm_from_mapping(alarm) if alarm else None) for since, alarm in memory["bounds"]]
         self._compared, self._unlike = memory.get("compared", 0.0), set(memory.get("unlike", ()))
 
@@ -254,7 +255,7 @@ class Following:
         alarm = Alarm(now, axes, named.cause, since, named.change, named.confidence, p_value, named.why)
         for axis in named.axes:
             self._since[axis] = self._changed[axis] = best.since
-        self._bounds.append((best.since, alarm))
+        self._bounds = sorted([*self._bounds, (best.since, alarm)], key=lambda bound: bound[0])
         self._groups = {
             axes: Group(axes, best.since, answers=group.answers) if set(axes) & set(named.axes) else group
             for axes, group in self._groups.items()
@@ -293,7 +294,7 @@ class Following:
             late = [float(one.optimum.point.delay[one.place]) for one in group.followed.estimates.values()]
             apart = replace(group, answers=min(late))
             part = apart.part(flight, max(group.since, now - LONGEST), now)
-            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * (now - group.since):
+            if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * min(now - group.since, LONGEST):
                 continue
             followed = refitted(part, axes, self._structure, group.followed.seen)
             if followed.estimates and not any(

@@ -180,16 +180,6 @@ class GrowingFlight:
         """Whether nothing can be learnt now: the vehicle stands, takes off or lands by itself, or does not obey."""
         return self._ground.stands
 
-    @property
-    def frozen(self) -> bool:
-        """Whether the pose repeats itself although the vehicle is commanded."""
-        return self._watch.frozen
-
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        """Times at which the pose jumped as no vehicle can [s]."""
-        return tuple(self._watch.jumps)
-
     def flight(self) -> Flight | None:
         """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""
         return self._up_to_date().flight()

@@ -180,9 +180,11 @@ class Tracker:
             RuntimeError: Live, the process beside has failed; the message has its traceback.
             LinkError: Live, the process beside was killed.
         """
-        end = self._looks.finish(self._growing)
-        self._take_in()
-        self.close()
+        try:
+            end = self._looks.finish(self._growing)
+            self._take_in()
+        finally:
+            self.close()
         return end or (replace(self._state, alarms=()), ())
 
     def close(self) -> None:

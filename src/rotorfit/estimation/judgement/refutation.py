@@ -35,6 +35,9 @@ from rotorfit.estimation.regression.paper import newey_west
 STRETCH = 12.0
 """Length of the stretches of time [s]: longer than the memory of wind, short enough that a minute has five."""
 
+STRETCHES = 25
+"""Most stretches of all flights together: longer flights have longer ones, none of which falls below `LEAST_SHARE`."""
+
 MEMORY = 1.0
 """How far back commands are considered [s]."""
 
@@ -71,9 +74,10 @@ def cuts(records: Sequence[Record], weighted: Sequence[Weighted], k: int) -> Map
     sizes = np.concatenate([size for size, _ in memory])
     speeds = np.concatenate([speed for _, speed in memory])
     stretches, offset = [], 0
+    length = max(STRETCH, sum(float(one.time[-1] - one.time[0]) for one in weighted) / STRETCHES)
     for one in weighted:
         elapsed = one.time - one.time[0]
-        count = max(1, round(float(elapsed[-1]) / STRETCH))
+        count = max(1, round(float(elapsed[-1]) / length))
         stretches.append(offset + np.minimum((count * elapsed / (elapsed[-1] + 1e-9)).astype(int), count - 1))
         offset += count
     return {
@@ -117,7 +121,7 @@ def homogeneity(
     told = power > LEAST_SHARE * total
     if total <= 0 or told.sum() < 2:
         return None
-    share, pull = power[told] / power[told].sum(), pull[told]
+    share, pull = power[told] / total, pull[told]
     apart = pull / (share * np.sqrt(total)) / wider  # in standard errors of the estimate
     return homogeneity_of(apart, share**-0.5, scale)
 
