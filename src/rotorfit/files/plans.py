@@ -272,7 +272,7 @@ def _check_sense(plan: Plan, place: str) -> None:
         asked += [("[feedback], damping", value, STIFFEST) for value in feedback.damping]
         asked.append(("[feedback], filter_time", feedback.filter_time, SLOWEST))
     for number, each in enumerate(plan.excitations, 1):
-        asked += [(f"excitation {number}, {name}", *ends) for name, ends in _bounds(each.signal, plan.rate).items()]
+        asked += [(f"excitation {number}, {name}", *ends) for name, ends in _bounds(each, plan.rate).items()]
     for name, value, most in asked:
         if not value <= most:
             raise PlanError(f"{place}, {name}: {value:g} is beyond {most:g}: no flight has that")
@@ -282,14 +282,20 @@ def _check_sense(plan: Plan, place: str) -> None:
     _check_believed(plan, place)
 
 
-def _bounds(signal: Signal, rate: float) -> dict[str, tuple[float, float]]:
+def _bounds(excitation: AxisExcitation, rate: float) -> dict[str, tuple[float, float]]:
     """Each property of a signal with its upper bound; frequencies may not exceed half the command rate (Nyquist)."""
+    signal = excitation.signal
     if isinstance(signal, Steps):
         return {"level": (max(map(abs, signal.level)), LARGEST), "time": (len(signal.time), MOST_STEPS)}
     amplitudes = signal.amplitude if isinstance(signal, Sines) else (signal.amplitude,)
+    frequencies = [*map(abs, signal.frequency)]
+    if isinstance(signal, Chirp):  # past its sweep the frequency keeps growing
+        low, high = signal.frequency
+        grown = math.log(high / low) * excitation.duration / signal.duration
+        frequencies.append(low * math.exp(min(grown, 700.0)))  # which a double still holds
     return {
         "amplitude": (sum(map(abs, amplitudes)), LARGEST),
-        "frequency": (max(map(abs, signal.frequency)), math.pi * rate),
+        "frequency": (max(frequencies), math.pi * rate),
     }
 
 
