@@ -180,3 +180,15 @@ def test_a_coefficient_that_drifts_is_found_however_long_the_flight_is() -> None
 
         assert test is not None
         assert (test.p_value < 1e-6) == found
+
+
+def test_a_combination_that_is_not_judged_itself_is_widened_as_the_coefficients_are() -> None:
+    """The inputs up and down are published, and no test of the law is made of them."""
+    axis = fit([flown(Truth(), steps(("z",), seed=4), 40.0, 4)], axes=("z",), structure="climb_descent").model.axes["z"]
+    wider = max(ratio(axis, name) for name in ("input", "damping", "asymmetry"))
+
+    for name in ("input_up", "input_down"):
+        part = axis.combinations[name]
+        assert part.ci95_flight is not None
+        assert width(part.ci95) / width(part.ci95_flight) == pytest.approx(wider, rel=0.1)
+    assert wider > 1.2
