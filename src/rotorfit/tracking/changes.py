@@ -37,7 +37,7 @@ CHUNK = 1.0
 UNLIKELY = 1e-3
 """A contrast is dropped early if its p-value exceeds this even under white innovations."""
 
-TOLD = 2.4
+OWN_GUSTS = 2.4
 """Shortest window that determines the strength of its own gusts [s]: in a shorter one a push may come from a gust or
 from the vehicle, and the other seconds and axes decide. For z and yaw, which both can push, they set the least strength
 in longer windows too."""
@@ -48,7 +48,7 @@ LEAST_CHUNKS = 12
 NEW, EARLIEST, APART = 2.0, 0.15, 0.1
 """Times of the matched filters [s]: how far back a look tests; age at which a jolt becomes visible; grid spacing."""
 
-LATEST = 3.84
+DROP = 3.84
 """Drop of T from its maximum that bounds the 95 % interval of the time of a change."""
 
 MARGIN = 2.0
@@ -108,7 +108,7 @@ class _Compared:
         at: Its first row.
         u, M: See the module, shapes (P,) and (P, P).
         noise: Mean squared innovation of the window after the shift, at least 1.
-        heard: Log-likelihood of this strength of gusts without a change.
+        gust_likelihood: Log-likelihood of this strength of gusts without a change.
     """
 
     since: float
@@ -116,7 +116,7 @@ class _Compared:
     u: Array
     M: Array
     noise: float
-    heard: float
+    gust_likelihood: float
 
 
 def _compared(scores: Scores, since: float) -> list[_Compared]:
@@ -124,12 +124,12 @@ def _compared(scores: Scores, since: float) -> list[_Compared]:
     at = int(np.searchsorted(scores.time, since))
     if at == scores.time.size or _chunks(scores.time[:at]).size < LEAST_CHUNKS:
         return []
-    own, P, heard = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.heard(since)
+    own, P, likelihoods = scores.rows[at:].T @ scores.rows[at:], len(scores.names), scores.gust_likelihood(since)
     G_r, s_r, _ = _projected(scores.products - own, P)
-    out, short = [], bool(scores.time[-1] - since < TOLD)
+    out, short = [], bool(scores.time[-1] - since < OWN_GUSTS)
     first = scores.gusts if short or scores.jolts.size else 0
-    last = scores.gusts if short else len(scores.louder)
-    for each, likely in list(zip((scores, *scores.louder), heard, strict=False))[first : last + 1]:
+    last = scores.gusts if short else len(scores.under_gusts)
+    for each, likely in list(zip((scores, *scores.under_gusts), likelihoods, strict=False))[first : last + 1]:
         G_w, s_w, left = _projected(each.rows[at:].T @ each.rows[at:], P)
         share = G_w @ _inverse(G_w + G_r, 1e-15)
         u, M = s_w - share @ (s_w + s_r), G_w - share @ G_w
@@ -146,7 +146,7 @@ def _along(scores: Scores, compared: Sequence[_Compared], basis: Array) -> Contr
     parts = [part for one in compared if (part := _inside(one, basis))]
     if not parts:
         return None
-    likeliest = max(parts, key=lambda part: 2 * part[0].heard + float((part[1] ** 2 / part[3]).sum()))
+    likeliest = max(parts, key=lambda part: 2 * part[0].gust_likelihood + float((part[1] ** 2 / part[3]).sum()))
     one, along, vector, value = likeliest
     directions = value.size
     chunks = _chunks(scores.time[: one.at]).size
@@ -287,7 +287,7 @@ def _jolts_of(scores: Scores) -> _Jolts | None:
     new = np.unique(np.searchsorted(scores.time, np.arange(now - EARLIEST, now - EARLIEST - NEW, -APART)))
     if not scores.jolts[first:end].any(axis=0).all():  # a gap in the poses
         return None
-    under = (scores, *scores.louder)[scores.gusts]
+    under = (scores, *scores.under_gusts)[scores.gusts]
     matched = np.array([_matched(under.innovation, h, new) for h in under.jolts[first:end].T])
     gain, (product, power) = matched[:, 0] ** 2 / matched[:, 1], matched[0]
     h, before = scores.jolts[first:end, 0], scores.innovation[: new[0]]
@@ -376,5 +376,5 @@ def since_when(scores: Scores, found: Contrast) -> tuple[Contrast, tuple[float, 
     low = max(found.since - WINDOWS[-1] / 4, begin)
     tried = [one for t in np.arange(low, now - STEP, STEP) if (one := contrast(scores, float(t)))]
     best = max((*tried, found), key=lambda one: one.statistic - 2 * one.directions)
-    near = [one.since for one in (*tried, best) if one.statistic >= best.statistic - LATEST]
+    near = [one.since for one in (*tried, best) if one.statistic >= best.statistic - DROP]
     return best, (min(near) - STEP / 2, min(max(near) + STEP / 2, now))

@@ -29,7 +29,7 @@ from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared,
 from rotorfit.tracking.refits import (
     LONGEST,
     REFIT,
-    SILENT,
+    REFIT_UNKNOWN,
     Followed,
     Said,
     doubt_of,
@@ -214,7 +214,7 @@ class Following:
         group, before = replace(group, excited=excited, looked=now), group.followed
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
             return replace(group, followed=renewed(before, part))  # no excitation: the last values hold
-        growth = REFIT if before and before.estimates else SILENT
+        growth = REFIT if before and before.estimates else REFIT_UNKNOWN
         if before is None or grown(before.seen, excited, growth):
             return replace(group, followed=refitted(part, axes, self._structure, excited))
         return replace(group, followed=stepped(before, part, excited))

@@ -32,7 +32,7 @@ REFIT = 1.5
 LONGEST = 300.0
 """How far an estimate looks back [s]; older parts of a regime are not used."""
 
-SILENT = 1.2
+REFIT_UNKNOWN = 1.2
 """As `REFIT`, as long as the last refit gave no numbers."""
 
 PASSES = 3

@@ -21,10 +21,10 @@ from rotorfit.estimation.likelihood.likelihood import response, whiten, whiten_u
 WINDOWS = (1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 """Lengths of the windows that are tested [s]."""
 
-LOUDER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+GUST_POWERS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """Powers of gusts that the last seconds may have, over those of the regime."""
 
-HEARD = 3.0
+LEAST_GUST_TIME = 3.0
 """Shortest time from which the strength of gusts is determined [s]."""
 
 PART, PARTS, OWN, OTHERS = 0.5, 6, 3, 4
@@ -36,7 +36,7 @@ EXPECTED = {"input": 0.3, "damping": 0.5, "delay": 0.05, "lag": 0.5, "trim": 0.5
 and lag, [s] for the delay, [m/s^2, rad/s^2] for the trim. Directions that a window determines less well are left
 out."""
 
-OTHERWISE = 0.5
+EXPECTED_OTHER = 0.5
 """As `EXPECTED`, for any other parameter of a law, in the estimator's coordinate."""
 
 FADES = 0.7
@@ -73,11 +73,11 @@ class Scores:
         doubt: Standard deviation by which tests of the law found it to vary without a change, in that unit, shape (P,).
         jolts: Whitened position of an axis of `TRIMMED` after a jolt, and after two kinds of wrong poses, see `_jolts`,
             shape (N, 3); shape (N, 0) for other axes.
-        density: Log-density of each row under gusts as strong as in the regime, and under each of `LOUDER`, up to a
-            constant, shape (N, 1 + L).
-        louder: The scores under stronger gusts, up to the strongest that the last seconds may have had.
+        density: Log-density of each row under gusts as strong as in the regime, and under each of `GUST_POWERS`, up to
+            a constant, shape (N, 1 + L).
+        under_gusts: The scores under stronger gusts, up to the strongest that the last seconds may have had.
         gusts: Strength of the gusts now, judged from all axes without their jolts: 0 for that of the regime, k for
-            `LOUDER[k - 1]`; see `_in_one_air`.
+            `GUST_POWERS[k - 1]`; see `_in_one_air`.
     """
 
     time: Array
@@ -89,7 +89,7 @@ class Scores:
     doubt: Array
     jolts: Array
     density: Array
-    louder: "tuple[Scores, ...]" = ()
+    under_gusts: "tuple[Scores, ...]" = ()
     gusts: int = 0
 
     @cached_property
@@ -102,9 +102,9 @@ class Scores:
         """Inner products of the columns of `rows`, shape (1 + P + Q, 1 + P + Q)."""
         return np.asarray(self.rows.T @ self.rows)
 
-    def heard(self, since: float) -> Array:
-        """Log-likelihood of each strength of gusts since a time [s], but over at least `HEARD`, shape (1 + L,)."""
-        late = int(np.searchsorted(self.time, min(since, self.time[-1] - HEARD)))
+    def gust_likelihood(self, since: float) -> Array:
+        """Log-likelihood of each strength of gusts from `since` [s] on, over at least `LEAST_GUST_TIME`, (1 + L,)."""
+        late = int(np.searchsorted(self.time, min(since, self.time[-1] - LEAST_GUST_TIME)))
         return np.asarray(self.density[late:].sum(axis=0))
 
 
@@ -140,8 +140,8 @@ class _Whitened:
         mean, sensitivity = response(self._rec, point, 0, point.start)
         parts = [(self._rec.position - mean)[:, None], sensitivity, _jolts(self._rec, estimates)]
         self._columns = np.concatenate(parts, axis=1)
-        self._levels = np.repeat(point.levels[None], 1 + len(LOUDER), axis=0)
-        self._levels[1:, :, 0] += np.log(LOUDER)[:, None]
+        self._levels = np.repeat(point.levels[None], 1 + len(GUST_POWERS), axis=0)
+        self._levels[1:, :, 0] += np.log(GUST_POWERS)[:, None]
         rows, innovations, variance = whiten_under(self._rec, self._columns, self._levels)
         self._told = np.ones(self._rec.count.size)
         if estimates[0][0] in TRIMMED and let_go.size:
@@ -154,9 +154,9 @@ class _Whitened:
     def under(self, gusts: int) -> Scores:
         """The scores, given the strength of gusts that all axes show (see `Scores.gusts`)."""
         now = float(self.scores.time[-1])
-        loudest = max(gusts, *(int(np.argmax(self.scores.heard(now - window))) for window in WINDOWS))
-        rows = (whiten(self._rec, self._columns, levels)[0] for levels in self._levels[1 : loudest + 1])
-        return replace(self.scores, louder=tuple(map(self._scored, rows)), gusts=gusts)
+        strongest = max(gusts, *(int(np.argmax(self.scores.gust_likelihood(now - window))) for window in WINDOWS))
+        rows = (whiten(self._rec, self._columns, levels)[0] for levels in self._levels[1 : strongest + 1])
+        return replace(self.scores, under_gusts=tuple(map(self._scored, rows)), gusts=gusts)
 
     def _scored(self, rows: Array) -> Scores:
         """Scores from whitened columns, shape (B, C, K)."""
@@ -170,7 +170,7 @@ class _Whitened:
         for axis, estimate in self._estimates:
             k = estimate.place
             for name in ("input", "damping", "delay", *(extra.name for extra in estimated_extras(estimate.optimum, k))):
-                size = EXPECTED.get(name, OTHERWISE)
+                size = EXPECTED.get(name, EXPECTED_OTHER)
                 unit = size * (float(point.gain[k]) if name == "input" else 1.0)
                 tested.append(columns[:, point.place(name, k)] * unit)
                 names.append(f"{axis}.{name}")
@@ -200,7 +200,7 @@ def _in_one_air(seen: Sequence[_Whitened]) -> list[Scores]:
         told = [_calmest(one.scores, OWN)] if one.scores.jolts.size else []
         told += [np.sum(horizontal, axis=0)] if horizontal else []
         gusts = max(int(np.argmax(each)) for each in told)
-        out.append(one.under(min(gusts + 1, len(LOUDER)) if gusts else 0))  # the calmest parts show too little
+        out.append(one.under(min(gusts + 1, len(GUST_POWERS)) if gusts else 0))  # the calmest parts show too little
     return out
 
 
@@ -209,8 +209,8 @@ def _calmest(scores: Scores, parts: int) -> Array:
     ends = np.searchsorted(scores.time, scores.time[-1] + 1e-9 - PART * np.arange(PARTS, -1, -1))
     each = np.add.reduceat(scores.density[: ends[-1]], np.minimum(ends[:-1], ends[-1] - 1), axis=0)
     each = np.where(np.diff(ends)[:, None] > 0, each, 0.0)  # no pose
-    louder = each[:, len(LOUDER) // 2] - each[:, 0]
-    return np.asarray(each[np.argsort(louder)[:parts]].sum(axis=0))
+    restless = each[:, len(GUST_POWERS) // 2] - each[:, 0]
+    return np.asarray(each[np.argsort(restless)[:parts]].sum(axis=0))
 
 
 def _jolts(rec: Record, estimates: Sequence[tuple[str, Estimate]]) -> Array:
