@@ -63,7 +63,7 @@ def test_one_tap_and_three_give_numbers_with_a_warning() -> None:
         assert done.model.axes["z"].predictor is not None
         found[len(starts)] = told
 
-    assert "nothing can be told of how wide" in found[1].effect
+    assert "their width is unknown" in found[1].effect
     assert "times as wide" in found[3].effect
 
 

@@ -205,7 +205,7 @@ def test_a_draft_exchanges_and_turns_commands_as_the_motion_says(tmp_path: Path)
         "x": ("u_y", -1), "y": ("u_x", 1), "z": ("u_z", -1), "yaw": ("u_yaw", 1),
     }  # fmt: skip
     assert card.command_frame == "heading"
-    assert "+ leads left by the motion, though it looks like x" in text
+    assert "+ moves the vehicle left, though named like x" in text
     assert "Signs were checked against the motion." in text
     flight = flight_from_log(log, card)
     np.testing.assert_allclose(flight.command[:, 0], np.interp(flight.command_time, T, COMMAND["x"]), atol=1e-9)
@@ -243,7 +243,7 @@ def test_a_draft_takes_the_heading_of_another_table_and_names_states_and_referen
 
     text = draft_card(log_of(**tables))
 
-    assert 'x = "velocity_setpoint:velocity[0]"  # + leads forward by the motion' in text
+    assert 'x = "velocity_setpoint:velocity[0]"  # + moves the vehicle forward: ' in text
     assert 'quaternion = ["attitude:q[0]", "attitude:q[1]", "attitude:q[2]", "attitude:q[3]"]' in text
     assert '[reference]\nx = "velocity_setpoint:x"' in text
     assert '[[window]]  # commands count while this holds\nwhen = "state:armed"' in text
@@ -283,7 +283,7 @@ def test_a_draft_of_a_log_without_position_takes_the_velocity_in_the_frame_that_
     assert "INCOMPLETE" not in text
     assert card.velocity_only == ("x", "y")
     assert card.velocity_frame == frame
-    assert 'x = "cmd_x"  # + leads forward by the motion' in text
+    assert 'x = "cmd_x"  # + moves the vehicle forward: ' in text
     expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
     np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.03)
 
@@ -303,7 +303,7 @@ def test_a_draft_of_state_packets_of_a_tello_has_its_frame_and_its_decimetres(tm
     assert (card.frame, card.velocity_only) == ("NED", ("x", "y", "z"))
     expected = np.interp(flight.pose_time, T, true["x"]) - true["x"][0]
     np.testing.assert_allclose(flight.position[:, 0], expected, atol=0.2)
-    assert 'yaw = "cmd_yaw"  # + leads counter-clockwise by the motion' in text
+    assert 'yaw = "cmd_yaw"  # + turns the vehicle counter-clockwise: ' in text
 
 
 def test_a_draft_of_a_log_with_both_names_the_velocity_beside_the_position(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_loop_that_is_read_backwards_is_never_a_model_however_late_the_poses_a
     assert {done.model.axes[axis].status["input"] for axis in ("x", "y")} == {"not_excited"}
     told = findings_of_fit(done)
     assert "sign_flipped" not in {finding.code for finding in told}
-    assert all("only answers the motion" in finding.evidence for finding in told if finding.code == "not_excited")
+    assert all("only a response to the motion" in finding.evidence for finding in told if finding.code == "not_excited")
 
 
 def test_a_card_with_a_wrong_sign_is_no_feedback_even_of_a_vehicle_as_quick_as_a_servo() -> None:

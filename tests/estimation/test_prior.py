@@ -220,7 +220,7 @@ def test_from_the_command_line_the_prior_is_in_the_summary_the_findings_and_the_
     words = ["fit", str(tmp_path / "a.bag"), "--card", str(tmp_path / "card.toml"), "--axes", "z", "--prior"]
     result = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "m.json")])
     assert result.exit_code == 0, result.output
-    assert "with what the card believed beforehand" in result.output
+    assert "with the card's prior" in result.output
     assert "info prior_used" in result.output
     assert "warning prior_conflict" in result.output
     stored = json.loads((tmp_path / "m.json").read_text())

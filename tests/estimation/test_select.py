@@ -37,7 +37,7 @@ def test_a_strong_lag_drag_or_asymmetry_is_found(name: str, wind: float) -> None
     assert axis.structure == name
     rows = {row.structure: row for row in axis.candidates}
     assert [row.structure for row in axis.candidates if row.chosen] == [name]
-    assert rows[name].verdict.startswith("earned over ")
+    assert rows[name].verdict.startswith("preferred to ")
     assert rows[name].bic < rows["first_order_delay"].bic == 0.0
     assert rows[name].velocity < rows["first_order_delay"].velocity  # type: ignore[operator]
     assert axis.plain is not None
@@ -130,10 +130,10 @@ def test_where_too_little_is_held_out_for_a_test_only_very_strong_evidence_count
 
     assert lagging.structure == "first_order_delay_lag"
     (taken,) = [row for row in lagging.candidates if row.chosen]
-    assert taken.verdict.startswith("earned over first_order_delay on little: criterion -")
+    assert taken.verdict.startswith("preferred to first_order_delay on few data: criterion -")
     assert plain.structure == "first_order_delay"
     words = {row.verdict.split(":")[0].split(" (")[0] for row in plain.candidates[1:]}
-    assert words <= {"not earned", "not judged", "not identifiable"}
+    assert words <= {"rejected", "not judged", "not identifiable"}
 
 
 def test_a_flight_is_cut_from_the_command_that_acts() -> None:

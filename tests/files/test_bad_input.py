@@ -154,7 +154,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "commands that are never numbers": (
         lambda folder: changed(folder, **dict.fromkeys(COMMANDS, np.nan)),
-        "no command is a whole set of numbers",
+        "no command is complete",
     ),
     "commands without pose": (
         lambda folder: [*without(folder, "x", "y", "z", "yaw"), "--card", "bebop2-joystick"],
@@ -162,12 +162,12 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "pose that is never a number": (
         lambda folder: changed(folder, x=np.nan),
-        "no pose is a whole set of numbers (x never is)",
+        "no pose is complete (x is always missing)",
     ),
     "constant pose": (lambda folder: changed(folder, x=1.0, y=2.0, z=3.0, yaw=0.0), "the pose never changes"),
     "NaN everywhere": (
         lambda folder: changed(folder, **dict.fromkeys(columns(), np.nan)),
-        "no command is a whole set of numbers",
+        "no command is complete",
     ),
     "reversed time": (lambda folder: changed(folder, time=columns()["time"][::-1]), "runs backwards"),
     "time that stands still": (lambda folder: changed(folder, time=5.0), "stands still"),
@@ -389,7 +389,7 @@ def test_a_validation_refuses_a_bad_log(tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     assert run("fit", csv(tmp_path, columns()), "--method", "paper", "-o", model).exit_code == 0
 
-    check_refused(run("validate", model, *changed(tmp_path, yaw=np.nan), "--json"), "yaw never is")
+    check_refused(run("validate", model, *changed(tmp_path, yaw=np.nan), "--json"), "yaw is always missing")
     check_refused(run("validate", model, tmp_path / "none.csv"), "no such file")
 
 

@@ -181,6 +181,7 @@ MISSING = object()
         (("frame",), "enu", "nearest: 'ENU'"),
         (("name",), 3, "text"),
         (("window", "when"), 1, "not the constant 1"),
+        (("over",), "x\n" * 1000, "over: must be a list of names, not 'x\\nx"),
     ],
 )
 def test_what_is_missing_or_wrong_is_refused_in_one_line(place: tuple, value: object, says: str) -> None:

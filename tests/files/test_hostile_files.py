@@ -75,8 +75,8 @@ def test_what_is_wrong_in_a_model_is_told_with_its_place(change: Callable[[Any],
 
 
 TEXTS = {
-    "NaN": ("NaN", "NaN is no number"),
-    "infinity": ("-Infinity", "-Infinity is no number"),
+    "NaN": ("NaN", "NaN is not a number"),
+    "infinity": ("-Infinity", "-Infinity is not a number"),
     "too large": ("1e999", "1e999 is more than a float holds"),
     "5,000 digits": ("1" * 5000, "an integer of more than 64 bits"),
     "deep": ("[" * 500 + "]" * 500, "nested deeper than 32 levels"),

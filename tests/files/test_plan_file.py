@@ -67,6 +67,7 @@ WRONG = [
     (put("excitations", 0, "signal", value="sine"), "'sine' is not one of sines, chirp, steps; nearest: 'sines'"),
     (put("excitations", 0, "phase", value=[0.0]), "must have the same length"),
     (put("excitations", 1, "time", value=[0.0, 2.0, 1.0]), "time must increase"),
+    (put("excitations", 1, "time", value=[0.0, 1.0, 1.0]), "time must increase"),
     (put("excitations", 1, "level", value=[0.0, math.nan, 1.0]), "must be a list of finite numbers"),
     (put("excitations", 1, "target", value="position"), "must move smoothly"),
     (put("excitations", 2, "sweep", value=10.0), "excitation 3, frequency: 158.114 "),  # 0.5 rad/s times 10 ** 2.5

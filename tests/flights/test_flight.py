@@ -279,7 +279,9 @@ def test_world_commands_are_turned_by_the_measured_yaw_also_while_held() -> None
     error = world_from_heading(acting(flight, at)[:, :2], 0.8 * at) - world
     assert np.max(np.abs(error)) < 1.5 * np.radians(0.5 + 0.8 * np.degrees(0.01))
     assert np.all(np.diff(flight.command_time) > 0)
-    assert len(flight.command_time) == 10 + counts(flight)["world_commands"]
+    assert counts(flight)["world_commands"] == 10
+    (turned,) = (note.text for note in flight.notes if note.code == "world_commands")
+    assert f"; {len(flight.command_time) - 10} more were added" in turned
     np.testing.assert_array_equal(acting(flight, at)[:, 2], cmd["z"][np.floor(at).astype(int)])
 
 
@@ -289,7 +291,7 @@ def test_world_commands_under_constant_yaw_stay_as_many_and_move_both_axes() -> 
 
     flight = flight_of(pose=pose, card=card)
 
-    assert len(flight.command_time) == 200
+    assert len(flight.command_time) == counts(flight)["world_commands"] == 200
     assert flight.axes == ("x", "y", "z")
     np.testing.assert_allclose(flight.command[:, 1], -commands()["x"], atol=1e-12)
     np.testing.assert_allclose(flight.command[:, 0], 0.0, atol=1e-12)
@@ -467,7 +469,7 @@ def test_the_window_may_stand_in_a_table_with_a_clock_of_the_same_name() -> None
 def test_a_window_without_a_clock_or_never_open_is_refused() -> None:
     log = log_of(commands(), poses(), mode={"on": np.ones(7), "t": np.arange(3.0)})
 
-    assert "nothing tells the time" in error_of(log, card_with(window={"when": "mode:on"}))
+    assert "no time stamps for" in error_of(log, card_with(window={"when": "mode:on"}))
     shut = commands() | {"on": np.zeros(200)}
     assert "never open" in error_of(log_of(shut, poses()), card_with(window={"when": "cmd:on"}))
 
@@ -496,7 +498,7 @@ def without(table: dict, **changes: object) -> dict:
             without(poses(), x=np.ones(1200), y=np.ones(1200), z=np.ones(1200), yaw=np.ones(1200)),
             "never changes",
         ),
-        (commands(), without(poses(), x=np.full(1200, np.nan)), "(x never is)"),
+        (commands(), without(poses(), x=np.full(1200, np.nan)), "(x is always missing)"),
         ({name: np.full(200, np.nan) for name in commands()}, poses(), "no command is a whole set"),
         (without(commands(), t=commands()["t"][::-1]), poses(), "commands runs backwards"),
         (commands(), without(poses(), t=poses()["t"][::-1]), "poses runs backwards"),

@@ -78,7 +78,7 @@ def test_a_jittered_loop_with_gaps_of_a_tenth_or_two_keeps_the_whole_flight(seed
     assert len(flight.segments) == 1
     assert flight.duration > 59
     assert "through" in told(flight)
-    assert "the last command acts on" in told(flight)
+    assert "the last command is assumed to keep acting" in told(flight)
 
 
 def test_its_coefficients_are_those_of_a_stated_hold_and_hold_the_truth() -> None:
@@ -102,7 +102,7 @@ def test_a_vehicle_that_gives_up_after_a_tenth_of_a_second_is_not_taken_to_follo
     flight = flight_of(one_table(seed, time_out=0.1, share=0.15, gaps=(0.2, 0.24)))
 
     assert len(flight.segments) > 10
-    assert "is not taken to act: the vehicle followed" in told(flight)
+    assert "is assumed to have ended: the vehicle followed" in told(flight)
 
 
 def test_long_gaps_of_which_the_motion_says_nothing_stay_gaps() -> None:
@@ -111,7 +111,7 @@ def test_long_gaps_of_which_the_motion_says_nothing_stay_gaps() -> None:
     flight = flight_of(replace(log, tables={"loop": still}))
 
     assert len(flight.segments) > 10
-    assert "is not taken to act" in told(flight)
+    assert "is assumed to have ended" in told(flight)
 
 
 def log_rows(log: Log) -> int:

@@ -355,8 +355,10 @@ def test_a_model_of_velocities_does_not_judge_positions(alone: tuple[Flight, Fit
 
 @pytest.mark.parametrize("method", ["robust", "oe", "iv", "svf", "weak"])
 def test_methods_that_need_positions_say_so(alone: tuple[Flight, Fit], method: Any) -> None:
-    with pytest.raises(FlightError, match="needs positions, of x, z there is only a velocity"):
-        fit([alone[0]], method, axes=("x", "z"))
+    posed, unposed = replace(alone[0], path="posed.bag", velocity_only=()), replace(alone[0], path="alone.bag")
+
+    with pytest.raises(FlightError, match=r"^alone\.bag: the method .* needs positions, but x, z have only a velocity"):
+        fit([posed, unposed], method, axes=("x", "z"))
 
 
 def test_the_papers_method_takes_the_summed_up_velocity(alone: tuple[Flight, Fit]) -> None:

@@ -200,8 +200,8 @@ def with_gamma(plan: Plan, *gamma: float) -> Plan:
 
 DISARMING = {
     "gamma nan": (lambda plan: with_gamma(plan, *[math.nan] * 8), "must be a finite number"),
-    "gamma 0": (lambda plan: with_gamma(plan, 0.0, *GAMMA[1:]), "an input of 0 on x is none of a vehicle"),
-    "gamma huge": (lambda plan: with_gamma(plan, 1e9, *GAMMA[1:]), "an input of 1e+09 on x is none of a vehicle"),
+    "gamma 0": (lambda plan: with_gamma(plan, 0.0, *GAMMA[1:]), "an input of 0 on x is implausible"),
+    "gamma huge": (lambda plan: with_gamma(plan, 1e9, *GAMMA[1:]), "an input of 1e+09 on x is implausible"),
     "delay": (lambda plan: replace(plan, belief={**plan.belief, "delay": [-9.0] * 4}), "delay: must be from 0 to 5 s"),
     "duration": (lambda plan: replace(plan, duration=1e9), "duration: 1e+09 is beyond 1800"),
     "ramp": (lambda plan: replace(plan, ramp=1e308), "ramp: 1e+308 is beyond 20"),

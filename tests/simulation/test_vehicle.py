@@ -124,7 +124,7 @@ def changed(change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda raw: raw.update(mas=1.0), "nobody knows key 'mas'; nearest: 'mass'"),
+        (lambda raw: raw.update(mas=1.0), "unknown key 'mas'; nearest: 'mass'"),
         (lambda raw: raw["rotors"].update(arms=1.0), "nearest: 'arm'"),
         (lambda raw: raw.pop("mass"), "mass is missing"),
         (lambda raw: raw["radio"].pop("latency"), "radio: latency is missing"),

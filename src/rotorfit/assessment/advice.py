@@ -62,7 +62,7 @@ def too_early(flights: Sequence[Flight], early: float) -> tuple[str, str]:
         )
     return (
         f"{one}, nor that commands are logged every {1e3 * period:.0f} ms only; the delay is not the vehicle's",
-        "check that the card's command is what the vehicle was told, and not what was measured or filtered of it",
+        "check that the card's command is the command as sent, not a measured or filtered copy",
     )
 
 
@@ -157,7 +157,7 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
         yield Finding(
             "not_excited",
             "warning",
-            f"the {name} command only answers the motion, as a position controller's does: nothing else is in it"
+            f"the {name} command is only a response to the motion, as from a position controller"
             if restored(flights, name)
             else f"the {name} command explains nothing: with it the motion is predicted no better than without it",
             f"no coefficient of {name} is a number",
@@ -177,9 +177,9 @@ def _status_findings(name: str, axis: Axis, flights: Sequence[Flight], remark: s
         yield Finding(
             "diverged",
             "error",
-            f"the estimate of {name} has no end: {remark}"
+            f"the estimate of {name} does not converge: {remark}"
             if remark
-            else f"the likelihood of {name} has no clear maximum: the climb did not end",
+            else f"the likelihood of {name} has no clear maximum: the search did not converge",
             f"no coefficient of {name} is a number",
             "check the card's columns and signs for this axis, or give a span without take-off and landing",
             name,
@@ -196,11 +196,11 @@ def _event_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> Iterato
     yield Finding(
         "few_command_events",
         "warning",
-        f"the {name} command changes in one event of {EVENT:g} s, or in none beside it that count"
+        f"the {name} command changes in only one event of {EVENT:g} s"
         if once
         else f"the {name} command changes in few events: they count as {events:.1f} equal ones of {EVENT:g} s",
-        f"intervals of {name} hold only if the model is right; if what it leaves out is another thing at each event, "
-        + ("nothing can be told of how wide they are" if once else f"they are {factor:.1f} times as wide"),
+        f"intervals of {name} hold only if the model is right; if what it leaves out differs from event to event, "
+        + ("their width is unknown" if once else f"they are {factor:.1f} times as wide"),
         f"command {name} again and again: ten steps or more, or the paper's two sines",
         name,
     )
@@ -254,10 +254,10 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
         yield Finding(
             "damping_not_identifiable",
             "info",
-            f"the damping of {name} lies anywhere between {_end(low)} and {_end(high)} 1/s (95 %)",
+            f"the 95 % interval of the damping of {name} is {_end(low)} to {_end(high)} 1/s",
             f"what is known of {name} is the steady gain {gain.value:.3g} and the total lag {lag.value:.3g} s"
             if lag and None not in (*gain.ci95, *lag.ci95)
-            else f"the input gain of {name} is known, how fast its speed fades is not",
+            else f"the input gain of {name} is known, its damping is not",
             "fly faster changes of the command" if high is None or high > 3.0 else "fly longer, at constant command",
             name,
         )
@@ -305,7 +305,7 @@ def _delay_findings(name: str, axis: Axis, delay: float, flights: Sequence[Fligh
         yield Finding(
             "delay_not_identifiable",
             "info",
-            f"the delay of {name} lies anywhere between {_end(low)} and {_end(high)} s (95 %)",
+            f"the 95 % interval of the delay of {name} is {_end(low)} to {_end(high)} s",
             "delay and damping trade against each other in these data",
             "fly commands with steps or higher frequencies: slow sines hardly show a delay",
             name,
@@ -374,7 +374,7 @@ def _slow_findings(name: str, k: int, axis: Axis, flights: Sequence[Flight]) -> 
                 "warning",
                 f"{100 * share:.2g} % of the power of the {name} command lies above {frequency:.2g} Hz, {formula}, "
                 f"where the {part} of {name} shows; {100 * NEEDED_SHARE:g} % are needed",
-                f"the {part} of {name} is not identifiable, and what it costs, the others pay",
+                f"the {part} of {name} is not identifiable, and its error biases the others",
                 f"command {name} with steps or sines that reach {2 * frequency:.2g} Hz",
                 name,
             )
@@ -408,7 +408,7 @@ def _paper_findings(fit: Fit, k: int) -> Iterator[Finding]:
         "paper_damping_negative",
         "info",
         f"the paper's regression gives {name} a damping of {damping:.2g} 1/s on the same data",
-        f"it leaves out the delay{late}, and the damping pays; the likelihood keeps it",
+        f"it leaves out the delay{late}, which biases the damping; the likelihood includes it",
         "use the model as it is; the paper's coefficients are there for comparison",
         name,
     )
@@ -439,4 +439,4 @@ def _unstable(name: str, gain: float, damping: float, certain: bool) -> Finding:
 
 
 def _end(value: float | None) -> str:
-    return "an end that the data do not give" if value is None else f"{value:.3g}"
+    return "open" if value is None else f"{value:.3g}"

@@ -37,7 +37,7 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "law_refuted",
             "warning",
             f"{name} does not obey {axis.structure}: {told}",
-            f"{', '.join(refuted)} of {name} would be other numbers on another flight, by more than an interval says",
+            f"{', '.join(refuted)} of {name} would differ on another flight by more than their intervals",
             "fit with --structure auto, or fly commands of the size and speed that the model is wanted for; "
             "predictions of like motion may still be good: see validate",
             name,

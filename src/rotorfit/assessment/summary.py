@@ -15,7 +15,7 @@ _REASONS = {
     "diverged": "the estimation of {} did not converge",
 }
 
-BELIEVED = ", with what the card believed beforehand"
+BELIEVED = ", with the card's prior"
 
 
 def summary_of_model(model: Model, axes: Sequence[str] = AXES) -> str:
@@ -80,7 +80,7 @@ def _warnings(model: Model, wanted: Sequence[str]) -> Iterator[str]:
     if warnings:
         yield "One finding is a warning." if warnings == 1 else f"{warnings} findings are warnings."
     if any(model.axes[axis].predictor for axis in wanted):
-        yield "What it is worth shows on a flight that was not fitted."
+        yield "Validate it on a flight that was not fitted."
 
 
 def _listed(names: Sequence[str], last: str = "and") -> str:

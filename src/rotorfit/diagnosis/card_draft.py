@@ -203,7 +203,7 @@ CLEARER = 0.7
 
 MIRRORED = "; or the pose is mirrored, which a flight that hardly turns does not tell: then turn this axis there"
 
-_LEADS = {
+_DIRECTIONS = {
     "heading": {"x": "forward", "y": "left", "z": "up", "yaw": "counter-clockwise"},
     "world": {"x": "along x (east)", "y": "along y (north)", "z": "up", "yaw": "counter-clockwise"},
 }
@@ -398,8 +398,8 @@ def _remark(name: str, axis: str, answer: CommandResponse | None, frame: str) ->
         return f"EDIT: the motion does not tell the sign ({figures})"
     if answer.axis != axis:
         return f"EDIT: the motion follows it along {answer.axis} ({figures})"
-    renamed = f", though it looks like {name}" if name != axis else ""
-    return f"+ leads {_LEADS[frame][axis]} by the motion{renamed}: {figures}"
+    renamed = f", though named like {name}" if name != axis else ""
+    return f"+ {'turns' if axis == 'yaw' else 'moves'} the vehicle {_DIRECTIONS[frame][axis]}{renamed}: {figures}"
 
 
 def write_draft(log: Log, path: Path, fresh: bool = False) -> bool:

@@ -28,7 +28,7 @@ def two_files(clocks: Clocks) -> Iterator[Finding]:
         yield Finding(
             "clock_source_refused",
             "warning",
-            f"the vehicle's own motion cannot tell how its clock stands to that of the poses: {clocks.refused}",
+            f"the vehicle's own motion does not determine its clock offset from the poses: {clocks.refused}",
             "it is not used",
             "check that both files are of one flight and of one vehicle, and [velocity] and [attitude] of the card",
         )
@@ -47,7 +47,8 @@ def two_files(clocks: Clocks) -> Iterator[Finding]:
         yield Finding(
             "clocks_joined",
             "info",
-            f"the clock of the poses stands to that of the commands at {_figures(clocks)}, by {_explained(clocks)}",
+            f"the clock of the poses is offset from that of the commands by {_figures(clocks)}, from "
+            f"{_explained(clocks)}",
             f"the commands were moved, and {1e3 * clocks.half_width:.1f} ms went into the delay's interval; by as much "
             "as the vehicle's own motion is stamped late, the delay comes out too long",
             "where the latency of that stamp is known, give it as a negative offset of its time in the card",
@@ -56,8 +57,8 @@ def two_files(clocks: Clocks) -> Iterator[Finding]:
         yield Finding(
             "clock_offset",
             "warning",
-            f"the clocks of the two files are taken as one, since {clocks.stated}, but by {_explained(clocks)} that of "
-            f"the poses stands to that of the commands at {_figures(clocks)}",
+            f"the clocks of the two files are taken as one, since {clocks.stated}, but that of the poses "
+            f"is offset from that of the commands by {_figures(clocks)}, from {_explained(clocks)}",
             "unless the vehicle's own motion is stamped that late, the delay of every axis comes out "
             f"{1e3 * abs(clocks.offset):.0f} ms too {'long' if clocks.offset > 0 else 'short'}",
             'if they are two clocks, leave clock = "one" out of the card',
@@ -76,10 +77,10 @@ def _includes_delay(clocks: Clocks) -> Finding:
     return Finding(
         "clock_includes_delay",
         "warning",
-        "commands and poses are from two files, and only the answer to the commands tells how their clocks stand: the "
-        f"answer is stamped {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s (95 %) after its command, offset and delay "
-        f"together, by {_explained(clocks)}",
-        "what part of that is the delay cannot be told, and no delay is published; input gain and damping keep their "
+        "commands and poses are from two files, and only the response to the commands gives their clock offset: the "
+        f"response is stamped {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s (95 %) after its command, offset and "
+        f"delay together, from {_explained(clocks)}",
+        "offset and delay cannot be separated, and no delay is published; input gain and damping keep their "
         "values, but for a drift of the clocks",
         "record the vehicle's own velocity or heading beside the commands and name it in the card, or write "
         'clock = "one" there if the clocks are one',

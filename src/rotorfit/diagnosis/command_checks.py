@@ -114,7 +114,7 @@ def _slow(axis: str, time: Array, command: Array) -> Iterator[Finding]:
             "warning",
             f"{100 * share:.2g} % of the power of the {axis} command lies above {SLOW_FREQUENCY:g} Hz; a damping b "
             "shows about b/(2 pi), 0.03 to 0.6 Hz for multirotors, a delay of 0.2 s about 1/(2 pi 0.2) = 0.8 Hz",
-            f"delay and damping of {axis} can hardly be told from each other, and gain and damping only by their ratio",
+            f"delay and damping of {axis} can hardly be separated; of gain and damping only the ratio is known",
             f"command {axis} with steps of about a second, or with sines up to 0.8 Hz",
             axis,
         )
@@ -178,7 +178,7 @@ def _alike(flight: Flight) -> Iterator[Finding]:
             "collinear_commands",
             "warning" if plane else "info",
             f"commands are proportional to each other; correlations: {told}",
-            "what one axis does to another cannot be told from its own response"
+            "the effect of one axis on another cannot be separated from its own response"
             + ("; exchanged or turned x and y cannot be noticed" if plane else ""),
             "fly the axes one after the other, or with frequencies of their own",
         )

@@ -341,7 +341,7 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
         return
     names = " and ".join(filter(None, (", ".join(turned[:-1]), turned[-1])))
     sure = ", ".join(f"{told[name].certainty:.0f}" for name in turned)
-    straight = ", that of x as it should" if "x" in told and told["x"].axis == "x" else ""
+    straight = ", that of x the right way" if "x" in told and told["x"].axis == "x" else ""
     where = {1: "; z of the pose is above 0 throughout", -1: "; z of the pose is below 0 throughout", 0: ""}[height]
     other = "ENU" if card.frame == "NED" else "NED"
     ways = [
@@ -351,7 +351,7 @@ def sign_findings(recording: Recording) -> Iterator[Finding]:
     yield Finding(
         "axes_turned",
         "warning",
-        f"by the motion the command of {names} leads the other way ({sure} standard errors){straight}{where}",
+        f"the command of {names} moves the vehicle the other way ({sure} standard errors){straight}{where}",
         f"the input gain of {names} comes out negative; delay and damping keep their values",
         "; or ".join(ways if height <= 0 else ways[::-1]),
     )

@@ -26,8 +26,8 @@ def check_clocks(flights: Sequence[Flight]) -> None:
     without = [flight.path for flight in flights if flight.clocks and flight.clocks.includes_delay]
     if without and len(without) < len(flights):
         raise FlightError(
-            f"{without[0]}: only its answer to the commands tells its clocks, so it cannot share a delay with the "
-            "others: fit it apart, or give it the vehicle's own velocity"
+            f"{without[0]}: its clock offset is known only from the response to the commands and includes the "
+            "delay: fit this flight separately, or name the vehicle's own velocity in the card"
         )
 
 

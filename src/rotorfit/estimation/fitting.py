@@ -246,7 +246,7 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
     if structure not in (AUTO, AVERAGED):
         structure_named(structure)
     if method != "ml" and structure not in (AVERAGED, STRUCTURE):
-        raise ModelError(f"--method {method} knows no structure but its own: leave --structure out, or use --method ml")
+        raise ModelError(f"--method {method} supports no other structure: leave --structure out, or use --method ml")
     if prior and structure not in (AVERAGED, STRUCTURE):
         raise ModelError("priors are for the default laws: leave --prior or --structure out")
     check_flights(flights)
@@ -270,12 +270,13 @@ def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> li
     Raises:
         FlightError: The method needs positions, and one of the axes has only a velocity.
     """
-    lost = [axis for axis in AXES if axis in axes and any(axis in f.velocity_only for f in flights)]
-    if lost and method != "paper":  # the paper's regression needs only derivatives: those of the integrated velocity do
-        raise FlightError(
-            f"{flights[0].path}: the method {method} needs positions, of {', '.join(lost)} there is only a velocity: "
-            "use --method ml, or other --axes"
-        )
+    for flight in flights:
+        lost = [axis for axis in AXES if axis in axes and axis in flight.velocity_only]
+        if lost and method != "paper":  # the paper's regression needs derivatives alone: the integrated velocity does
+            raise FlightError(
+                f"{flight.path}: the method {method} needs positions, but {', '.join(lost)} "
+                f"{'has' if len(lost) == 1 else 'have'} only a velocity: use --method ml, or other --axes"
+            )
     return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
 
 

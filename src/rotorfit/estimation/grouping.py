@@ -35,8 +35,8 @@ def without_held_axes(flights: Sequence[Flight], beside: Sequence[Flight] = ()) 
             notes=(
                 *flight.notes,
                 *(
-                    Note("held_axis", f"{axis} is only held, by {100 * part:.1f} % of the commands of another flight: "
-                         "it is not fitted to this one", len(flight.command))
+                    Note("held_axis", f"{axis} is only held (its commands are {100 * part:.1f} % of those of another "
+                         "flight) and is not fitted to this flight", len(flight.command))
                     for axis, part in zip(AXES, row, strict=True)
                     if 0 < part < HELD
                 ),

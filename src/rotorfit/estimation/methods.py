@@ -33,7 +33,7 @@ METHODS: Mapping[str, Method] = {
     "ml": Method("maximum likelihood", likelihood=True),
     "robust": Method("maximum likelihood without outliers", likelihood=True, in_comparison=False),
     "paper": Method("the paper's regression, without delay"),
-    "svf": Method("least squares behind a state-variable filter", f"{_REGRESSION}.least_squares:svf"),
+    "svf": Method("least squares with a state-variable filter", f"{_REGRESSION}.least_squares:svf"),
     "weak": Method("least squares on the weak form", f"{_REGRESSION}.least_squares:weak"),
     "iv": Method("refined instrumental variables", f"{_REGRESSION}.instrumental_variables:iv"),
     "oe": Method("output error", f"{_REGRESSION}.output_error:oe"),

@@ -228,11 +228,11 @@ def findings_of_braking(axis: str, found: Braking, time: float, whole: float) ->
         f"while the command of {axis} is zero, {100 * found.share:.0f} % of the time, a damping of {found.further:.2g} "
         f"+- {1.96 * found.error:.1g} 1/s acts beside that of the law, by one linearised step "
         f"(p = {found.probability:.1g}); no linear law does that",
-        f"{axis} was fitted to the {time:.0f} of {whole:.0f} s in which it is commanded, and the model is of these "
-        "only: where nothing is asked of it the vehicle brakes of itself"
+        f"{axis} was fitted to the {time:.0f} of {whole:.0f} s in which it is commanded, and the model is valid "
+        "for these only: at zero command the vehicle brakes by itself"
         if apart
-        else f"the coefficients of {axis} are a mean of two laws and fit neither, and the parts under commands are too "
-        "short to tell one of them",
+        else f"the coefficients of {axis} average two laws and fit neither; the commanded parts are too short to "
+        "identify one",
         f"fly {axis} with commands that do not rest at zero: sines, or steps from one speed to another",
         axis,
     )

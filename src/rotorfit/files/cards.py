@@ -179,7 +179,7 @@ def _text(value: Any, place: str) -> str:
 
 def _names(value: Any, place: str) -> tuple[str, ...]:
     if not isinstance(value, list):
-        raise CardError(f"{place}: must be a list of names, not {value!r}")
+        raise CardError(f"{place}: must be a list of names, not {shown(value)}")
     return tuple(_text(name, place) for name in value)
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -275,7 +276,7 @@ def _check_sense(plan: Plan, place: str) -> None:
         asked += [(f"excitation {number}, {name}", *ends) for name, ends in _bounds(each, plan.rate).items()]
     for name, value, most in asked:
         if not value <= most:
-            raise PlanError(f"{place}, {name}: {value:g} is beyond {most:g}: no flight has that")
+            raise PlanError(f"{place}, {name}: {value:g} exceeds the limit {most:g}")
     sines = sum(len(each.signal.amplitude) for each in plan.excitations if isinstance(each.signal, Sines))
     if plan.duration * plan.rate * max(sines, 1) > MOST_SAMPLES:
         raise PlanError(f"{place}: {sines} sines over {plan.duration:g} s at {plan.rate:g} Hz are too many")
@@ -318,9 +319,9 @@ def _check_believed(plan: Plan, place: str) -> None:
     gamma = _numbers(plan.belief, "gamma", where, 8)
     for axis, gain, damping in zip(AXES, gamma[::2], gamma[1::2], strict=True):
         if not GAINS[0] <= abs(gain) <= GAINS[1]:
-            raise PlanError(f"{where}, gamma: an input of {gain:g} on {axis} is none of a vehicle; plan it again")
+            raise PlanError(f"{where}, gamma: an input of {gain:g} on {axis} is implausible; plan it again")
         if abs(damping) > GAINS[1]:
-            raise PlanError(f"{where}, gamma: a damping of {damping:g} on {axis} is none of a vehicle; plan it again")
+            raise PlanError(f"{where}, gamma: a damping of {damping:g} on {axis} is implausible; plan it again")
 
 
 def _checked_card(raw: Mapping[str, Any], place: str) -> Mapping[str, Any]:
@@ -363,7 +364,7 @@ def _signal(kind: str, raw: Mapping[str, Any], place: str) -> Signal:
         return Chirp(_number(raw, "amplitude", place), (low, high), _positive(raw, "sweep", place))
     if kind == "steps":
         time, level = _numbers(raw, "time", place), _numbers(raw, "level", place)
-        if len(time) != len(level) or list(time) != sorted(time):
+        if len(time) != len(level) or any(after <= before for before, after in pairwise(time)):
             raise PlanError(
                 f"{place}: time must increase and have a level each: {len(time)} times, {len(level)} levels"
             )

@@ -220,14 +220,14 @@ def _clock_notes(clocks: Clocks | None, count: int) -> tuple[Note, ...]:
     )
     if clocks.includes_delay:
         text = (
-            f"{count} commands were moved onto the clock of the poses, so that their answer comes {ANSWER:g} s after "
-            f"them: as stamped, it comes {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s after them, offset and delay "
-            "together, and nothing tells the one from the other"
+            f"{count} commands were moved onto the clock of the poses, so that the response comes {ANSWER:g} s "
+            f"after them: as stamped, it comes {clocks.with_delay:+.2f} +- {ANSWER_HALF:.2f} s after them, offset and "
+            "delay together; the two cannot be separated"
         )
     elif clocks.moved:
-        text = f"{count} commands were moved onto the clock of the poses by {figures}, told by the vehicle's own motion"
+        text = f"{count} commands were moved onto the clock of the poses by {figures}, from the vehicle's own motion"
     else:
-        seen = "" if clocks.source == "none" else f"; the vehicle's own motion says {figures}"
+        seen = "" if clocks.source == "none" else f"; the vehicle's own motion gives {figures}"
         text = (
             f"the stamps of {count} commands stay as they are beside the poses of another file: {clocks.stated}{seen}"
         )
@@ -321,9 +321,7 @@ def _in_heading_frame(
     order = np.argsort(time, kind="stable")
     time, values = time[order], np.concatenate([command, command[held[added]]])[order]
     turned = heading_from_world(values[:, :2], np.interp(time, pose_time, yaw))
-    text = (
-        f"{len(command)} commands along the axes of the world were turned to those of the vehicle by the measured yaw"
-    )
+    text = f"{len(command)} commands along the axes of the world were turned into the heading frame by the measured yaw"
     if added:
-        text += f"; {len(added)} were added where it turned while a command held"
-    return time, np.hstack([turned, values[:, 2:]]), Note("world_commands", text, len(added))
+        text += f"; {len(added)} more were added where it turned while a command was held"
+    return time, np.hstack([turned, values[:, 2:]]), Note("world_commands", text, len(command))

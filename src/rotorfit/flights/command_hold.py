@@ -228,6 +228,7 @@ def _told(levels: list[_Level], hold: float, found: str) -> str:
         if level.share and level.share.known:
             why = f"the vehicle followed {level.share.value:.2f} +- {SIGMAS * level.share.error:.2f} of it"
         else:
-            why = f"the motion does not tell{', and vehicles do not give up so soon' if level.kept else ''}"
-        parts.append(f"through {what} the last command {'acts on' if level.kept else 'is not taken to act'}: {why}")
+            why = f"the motion does not show it{', and vehicles hold commands for longer' if level.kept else ''}"
+        kept = "is assumed to keep acting" if level.kept else "is assumed to have ended"
+        parts.append(f"through {what} the last command {kept}: {why}")
     return f"{found}: a command is held for {hold:.3f} s at most; {'; '.join(parts)}"

@@ -107,8 +107,8 @@ def with_travel(log: Log, position: Array, pose_time: Array, velocity: Velocity)
         travel = np.concatenate([[0.0], np.cumsum(0.5 * step * (v[1:] + v[:-1]))])
         out[:, k] = np.interp(pose_time, velocity.time, travel)
     text = (
-        f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities stand for it, and the delay "
-        "holds how late they are"
+        f"{', '.join(velocity.alone)} have no position: {velocity.time.size} velocities replace it, and the delay "
+        "includes their latency"
     )
     notes: tuple[Note, ...] = (Note("velocity_only", text, velocity.time.size),)
     for axis in velocity.alone:

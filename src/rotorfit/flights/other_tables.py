@@ -101,7 +101,7 @@ def own_clock(log: Log, time: Channel, channel: Channel) -> Stamps:
     for other in ("log_time", "header.stamp"):
         if other in there:
             return stamps_of(log, Channel(f"{table}:{other}"))
-    raise CardError(f"{log.path}: nothing tells the time of {channel.source}: {table} has no column {name!r}")
+    raise CardError(f"{log.path}: no time stamps for {channel.source}: {table} has no column {name!r}")
 
 
 def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
@@ -167,7 +167,7 @@ def state_samples(log: Log, card: Card, channel: Channel, what: str) -> tuple[St
     clocks = [stamps_of(log, time) for time in times] or [own_clock(log, card.command_time, channel)]
     clock = next((clock for clock in clocks if abs(len(clock) - len(values)) <= 1), None)
     if clock is None:
-        raise CardError(f"{log.path}: nothing tells the time of {what} {channel.source} ({len(values)} values)")
+        raise CardError(f"{log.path}: no time stamps for {what} {channel.source} ({len(values)} values)")
     shared = min(len(clock), len(values))
     return clock[:shared], values[:shared]
 

@@ -366,11 +366,11 @@ def _checked(belief: Belief) -> Belief:
     for axis, damping in zip(AXES, belief.truth.gamma[1::2], strict=True):
         if not damping > 0:
             raise PlanError(
-                f"{belief.source}: the damping of {axis} is {damping:g}: such a vehicle runs away and no flight of it "
-                "can be planned; give a model by the likelihood, which keeps it positive"
+                f"{belief.source}: the damping of {axis} is {damping:g}: such a vehicle is unstable, no flight of it "
+                "can be planned; give a model fitted by --method ml, which keeps it positive"
             )
     if not (np.all(np.isfinite(belief.covariance)) and np.all(np.diag(belief.covariance) >= 0)):
-        raise PlanError(f"{belief.source}: its covariance is no covariance; plan from a model that was fitted")
+        raise PlanError(f"{belief.source}: its covariance is invalid; plan from a model that was fitted")
     return belief
 
 

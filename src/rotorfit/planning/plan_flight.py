@@ -170,7 +170,7 @@ def _loop(wanted: _Wanted, open_loop: bool) -> tuple[Feedback | None, list[str]]
             f"soft feedback centres the excited axes: without it {drifts}"
         ]
     if metres > TELLING:
-        return bare, [f"nothing centres the excited axes: {drifts} within {wanted.duration:g} s, and 2.5 % go further"]
+        return bare, [f"nothing centres the excited axes: {drifts} within {wanted.duration:g} s, 2.5 % of them further"]
     return bare, []
 
 

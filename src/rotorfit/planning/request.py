@@ -67,7 +67,7 @@ def _space(
     finite = all(abs(end) < 1e6 for end in (*lower, *upper))
     if not (finite and all(high - low >= 0.2 for low, high in zip(lower, upper, strict=True))):
         raise PlanError(
-            f"{text!r} leaves no space to fly in: {MARGIN:g} m are kept from walls and ceiling of a room, {FLOOR:g} m "
+            f"{text!r} leaves no room to fly: plans keep {MARGIN:g} m from walls and ceiling of a room and {FLOOR:g} m "
             "from its floor, and 0.2 m must be left each way"
         )
     if not (0 < speed < 100 and 0 < climb < 100):

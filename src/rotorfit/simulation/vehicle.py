@@ -328,7 +328,7 @@ def _read(noun: type[Any], raw: Mapping[str, Any], place: str) -> Any:
     known = {field.name: field for field in fields(noun)}
     for key in raw:
         if key not in known:
-            raise VehicleError(f"{place}: nobody knows key {shown(key)}{nearest(key, known)}")
+            raise VehicleError(f"{place}: unknown key {shown(key)}{nearest(key, known)}")
     missing = [name for name, field in known.items() if name not in raw and field.default is MISSING]
     if missing:
         raise VehicleError(f"{place}: {missing[0]} is missing")

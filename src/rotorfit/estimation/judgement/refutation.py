@@ -296,7 +296,7 @@ INDEPENDENT = 3
 def _following(rest: LackOfFit, errors: Mapping[str, float]) -> Evidence:
     return Evidence(
         "follows_command",
-        f"what the law leaves follows the commands of the second before: chi-square {rest.statistic:.0f} of "
+        f"the residual depends on the commands of the previous second: chi-square {rest.statistic:.0f} of "
         f"{rest.freedom}",
         rest.p_value,
         {name: float(np.sqrt(rest.factor - 1)) * error for name, error in errors.items()} if rest.factor > 1 else {},

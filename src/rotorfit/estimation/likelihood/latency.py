@@ -90,11 +90,14 @@ def align_velocity(flight: Flight, wanted: Sequence[str] = AXES) -> Flight:
             late[places], error[places] = latency.value, 0.5 * (latency.high - latency.low)
             text = (
                 f"the vehicle's own velocity of {named} is {1e3 * latency.value:.0f} ms later than the pose (95 %: "
-                f"{1e3 * latency.low:.0f} to {1e3 * latency.high:.0f}): its stamps were moved by that"
+                f"{1e3 * latency.low:.0f} to {1e3 * latency.high:.0f}): its stamps were shifted accordingly"
             )
         else:
             value[:, places] = np.nan
-            text = f"how late the vehicle's own velocity of {named} is cannot be told from this flight: it is not used"
+            text = (
+                f"the latency of the vehicle's own velocity of {named} is not identifiable from this flight: the "
+                "velocity is not used"
+            )
         notes = (*notes, Note("velocity_latency", text, velocity.time.size))
     on_time = moved(replace(velocity, value=value), late, flight.pose_time, flight.yaw)
     return replace(flight, velocity=replace(on_time, late_error=error), notes=notes)

@@ -50,7 +50,7 @@ Source: R. E. Kass, A. E. Raftery, J. Amer. Statist. Assoc. 90 (1995), pp. 773-7
 LAGS = 20
 """Number of lags of the autocorrelation of the innovations that are used."""
 
-SAME = "not identifiable: what it adds cannot be told from its other parameters with these commands"
+SAME = "not identifiable: what it adds cannot be distinguished from its other parameters with these commands"
 """Verdict on a structure whose further parameters are not identifiable with these commands."""
 
 
@@ -146,7 +146,7 @@ def _choice(
     samples, share = effective_samples(estimates[axis])
     trials = [_trial(serving, folds, estimates, axis, structure, samples, share) for structure in names]
     trials.sort(key=lambda trial: (trial.structure != FIRST_ORDER_DELAY, trial.structure.size))  # else as in the table
-    best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the default, to be beaten")]
+    best, verdicts = trials[0], [_Verdict(trials[0], trials[0], True, "the baseline")]
     for trial in trials[1:]:
         verdicts.append(_verdict(trial, best, len(trials) - 1))
         best = trial if verdicts[-1].passed else best
@@ -329,18 +329,18 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     kept = near.no_worse and far.no_worse
     numbers = f"squared errors at 1 s {near.words}; at 5 s {far.words}"
     if cheaper and kept and (simpler or better) and trial.neglected <= NEGLIGIBLE_DELAY:
-        return _Verdict(trial, rival, True, f"earned over {name}: {numbers}")
+        return _Verdict(trial, rival, True, f"preferred to {name}: {numbers}")
     if trial.neglected > NEGLIGIBLE_DELAY:
         why = f"the delay may be as long as {trial.neglected:.2f} s"
     elif simpler and not cheaper:
-        why = "the likelihood falls by more than a parameter is worth"
+        why = "the likelihood decreases by more than the penalty of a parameter"
     elif not cheaper:
-        why = "its likelihood does not pay for its parameters"
+        why = "the likelihood gain does not justify its parameters"
     elif not kept:
         why = "it predicts worse"
     else:
         why = "its predictions are not better beyond their uncertainty"
-    return _Verdict(trial, rival, False, f"not earned: {why} ({numbers})")
+    return _Verdict(trial, rival, False, f"rejected: {why} ({numbers})")
 
 
 def _candidate(verdict: _Verdict, best: _Trial) -> Candidate:
@@ -373,11 +373,11 @@ def _on_little(trial: _Trial, rival: _Trial) -> _Verdict:
     """The verdict where predictions are too few for a test: very strong evidence from the criterion, smaller errors."""
     error, other = trial.held_out.rmse(NEAR), rival.held_out.rmse(NEAR)
     if error is None or other is None:
-        return _Verdict(trial, rival, False, "not judged: too little is held out to compare predictions")
+        return _Verdict(trial, rival, False, "not judged: too few data are held out to compare predictions")
     numbers = (
         f"criterion {trial.bic - rival.bic:+.0f}, errors at 1 s {error / other:.2f} times as large, too few to test"
     )
     passed = trial.structure.size >= rival.structure.size and trial.bic < rival.bic - VERY_STRONG and error < other
     if passed:
-        return _Verdict(trial, rival, True, f"earned over {rival.structure.name} on little: {numbers}")
-    return _Verdict(trial, rival, False, f"not earned: little is held out, and the evidence is not strong ({numbers})")
+        return _Verdict(trial, rival, True, f"preferred to {rival.structure.name} on few data: {numbers}")
+    return _Verdict(trial, rival, False, f"rejected: few data are held out, and the evidence is not strong ({numbers})")

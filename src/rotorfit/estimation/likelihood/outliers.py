@@ -242,9 +242,7 @@ def _notes(flight: Flight, outliers: Sequence[Outlier]) -> tuple[Note, ...]:
         return ()
     largest = sorted(outliers, key=lambda one: -one.size)[:LISTED]
     listed = ", ".join(f"{one.size:.3g} in {one.axis} at {one.time:.2f} s" for one in largest)
-    text = (
-        f"{len(outliers)} of {flight.pose_time.size} poses are not where the vehicle was (m, rad: {listed}): left out"
-    )
+    text = f"{len(outliers)} of {flight.pose_time.size} poses are outliers (m, rad: {listed}): left out"
     return (Note("outlier_poses", text, len(outliers)),)
 
 
@@ -254,7 +252,7 @@ def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[
         yield Finding(
             "outliers",
             "info",
-            f"0 of {sum(flight.pose_time.size for flight in flights)} poses are not where the vehicle was",
+            f"0 of {sum(flight.pose_time.size for flight in flights)} poses are outliers",
             "none was left out: the numbers are those of --method ml",
             "nothing",
         )
@@ -266,8 +264,8 @@ def outlier_findings(flights: Sequence[Flight], outliers: Outliers) -> Iterator[
         yield Finding(
             "outliers",
             "warning" if share > MANY else "info",
-            f"{flight.path}: {len(found)} poses ({100 * share:.2g} %) are not where the vehicle was, the largest by "
+            f"{flight.path}: {len(found)} poses ({100 * share:.2g} %) are outliers, the largest by "
             f"{largest.size:.3g} {'rad' if largest.axis == 'yaw' else 'm'} in {largest.axis} at {largest.time:.2f} s",
-            "they were left out; kept, they would pass for motion and make every interval wide or wrong",
+            "they were left out; kept, they would be fitted as motion and make every interval wide or wrong",
             "look for swapped or reflecting markers in the motion capture at these times",
         )

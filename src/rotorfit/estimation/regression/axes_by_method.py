@@ -19,7 +19,7 @@ from rotorfit.estimation.regression.result import MethodResult, axis_of_rung
 Estimator = Callable[[Sequence[Flight], tuple[str, ...]], MethodResult]
 """From flights of one vehicle and setting, and the axes that are estimated together, to their coefficients."""
 
-NOT_VALID = "not valid here: the commands answer the motion, and no reference was recorded"
+NOT_VALID = "not valid here: the commands respond to the motion, and no reference was recorded"
 """Remark on an instrument computed from commands that come from a feedback loop."""
 
 

@@ -187,7 +187,7 @@ def _rung(
     trim = np.zeros((len(flights), K))
     trim[list(places)] = point.trim
     nothing = np.where(active, 0.0, np.nan)
-    idle = ("not_excited", "the command is zero wherever it could be used")
+    idle = ("not_excited", "the command is zero in all usable data")
     failed = {axis: idle for axis, moves in zip(axes, active, strict=True) if not moves}
     for k, axis in enumerate(axes):
         if active[k] and not used[[k, K + k]].all():

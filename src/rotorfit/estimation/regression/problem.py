@@ -95,7 +95,7 @@ def unfit(problem: Problem) -> dict[str, tuple[str, str]]:
         reason = f"{used:.1f} s of poses under known commands can be filtered, {LEAST_TIME:g} s are needed"
         return dict.fromkeys(problem.axes, ("too_short", reason))
     if not problem.layout.active:
-        return dict.fromkeys(problem.axes, ("not_excited", "the command is zero wherever it could be used"))
+        return dict.fromkeys(problem.axes, ("not_excited", "the command is zero in all usable data"))
     return {}
 
 
@@ -201,7 +201,7 @@ def rung_of(
     places = np.concatenate([active, 2 * K + np.array(active), K + np.array(active)])
     whole = np.full((3 * K, 3 * K), np.nan)
     whole[np.ix_(places, places)] = covariance
-    idle = ("not_excited", "the command is zero wherever it could be used")
+    idle = ("not_excited", "the command is zero in all usable data")
     return MethodResult(
         method=method,
         axes=problem.axes,

@@ -83,13 +83,13 @@ def axis_of_rung(rung: MethodResult, axis: str) -> tuple[Axis, str]:
     if not (np.isfinite([*value.values(), *variance]).all() and (variance > 0).all()):
         return unknown_axis("diverged"), "the estimate or its standard error is not a finite number"
     if abs(value["damping"]) > FASTEST:
-        return unknown_axis("diverged"), f"the damping ran away, beyond {FASTEST:g} 1/s"
+        return unknown_axis("diverged"), f"the damping diverged beyond {FASTEST:g} 1/s"
     error = {name: float(np.sqrt(v)) for name, v in zip(COEFFICIENTS, variance, strict=True)}
     half = {name: rung.quantile * error[name] for name in COEFFICIENTS}
     ends: dict[str, Interval] = {name: (value[name] - half[name], value[name] + half[name]) for name in COEFFICIENTS}
     if half["input"] >= abs(value["input"]):
         low, high = ends["input"]
-        return unknown_axis("not_excited"), f"the interval of the input gain, {low:.2g} to {high:.2g}, holds 0"
+        return unknown_axis("not_excited"), f"the interval of the input gain, {low:.2g} to {high:.2g}, contains 0"
     status, reason = _statuses(value, half)
     return Axis(
         input=value["input"] if status["input"] == "ok" else None,

@@ -99,7 +99,7 @@ def _by_answer(
     if not isinstance(found, Offset):
         onboard_too = f"; onboard motion, poses: {refused}" if refused else ""
         raise FlightError(
-            f"{log.path}: nothing tells how the clocks of the two files stand to each other; commands, poses: {found}"
+            f"{log.path}: the clock offset between the two files cannot be determined; commands, poses: {found}"
             f'{onboard_too}; name the vehicle\'s own velocity in [velocity] of the card, or write clock = "one" in it '
             "if they are one clock"
         )
