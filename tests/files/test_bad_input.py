@@ -162,7 +162,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "pose that is never a number": (
         lambda folder: changed(folder, x=np.nan),
-        "no pose is complete (x is always missing)",
+        "no pose is complete (x always missing)",
     ),
     "constant pose": (lambda folder: changed(folder, x=1.0, y=2.0, z=3.0, yaw=0.0), "the pose never changes"),
     "NaN everywhere": (
@@ -389,7 +389,7 @@ def test_a_validation_refuses_a_bad_log(tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     assert run("fit", csv(tmp_path, columns()), "--method", "paper", "-o", model).exit_code == 0
 
-    check_refused(run("validate", model, *changed(tmp_path, yaw=np.nan), "--json"), "yaw is always missing")
+    check_refused(run("validate", model, *changed(tmp_path, yaw=np.nan), "--json"), "yaw always missing")
     check_refused(run("validate", model, tmp_path / "none.csv"), "no such file")
 
 

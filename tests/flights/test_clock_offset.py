@@ -262,7 +262,7 @@ def test_without_a_second_source_the_delay_is_not_identifiable(excitation: objec
 
 def test_flights_with_and_without_the_delay_in_their_clocks_are_not_fitted_together() -> None:
     log = as_one(flown(), Skew(0.3))
-    with pytest.raises(FlightError, match="fit it apart"):
+    with pytest.raises(FlightError, match="fit this flight separately"):
         fit_as_flown([replace(read(log, velocity=False), card=card_of()), read(log)])
 
 

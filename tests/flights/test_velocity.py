@@ -355,7 +355,8 @@ def test_a_model_of_velocities_does_not_judge_positions(alone: tuple[Flight, Fit
 
 @pytest.mark.parametrize("method", ["robust", "oe", "iv", "svf", "weak"])
 def test_methods_that_need_positions_say_so(alone: tuple[Flight, Fit], method: Any) -> None:
-    posed, unposed = replace(alone[0], path="posed.bag", velocity_only=()), replace(alone[0], path="alone.bag")
+    other = flight_from_log(with_odometry(flown(Truth(), ("x", "z"), seed=9)), onboard_card())
+    posed, unposed = replace(other, velocity=None), replace(alone[0], path="alone.bag")
 
     with pytest.raises(FlightError, match=r"^alone\.bag: the method .* needs positions, but x, z have only a velocity"):
         fit([posed, unposed], method, axes=("x", "z"))

@@ -254,7 +254,7 @@ def numbers(stream: Stream, log: Log) -> Stream:
     finite = np.abs(stream.values) <= LARGEST
     if not np.any(np.all(finite, axis=1)):
         never = [axis for axis, some in zip(AXES, np.any(finite, axis=0), strict=True) if not some]
-        which = f" ({', '.join(never)} is always missing)" if never else ""
+        which = f" ({', '.join(never)} always missing)" if never else ""
         raise FlightError(f"{log.path}: no {stream.what} is complete{which}; check [{stream.what}] of the card")
     whole = np.all(finite, axis=1)
     numbers, absent = keep_samples(stream, whole, f"nan_{stream.what}s", ""), int(np.sum(~whole))
