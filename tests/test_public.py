@@ -254,10 +254,10 @@ def test_a_real_vehicle_is_not_moved_unless_that_is_said(tmp_path: Path, monkeyp
 @pytest.mark.parametrize("wrong", [3, None, [3], b"flight.csv"])
 def test_what_is_neither_path_nor_flight_is_one_clear_error(wrong: Any, room: Room) -> None:
     for call in (rf.fit, rf.ladder, lambda flights: rf.validate(room.fit, flights)):
-        with pytest.raises(TypeError, match="a flight, the path of a log, or a sequence of them is wanted, not"):
+        with pytest.raises(TypeError, match="expected a flight, the path of a log, or a sequence of them, got"):
             call(wrong)
     for call in (rf.simulate, rf.tune, rf.state_space):
-        with pytest.raises(TypeError, match="a model, a fit or the path of a model file is wanted, not"):
+        with pytest.raises(TypeError, match="expected a model, a fit or the path of a model file, got"):
             call(wrong, *[[0.0]] * (3 if call is rf.simulate else 0))
 
 
@@ -312,7 +312,7 @@ def test_an_argument_of_another_type_is_a_type_error_that_says_what_is_wanted(
     }
     for argument, values in WRONG_TYPES[name].items():
         for value in values:
-            with pytest.raises(TypeError, match=r"wanted|is a|are a|can be saved") as error:
+            with pytest.raises(TypeError, match=r"expected|is a|are a|can be saved") as error:
                 getattr(rf, name)(**{**sound[name], argument: value})
             assert "\n" not in str(error.value)
     assert not list(tmp_path.iterdir())
@@ -356,7 +356,7 @@ def test_other_wrong_words_are_errors_that_say_what_is_right(room: Room) -> None
         rf.fit(room.train, "paper", card=room.card, uncertainty=True)
     with pytest.raises(TypeError, match="a model, a fit or a plan can be saved, not int 3"):
         rf.save(3, "model.json")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="a sequence of models, fits or model files is wanted"):
+    with pytest.raises(TypeError, match="expected a sequence of models, fits or model files"):
         rf.compare(room.fit, room.proof)  # type: ignore[arg-type]
     with pytest.raises(rf.RotorfitError, match="no such structure: 'best'; structures are "):
         rf.track(room.train, room.card, structure="best")

@@ -123,7 +123,7 @@ def test_the_table_shows_truth_and_estimates_side_by_side(result: Demo, capsys: 
 
     rows = re.findall(r"^ *(?:x|y|z|yaw)? +(?:input|damping|delay) +[\d.]+ +[\d.]+ .* to ", found, re.MULTILINE)
     assert len(rows) == 12
-    assert re.search(r"^\d+ of 12 intervals hold the truth", found, re.MULTILINE)
+    assert re.search(r"^\d+ of 12 intervals contain the truth", found, re.MULTILINE)
     assert re.search(r"^yaw +[\d.]+ +[\d.]+ +[\d.]+  ?validate_yaw\.mcap$", found, re.MULTILINE)
     assert all(str(path) in found for path in result.written)
 

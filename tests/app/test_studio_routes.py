@@ -289,7 +289,7 @@ def test_every_export_is_the_one_of_the_library(fitted: tuple[Studio, TestClient
     with pytest.raises(RotorfitError) as refusal:
         export(path, name, name="model_1")
     assert answer.status_code == 422
-    said = " ".join(str(refusal.value).split()).replace("--predictor", "'also axes that the data cannot tell'")
+    said = " ".join(str(refusal.value).split()).replace("--predictor", "'also axes that are not identifiable'")
     assert answer.json()["error"] == said
 
 

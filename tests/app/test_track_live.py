@@ -42,7 +42,7 @@ def run(*words: str) -> Result:
         (("--link", "sim:tello", "--card", "tello"), "what a command of 1 on x reaches; leave --card out"),
         (("--link", "sim,mass=2"), "'mass=2' is not mass=2@SECOND"),
         (("--link", "sim,load=2"), "'load=2' is not one of wind=NUMBER"),
-        (("--link", "replay"), "replay wants a file: --link replay:flight.mcap"),
+        (("--link", "replay"), "replay needs a file: --link replay:flight.mcap"),
         (("--link", "sim", "--page", "abc"), "'abc' is not a valid port number"),
         (("--link", "sim,mass=0@2"), "'mass=0@2' is not WHAT=VALUE@SECOND"),
     ],
@@ -83,7 +83,7 @@ def test_the_page_of_a_link_has_every_second_of_its_flight(tmp_path: Path) -> No
     result = run("--link", "sim", "--for", "10", "--report", str(page), *QUICK)
 
     assert result.exit_code == 0, result.output
-    assert "what was heard is fitted once more" in result.stderr
+    assert "fitting the flight once more" in result.stderr
     assert re.search(r"From [6-8] s on", page.read_text(encoding="utf-8"))
 
 

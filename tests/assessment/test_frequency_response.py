@@ -255,7 +255,7 @@ def test_a_model_beside_a_flight_of_another_law_is_a_finding_and_a_table() -> No
     assert mapping["law_p"] < 1e-6
     assert len(mapping["gain_ci95"]) == len(mapping["frequency"]) == len(mapping["model_delay"])
     assert any("*" in cell for row in response_rows(axes["z"]) for cell in row)
-    assert "cannot have it" in response_line(axes["z"])
+    assert "inconsistent with the law" in response_line(axes["z"])
     gain, delay = response_charts([axes])
     assert (gain.kind, delay.kind) == ("response_gain", "response_delay")
     assert {"measured", "band", "model"} <= {line.role for line in gain.lines}

@@ -44,7 +44,9 @@ def test_fly_shows_the_preflight_flies_and_says_what_to_do_next(tmp_path: Path) 
 
     assert result.exit_code == 0, result.output
     assert "  ok   pose: 119 a second" in result.stdout
-    assert "If the link is lost: Simulated: the vehicle goes on as last told for 0.5 s, then hovers." in result.stdout
+    assert (
+        "If the link is lost: Simulated: the vehicle follows the last command for 0.5 s, then hovers." in result.stdout
+    )
     assert "Flown: completed." in result.stdout
     assert "commands late" not in result.stdout  # simulated time is never late
     assert result.stdout.endswith(f"Next: rotorfit fit {output} -o model.json\n")
@@ -315,7 +317,7 @@ def test_a_log_of_others_is_played_back_in_the_world_frame(tmp_path: Path) -> No
     x, y, z, qw, _, _, qz = samples[3].values
     assert (x, y, z) == (2.0, 3.0, 3.0)
     assert 2 * np.arctan2(qz, qw) == pytest.approx(np.pi / 2 - 0.5)
-    with pytest.raises(LinkError, match="replay wants a file: --link replay:"):
+    with pytest.raises(LinkError, match="replay needs a file: --link replay:"):
         open_link("replay", CARD)
 
 

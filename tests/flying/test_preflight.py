@@ -82,7 +82,7 @@ def test_a_battery_of_which_nobody_tells_is_said() -> None:
     link.samples = lambda _, samples: [sample for sample in samples if sample.stream == "pose"]
 
     (text,) = (check.text for check in preflight(plan_of(), link).checks if check.name == "battery")
-    assert text == "not known: nothing was told of it within 1 s; look at it yourself"
+    assert text == "unknown: no battery report within 1 s; check it yourself"
 
 
 def test_what_the_vehicle_says_meanwhile_is_told_once() -> None:
@@ -104,7 +104,7 @@ def test_how_far_the_vehicle_runs_on_without_commands_is_told_and_that_room_is_k
     short, long = run_on(plan, 0.5), run_on(plan, 9.0)
     assert told(Silence(0.5)) == (
         True,
-        "when they stop at the worst instant, the vehicle goes on as last told for 0.5 s and comes to rest "
+        "when they stop at the worst instant, the vehicle follows the last command for 0.5 s and comes to rest "
         f"{short.sideways:.1f} m sideways and 0.0 m up or down from there, inside of the box",
     )
     assert long.sideways > 3 * short.sideways
@@ -125,7 +125,7 @@ class SilentNobody(Watched):
 
 def test_slow_poses_and_a_vehicle_that_drifts_are_told() -> None:
     slow = preflight(plan_of(), Watched(room_link(Conditions(mocap=Mocap(rate=5.0)))))
-    assert wrong(slow) == {"pose": "5 a second, 0% of them repeat; at least 8 a second are needed"}
+    assert wrong(slow) == {"pose": "5 a second, 0 % repeated; at least 8 a second are needed"}
 
     def drifting(_: float, samples: list[Sample]) -> list[Sample]:
         return [

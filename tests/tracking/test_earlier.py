@@ -64,7 +64,7 @@ def test_a_tracker_states_the_earlier_model_at_once_and_never_as_learnt(tmp_path
     path = tmp_path / "first.json"
     save(model, path)
     assert Tracker(model.card, LAW, after=str(path)).state().axes["x"].earlier == "first.json"
-    with pytest.raises(TypeError, match="path of a model file is wanted, not int"):
+    with pytest.raises(TypeError, match="path of a model file, got int"):
         Tracker(model.card, LAW, after=3)  # type: ignore[arg-type]
 
 

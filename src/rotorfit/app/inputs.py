@@ -35,7 +35,7 @@ CardLike = Card | FilePath
 def path_text(path: object) -> str:
     """A path as text."""
     if not isinstance(path, str | PathLike):
-        raise TypeError(f"a path is wanted, not {named(path)}")
+        raise TypeError(f"expected a path, got {named(path)}")
     return str(fspath(path))
 
 
@@ -60,13 +60,13 @@ def as_model(model: ModelLike) -> Model:
         return model
     if isinstance(model, str | PathLike):
         return load(path_text(model))
-    raise TypeError(f"a model, a fit or the path of a model file is wanted, not {named(model)}")
+    raise TypeError(f"expected a model, a fit or the path of a model file, got {named(model)}")
 
 
 def as_models(models: Iterable[ModelLike]) -> tuple[list[str], list[Model]]:
     """Names and models; a model in memory has no file and is named by its number."""
     if isinstance(models, str | PathLike | Model | Fit) or not isinstance(models, Iterable):
-        raise TypeError(f"a sequence of models, fits or model files is wanted, not {named(models)}")
+        raise TypeError(f"expected a sequence of models, fits or model files, got {named(models)}")
     given = list(models)
     if not given:
         raise ModelError("no model: give at least one")
@@ -77,22 +77,22 @@ def as_models(models: Iterable[ModelLike]) -> tuple[list[str], list[Model]]:
 def as_logs(flights: Flights) -> list[LogSpan | Flight]:
     """Flights as they are, paths with their spans."""
     many = [flights] if isinstance(flights, str | PathLike | Flight | Log) else flights
-    wanted = "a flight, the path of a log, or a sequence of them is wanted"
+    wanted = "expected a flight, the path of a log, or a sequence of them"
     if not isinstance(many, Iterable):
-        raise TypeError(f"{wanted}, not {named(flights)}")
+        raise TypeError(f"{wanted}, got {named(flights)}")
     given = list(many)
     for one in given:
         if isinstance(one, Log):
-            raise TypeError(f"{wanted}, not {named(one)}: make a flight of it with rotorfit.flight(log, card)")
+            raise TypeError(f"{wanted}, got {named(one)}: make a flight of it with rotorfit.flight(log, card)")
         if not isinstance(one, str | PathLike | Flight):
-            raise TypeError(f"{wanted}, not {named(one)}")
+            raise TypeError(f"{wanted}, got {named(one)}")
     return [one if isinstance(one, Flight) else parse_log(path_text(one)) for one in given]
 
 
 def as_axes(axes: object) -> tuple[str, ...]:
     """Names of axes, from a sequence or a text with commas."""
     if not isinstance(axes, Iterable) or not all(isinstance(axis, str) for axis in axes):
-        raise TypeError(f"names of axes are wanted, not {named(axes)}")
+        raise TypeError(f"expected names of axes, got {named(axes)}")
     wanted = tuple(part.strip() for part in axes.split(",")) if isinstance(axes, str) else tuple(axes)
     if unknown := [axis for axis in wanted if axis not in AXES]:
         raise RotorfitError(f"no such axis: {', '.join(map(repr, unknown))}; axes are {', '.join(AXES)}")
@@ -102,7 +102,7 @@ def as_axes(axes: object) -> tuple[str, ...]:
 def as_word(word: object, what: str) -> str:
     """A name; `what` says of what."""
     if not isinstance(word, str):
-        raise TypeError(f"the name of a {what} is wanted, not {named(word)}")
+        raise TypeError(f"expected the name of a {what}, got {named(word)}")
     return word
 
 
@@ -150,10 +150,10 @@ def as_array(values: object, shape: tuple[int | None, ...], what: str) -> Array:
     try:
         array = np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{what}: an array of numbers is wanted, not {named(values)}") from None
+        raise TypeError(f"{what}: expected an array of numbers, got {named(values)}") from None
     if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("N" if n is None else str(n) for n in shape)
-        raise TypeError(f"{what}: an array of shape ({wanted}) is wanted, not {array.shape}")
+        raise TypeError(f"{what}: expected an array of shape ({wanted}), got {array.shape}")
     return array
 
 
@@ -162,5 +162,5 @@ def joined(sizes: object, by: str) -> str | None:
     if sizes is None or isinstance(sizes, str):
         return sizes
     if not isinstance(sizes, Sequence) or not sizes:
-        raise TypeError(f"lengths in metres are wanted, not {named(sizes)}")
+        raise TypeError(f"expected lengths in metres, got {named(sizes)}")
     return by.join(str(as_number(size, "a length")) for size in sizes)

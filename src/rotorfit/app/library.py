@@ -197,7 +197,7 @@ def track(
     if not 0 < most <= 60:
         raise RotorfitError(f"false alarms an hour are above 0 and at most 60, not {most:g}")
     if not isinstance(flight, Flight | Log | str | PathLike):
-        raise TypeError(f"a flight, a log or the path of a log is wanted, not {named(flight)}")
+        raise TypeError(f"expected a flight, a log or the path of a log, got {named(flight)}")
     earlier = None if after is None else earlier_of(after)
     chosen = as_card(card)
     given = flight if isinstance(flight, Flight) else flight_from_log(flight, chosen)

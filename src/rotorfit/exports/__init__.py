@@ -104,9 +104,7 @@ def export(
     )
     check(subject, to, form)
     if path and form.named and Path(path).stem != subject.name:
-        raise ExportError(
-            f"{path}: {to} wants the file to have the name of its function; call it {subject.name}{form.suffix}"
-        )
+        raise ExportError(f"{path}: a {to} file must be named after its function; call it {subject.name}{form.suffix}")
     mark = f"Written by rotorfit export {__version__}, format {to}."
     lines = header(
         subject, summary_of(subject, form), trained_on(training), scores(known, validation, subject.axes), mark

@@ -93,7 +93,7 @@ class Listening:
             if stopped := self._stopped():
                 return self._end(stopped)
             if self._seconds is not None and batch.now - begun >= self._seconds * 1e9:
-                return self._end(f"{self._seconds:g} s are over")
+                return self._end(f"{self._seconds:g} s have passed")
             if batch.now - heard_at > max(self._patience, SILENT) * 1e9:
                 return self._end(f"no pose for {self._patience:g} s", lost=True)
         return None

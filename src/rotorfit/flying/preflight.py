@@ -131,7 +131,7 @@ def _rate(poses: Sequence[Sample]) -> Check:
         return Check("pose", False, "none came; is the motion capture on, and the body in sight?")
     values = {pose.values for pose in poses}
     rate = len(poses) / LISTENING
-    text = f"{rate:.0f} a second, {1 - len(values) / len(poses):.0%} of them repeat"
+    text = f"{rate:.0f} a second, {100 * (1 - len(values) / len(poses)):.0f} % repeated"
     if rate < SLOWEST:
         return Check("pose", False, f"{text}; at least {SLOWEST:g} a second are needed")
     return Check("pose", True, text)
@@ -146,7 +146,7 @@ def _inside(watch: Watch, limits: Limits, now: int, take_off: bool) -> Check:
         low, high = (", ".join(f"{value:.2f}" for value in corner) for corner in (limits.lower, limits.upper))
         under = " or the room below it" if take_off else ""
         return Check("box", False, f"the vehicle is at ({place}) m, outside of the box ({low}) to ({high}){under}")
-    to = "to the nearest side or top of the box, which it enters from below" if take_off else "inside"
+    to = "to the nearest side or top of the box, which it enters from below" if take_off else "from the fence"
     return Check("box", True, f"at ({place}) m, {left:.2f} m {to}")
 
 
@@ -173,7 +173,7 @@ def _still(watch: Watch) -> Check:
 
 def _battery(watch: Watch) -> Check:
     if watch.battery is None:
-        return Check("battery", True, f"not known: nothing was told of it within {LISTENING:g} s; look at it yourself")
+        return Check("battery", True, f"unknown: no battery report within {LISTENING:g} s; check it yourself")
     text = f"{watch.battery:.0%} left"
     ok = watch.battery >= CHARGE
     return Check("battery", ok, text if ok else f"{text}; at least {CHARGE:.0%} are needed")
@@ -220,8 +220,8 @@ def _silent(plan: Plan, link: Link) -> list[Check]:
     far = run_on(plan, goes_on)
     ok = far.outside <= BEHIND or not (link.live and parameter)
     text = (
-        f"when they stop at the worst instant, the vehicle goes on as last told for {goes_on:g} s and comes to rest "
-        f"{far.sideways:.1f} m sideways and {far.upright:.1f} m up or down from there, "
+        f"when they stop at the worst instant, the vehicle follows the last command for {goes_on:g} s and comes to "
+        f"rest {far.sideways:.1f} m sideways and {far.upright:.1f} m up or down from there, "
         + (f"{far.outside:.1f} m outside of the box (at {far.instant:.1f} s)" if far.outside else "inside of the box")
     )
     if parameter and far.outside:

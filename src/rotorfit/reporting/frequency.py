@@ -42,10 +42,10 @@ def response_line(comparison: ResponseComparison) -> str:
         return f"no frequency response: {flight.why_none}"
     if law is None:
         return "the law has no frequency response to compare" if comparison.model is None else "too few for a test"
-    verdict = "the law can have it" if law.p >= 0.05 else "the law cannot have it, whatever its coefficients"
+    verdict = "consistent with the law" if law.p >= 0.05 else "inconsistent with the law for any coefficients"
     return (
-        f"{verdict} (p = {law.p:.2g}, {law.freedom} degrees of freedom; most off at {law.worst:.2g} rad/s, by "
-        f"{law.worst_sigmas:.1f} standard errors); instrument: {flight.instrument}"
+        f"{verdict} (p = {law.p:.2g}, {law.freedom} degree{'s' * (law.freedom != 1)} of freedom; largest deviation at "
+        f"{law.worst:.2g} rad/s, by {law.worst_sigmas:.1f} standard errors); instrument: {flight.instrument}"
     )
 
 

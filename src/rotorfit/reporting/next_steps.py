@@ -98,7 +98,7 @@ def _vague(case: Case, known: Sequence[str], planned: Sequence[str]) -> list[Ste
     times, name = float(rows[axis].max()), COEFFICIENTS[int(np.argmax(rows[axis]))]
     if times <= 1:
         return []
-    why = f"The standard error of the {name} of {axis} is {figure(times)} times what a controller wants."
+    why = f"The standard error of the {name} of {axis} is {figure(times)} times the target for a controller."
     return [Step(f"Fly {and_list(group)} once more, and fit with it.", why, _plan(case, group))]
 
 
@@ -136,15 +136,15 @@ def wanted_chart(case: Case) -> RowChart | None:
         return None
     beyond = [row.name for row in rows if row.dots[0][1] is not None and row.dots[0][1] > 1]
     return RowChart(
-        title="Standard errors beside what is wanted",
-        x_label="standard error / wanted",
+        title="Standard errors relative to the target",
+        x_label="standard error / target",
         rows=tuple(rows),
-        reading="A dot right of the line is a coefficient that another flight should tell better; far left of it "
-        "nothing is gained. The line is what a controller does not feel: 2 % of the gain, 5 % of the damping, 5 ms.",
-        summary=f"{len(beyond)} of {len(rows)} coefficients are known less well than wanted"
+        reading="A dot right of the line is a coefficient that another flight should improve; far left of it nothing "
+        "is gained. The line is the target of a controller: 2 % of the gain, 5 % of the damping, 5 ms.",
+        summary=f"{len(beyond)} of {len(rows)} coefficients miss the target"
         f"{': ' if beyond else ''}{', '.join(beyond)}.",
         x_log=True,
-        level=(1.0, "wanted"),
+        level=(1.0, "target"),
     )
 
 
@@ -157,6 +157,6 @@ def _rows(model: Model, ratio: Array) -> list[ChartRow]:
             value = float(ratio[3 * a + i])
             if np.isfinite(value) and value > 0:
                 role = "vague" if value > 1 else "model"
-                text = f"{axis} {name}: standard error {figure(value)} times what is wanted"
+                text = f"{axis} {name}: standard error {figure(value)} times the target"
                 rows.append(ChartRow(f"{axis} {name}", ((role, value),), text))
     return rows

@@ -105,7 +105,7 @@ def timeline_page(track: Track, flight: Flight, files: Sequence[Path | None] = (
         title="Tracked flight",
         kind="tracked flight",
         name=flight.card.name,
-        origins=(("", f"{flight.path}: {last.time:.0f} s, second by second; nothing was looked at early."),),
+        origins=(("", f"{flight.path}: {last.time:.0f} s, tracked second by second from past data only."),),
         first="what is known now",
     )
     parts = {anchor: (title, f"timeline/{anchor}.html.j2", content) for anchor, (title, content) in sections.items()}

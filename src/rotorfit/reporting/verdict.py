@@ -345,7 +345,7 @@ def _residuals(tests: Sequence[ResidualTests]) -> Lamp:
     ratios = [each.variance_ratio for each in tests if not 1 / OTHER <= each.variance_ratio <= OTHER]
     if not against and ratios:
         told = ", ".join(f"{ratio:.2g}" for ratio in ratios)
-        text = f"their variance is {told} times that of the fit, whose intervals are those of other wind and noise"
+        text = f"their variance is {told} times that of the fit, whose intervals assume other wind and noise"
         widest = max(ratios) ** 0.5
         more = f"use it, but multiply the standard deviations of the noise in your estimator by {figure(widest)}"
         advice = more if widest > 1 else "use it; wind and noise are less here than in the fit, and so are the errors"
@@ -393,7 +393,10 @@ def _unknown(known: Axis, method: str) -> list[str]:
     for name, status in known.status.items():
         if status != "ok" and not (method == "paper" and name == "delay"):
             by.setdefault(status, []).append(name)
-    told = [f"{and_list(names)} alone cannot be told: {STATUS.get(status, status)}" for status, names in by.items()]
+    told = [
+        f"{and_list(names)} {'is' if len(names) == 1 else 'are'} not identifiable alone: {STATUS.get(status, status)}"
+        for status, names in by.items()
+    ]
     if method == "paper":
         told.append("the paper's method knows no delay: it predicts as if commands acted at once")
     return told

@@ -88,7 +88,7 @@ def earlier_of(after: Model | Fit | str | PathLike[str]) -> Earlier:
         return Earlier(after)
     if isinstance(after, str | PathLike):
         return Earlier(load(Path(after)), Path(after).name)
-    raise TypeError(f"a model, a fit or the path of a model file is wanted, not {type(after).__name__}")
+    raise TypeError(f"expected a model, a fit or the path of a model file, got {type(after).__name__}")
 
 
 def check_earlier(earlier: Earlier, card: Card) -> None:

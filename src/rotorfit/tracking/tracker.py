@@ -73,7 +73,7 @@ class Tracker:
         paced: bool = False,
     ) -> None:
         if not isinstance(card, Card | str | PathLike):
-            raise TypeError(f"a card, its name or its file is wanted, not {type(card).__name__}")
+            raise TypeError(f"expected a card, its name or its file, got {type(card).__name__}")
         card = card if isinstance(card, Card) else load_card(Path(card))
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")

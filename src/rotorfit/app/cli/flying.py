@@ -23,31 +23,40 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--card", metavar="C", help="Built-in card, TOML file, or sim:VEHICLE; with the limits.")
-@click.option(
-    "--after", type=file_at(dir_okay=False), metavar="model.json", help="Propose the flight to add to a model."
-)
+@click.option("--card", metavar="C", help="Built-in card, TOML file or sim:VEHICLE; must state the limits.")
+@click.option("--after", type=file_at(dir_okay=False), metavar="model.json", help="Design the next flight for a model.")
 @click.option(
     "--design",
     type=click.Choice(["two_sines", "multisine", "chirp", "doublets", "3211", "prbs", "ident", "optimal", "optimal_a"]),
-    help="How the signals come about; default: multisine, or with --after the one that tells most.",
+    help="Signal design; default: multisine, or with --after the most informative one.",
 )
-@click.option("--room", metavar="6x4x3", help="Size of the room [m], origin amid its floor; default: 6x4x3.")
-@click.option("--box", metavar="x0,y0,z0,x1,y1,z1", help="The fence itself, in the frame of the poses [m].")
 @click.option(
-    "--axes", metavar="x,y,z,yaw", callback=some_axes_of, help="To excite; default: all, or --after the worst known."
+    "--room", metavar="6x4x3", help="Size of the room [m], origin at the centre of its floor; default: 6x4x3."
 )
-@click.option("--separate", is_flag=True, help="Separate flights, as the paper: x with y, z, yaw.")
+@click.option("--box", metavar="x0,y0,z0,x1,y1,z1", help="The fence, instead of a room, in the frame of the poses [m].")
+@click.option(
+    "--axes",
+    metavar="x,y,z,yaw",
+    callback=some_axes_of,
+    help="Axes to excite; default: all, or with --after the least known.",
+)
+@click.option("--separate", is_flag=True, help="Separate flights, as in the paper: x with y, z, yaw.")
 @click.option("--open-loop", is_flag=True, help="No feedback on any axis.")
-@click.option("--duration", type=float, default=60.0, metavar="S", help="Of each flight, at most; default: 60.")
-@click.option("--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: what fits.")
+@click.option(
+    "--duration", type=float, default=60.0, metavar="S", help="Longest duration of a flight [s]; default: 60."
+)
+@click.option(
+    "--amplitude", type=float, metavar="A", help="Factor on the full amplitude; default: the largest that fits."
+)
 @click.option("--speed", type=float, metavar="V", help="Largest speed along x and y [m/s]; default: 1.5.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Of sequences and draws; default: 0.")
-@click.option("-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; never over an edited one.")
-@click.option("--picture", type=file_at(), metavar="plan.png", help="Draw commands, path, speeds, standard errors.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Random seed; default: 0.")
+@click.option(
+    "-o", "output", type=file_at(), metavar="plan.toml", help="Write the plan; an edited one is not overwritten."
+)
+@click.option("--picture", type=file_at(), metavar="plan.png", help="Plot commands, path, speeds and standard errors.")
 @JSON
 def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
-    """Design a flight and predict what it will tell, and where it leads."""
+    """Design a flight, and predict its path and the accuracy of a fit to it."""
     from rotorfit.app.workflows import check_destination
     from rotorfit.files.plans import check_plan_destination, save_plan
     from rotorfit.planning.preview import PICTURE_MARK, write_picture
@@ -93,10 +102,10 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @click.option("--poses", metavar="NAME:ADDRESS", default="", help="Take the poses from another link: ros1:/TOPIC.")
 @click.option("-o", "output", type=file_at(), metavar="flight.mcap", required=True, help="The recording to write.")
 @card_option("the plan's own")
-@click.option("--land/--no-land", default=True, help="Land at the end, whatever ended the flight (default), or hover.")
+@click.option("--land/--no-land", default=True, help="Land (default) or hover at the end, whatever ended the flight.")
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
-@click.option("--seed", type=int, default=0, help="Of a simulated vehicle.")
-@click.option("--track", is_flag=True, help="Follow the model meanwhile, in a process of its own; alarms are recorded.")
+@click.option("--seed", type=int, default=0, help="Random seed of a simulated vehicle.")
+@click.option("--track", is_flag=True, help="Track the model meanwhile, in a separate process; alarms are recorded.")
 @click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
 @JSON
 def fly(

@@ -14,12 +14,12 @@ from rotorfit.app.cli.options import JSON, MODEL, axes_of, file_at, print_json, 
 @click.argument("logs", metavar="[LOG...]", nargs=-1)
 @click.option("--to", "to", metavar="NAME", help="The format; without it, the formats are listed.")
 @click.option(
-    "-o", "output", type=file_at(), metavar="FILE", help="The file to write; its name is that of the vehicle."
+    "-o", "output", type=file_at(), metavar="FILE", help="File to write; its name becomes that of the vehicle."
 )
 @click.option("--dt", type=float, default=0.02, metavar="S", help="Sample period of the C header; default: 0.02.")
-@click.option("--predictor", is_flag=True, help="Also axes that the data cannot tell, by the point that predicts best.")
+@click.option("--predictor", is_flag=True, help="Also axes that are not identifiable, at the point that predicts best.")
 @click.option("--physical", is_flag=True, help="Commands in rad, m/s and rad/s instead of fractions of limits.")
-@click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file says by how much.")
+@click.option("--round-delay", is_flag=True, help="Round delays to whole samples of --dt; the file states by how much.")
 @JSON
 def export(
     model_path: str | None, logs: Sequence[str], to: str | None, output: Path | None, as_json: bool, **asked: Any
@@ -67,14 +67,22 @@ def export(
     default="predictor",
     help="The law: state predictor (default), LQR with the delay, or feedback linearisation.",
 )
-@click.option("--rate", type=float, default=50.0, metavar="HZ", help="Commands a second; default: 50.")
+@click.option("--rate", type=float, default=50.0, metavar="HZ", help="Command rate; default: 50 Hz.")
 @click.option(
     "--latency", type=float, default=0.015, metavar="S", help="Age of a pose when it is used; default: 0.015 s."
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=axes_of, help="The axes to tune; default: all.")
-@click.option("--peak", type=float, default=1.7, metavar="MS", help="Highest peak of the sensitivity; default: 1.7.")
-@click.option("--seed", type=int, default=0, metavar="N", help="Of the vehicles drawn from the covariance; default: 0.")
-@click.option("--try", "address", metavar="VEHICLE", help="Fly them in the flight room: bebop2,wind=1.5,gusts=0.3.")
+@click.option("--peak", type=float, default=1.7, metavar="MS", help="Largest peak of the sensitivity; default: 1.7.")
+@click.option(
+    "--seed",
+    type=int,
+    default=0,
+    metavar="N",
+    help="Random seed of the vehicles drawn from the covariance; default: 0.",
+)
+@click.option(
+    "--try", "address", metavar="VEHICLE", help="Test the gains in the flight room: bebop2,wind=1.5,gusts=0.3."
+)
 @click.option(
     "-o", "output", type=file_at(dir_okay=False), metavar="gains.toml", help="Write the gains (.toml, .yaml)."
 )
@@ -91,7 +99,7 @@ def tune(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Gains of a position controller, as fast as what is known allows."""
+    """Tune a position controller, as fast as the accuracy of the model allows."""
     from rotorfit.app.workflows import check_destination
     from rotorfit.control.tuning import tune as tuned
     from rotorfit.exports.gains import GAINS_MARK, save_gains, tuning_mapping

@@ -37,9 +37,9 @@ def demo(directory: Path, as_json: bool) -> None:
     "draft",
     type=file_at(dir_okay=False),
     metavar="FILE",
-    help="Write a card for the log, to be edited.",
+    help="Write a draft card for the log, to be edited.",
 )
-@click.option("--fresh", is_flag=True, help="Draft by names and motion even where a built-in card fits.")
+@click.option("--fresh", is_flag=True, help="Draft from names and motion even if a built-in card fits.")
 @JSON
 def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool, as_json: bool) -> None:
     """Show what is inside logs.
@@ -83,7 +83,7 @@ def info(logs: Sequence[str], card: str | None, draft: Path | None, fresh: bool,
 @click.argument("name", required=False)
 @JSON
 def cards(name: str | None, as_json: bool) -> None:
-    """List the built-in cards, or print the one that is named."""
+    """List the built-in cards, or print one."""
     from rotorfit.files.cards import builtin_card_text, builtin_cards
 
     if name and not as_json:
@@ -103,7 +103,7 @@ def cards(name: str | None, as_json: bool) -> None:
 @click.command()
 @JSON
 def formats(as_json: bool) -> None:
-    """List the formats of logs that can be read."""
+    """List the log formats that can be read."""
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.contents import formats_view
     from rotorfit.files.logs.formats import FORMATS
@@ -116,13 +116,14 @@ def formats(as_json: bool) -> None:
 @click.command()
 @click.argument("folder", metavar="[FOLDER]", type=file_at(file_okay=False), required=False)
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="To listen on; default: a free one."
+    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Port to listen on; default: any free one."
 )
 @JSON
 def studio(folder: Path | None, port: int, as_json: bool) -> None:
     """Open a local web page: drop logs, check the card, fit, compare, download.
 
-    The session is kept in FOLDER (default: your own state folder) and goes on there. Only this machine reaches it.
+    The session is stored in FOLDER (default: your own state folder) and resumed from there. Only this machine can
+    reach the page.
     """
     from rotorfit.app.web import studio as serve
 

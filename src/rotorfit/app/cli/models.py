@@ -29,19 +29,23 @@ from rotorfit.estimation.methods import BEST, METHODS
     "--method",
     type=click.Choice(list(METHODS)),
     default=BEST,
-    help="How to estimate, by default with the likelihood; `rotorfit ladder` shows all methods side by side.",
+    help="Estimation method; default: ml, maximum likelihood. `rotorfit ladder` compares all.",
 )
 @click.option(
     "--structure",
     metavar="S",
     callback=structure_of,
-    help="The law of every axis, or auto; default: averaged, over laws that the data cannot tell apart.",
+    help="Law of every axis, or auto; default: averaged, over the laws that the data do not distinguish.",
 )
 @click.option("--axes", metavar="x,y,z,yaw", callback=axes_of, help="The axes to fit; default: all.")
 @SPAN
-@click.option("--leave-one-out", "leaving", is_flag=True, help="Also score each flight by a model of the others.")
-@click.option("--uncertainty", is_flag=True, help="Add the accuracy table: five standard errors, correlations.")
-@click.option("--prior", is_flag=True, help="Use the priors of the card; what they did is reported.")
+@click.option(
+    "--leave-one-out", "leaving", is_flag=True, help="Also score each flight with a model fitted to the others."
+)
+@click.option(
+    "--uncertainty", is_flag=True, help="Add the accuracy table: five kinds of standard error, and correlations."
+)
+@click.option("--prior", is_flag=True, help="Use the priors of the card, and report their effect.")
 @click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model file.")
 @JSON
 def fit(
@@ -119,7 +123,7 @@ def ladder(logs: Sequence[str], card: str | None, axes: Any, span: Any, as_json:
     "--limits",
     metavar="tilt=20deg,...",
     required=True,
-    help="New tilt, vertical_speed, yaw_rate or speed; without a unit in SI.",
+    help="New tilt, vertical_speed, yaw_rate or speed; in SI units unless a unit is given.",
 )
 @click.option("-o", "output", type=file_at(), metavar="other.json", required=True, help="The model file to write.")
 @JSON

@@ -46,20 +46,20 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
     help="Listen to a vehicle that somebody else flies: sim, ros1, ros2, mavlink; or to replay:LOG.",
 )
 @card_option("the one that fits")
-@click.option("--for", "seconds", type=click.FloatRange(min=0.1), metavar="S", help="Listen for so many seconds.")
+@click.option("--for", "seconds", type=click.FloatRange(min=0.1), metavar="S", help="Listen for S seconds.")
 @click.option(
     "--patience",
     type=click.FloatRange(min=0.0),
     default=60.0,
     show_default=True,
     metavar="S",
-    help="How long a vehicle that is silent is waited for.",
+    help="How long to wait for a silent vehicle [s].",
 )
 @click.option(
     "--after",
     type=file_at(dir_okay=False),
     metavar="model.json",
-    help="What the vehicle was on an earlier flight: told until this one tells, then compared with.",
+    help="Model of an earlier flight: reported until this flight identifies the vehicle, then compared.",
 )
 @click.option(
     "--tune",
@@ -68,17 +68,19 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
     flag_value="",
     callback=gains_name,
     metavar="[gains.toml]",
-    help="Publish new gains when the vehicle calls for others than those in the file; never a command.",
+    help="Publish new gains when those in the file no longer suit the vehicle; sends no commands.",
 )
-@click.option("--record", type=file_at(), metavar="F.mcap", help="Record what is heard, states and alarms beside it.")
-@click.option("--state", "memory", type=file_at(), metavar="FILE", help="Remember in a file, and go on from it.")
+@click.option("--record", type=file_at(), metavar="F.mcap", help="Record the received samples, states and alarms.")
+@click.option(
+    "--state", "memory", type=file_at(), metavar="FILE", help="Store the tracker's state in a file, and resume from it."
+)
 @click.option(
     "--page",
     type=PORT,
     is_flag=False,
     flag_value=0,
     metavar="[PORT]",
-    help="A live page on 127.0.0.1; without a PORT, on any that is free.",
+    help="Live page on 127.0.0.1; default of PORT: any free one.",
 )
 @click.option(
     "--foxglove",
@@ -86,35 +88,35 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
     is_flag=False,
     flag_value=8765,
     metavar="[PORT]",
-    help="A Foxglove WebSocket on 127.0.0.1, which PlotJuggler reads, too; default: 8765.",
+    help="Foxglove WebSocket on 127.0.0.1, also read by PlotJuggler; default of PORT: 8765.",
 )
 @click.option(
     "--publish",
     metavar="ROS[:PREFIX]",
-    help="Publish what is known, no commands, on topics of ros1 or ros2; default of PREFIX: /rotorfit.",
+    help="Publish the estimates, but no commands, on topics of ros1 or ros2; default of PREFIX: /rotorfit.",
 )
-@click.option("--jsonl", is_flag=True, help="Print one JSON object a line: states, alarms, and the end.")
+@click.option("--jsonl", is_flag=True, help="Print one JSON object per line: states, alarms, and the end.")
 @click.option(
     "--false-alarms-per-hour",
     "false_alarms",
     type=click.FloatRange(1e-6, 60),
     default=0.1,
     show_default=True,
-    help="How many false alarms are to be expected at the most.",
+    help="Largest expected number of false alarms per hour.",
 )
 @click.option(
     "--structure",
     metavar="S",
     callback=structure_of,
-    help="The law of every axis; default: averaged, over laws that the data cannot tell apart.",
+    help="Law of every axis; default: averaged, over the laws that the data do not distinguish.",
 )
 @click.option(
     "--pace",
     type=click.FloatRange(min=0.01),
     metavar="P",
-    help="Seconds of flight a second: 1 is as it was flown, and the default of a link; of a log, as fast as it goes.",
+    help="Playback speed: 1 is real time, the default for a link; default for a log: as fast as possible.",
 )
-@click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model; of several regimes each.")
+@click.option("-o", "output", type=file_at(), metavar="model.json", help="Write the model of each regime.")
 @click.option("--report", type=file_at(), metavar="track.html", help="Write a page about the flight.")
 def track(
     log: str | None,
@@ -136,7 +138,7 @@ def track(
     output: Path | None,
     report: Path | None,
 ) -> None:
-    """Follow the model while the vehicle flies, and tell when it changes. Nothing is commanded."""
+    """Estimate the model while the vehicle flies, and report when it changes. Sends no commands."""
     from rotorfit.app.live.serving import Views
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.tracking import track_view
@@ -148,7 +150,7 @@ def track(
     if link is None and (record or memory or seconds):
         raise click.UsageError("--record, --state and --for are for a --link; a LOG is a recording, whole")
     if not all(math.isfinite(each) for each in (seconds or 0.0, patience, pace or 1.0)):
-        raise click.UsageError("--for, --patience and --pace are numbers of seconds, or of seconds a second")
+        raise click.UsageError("--for, --patience and --pace must be finite numbers")
     if output:
         check_destination(output, MODEL_MARK)
     if report:
@@ -180,7 +182,7 @@ def track(
                 if file:
                     click.echo(f"Model written to {file}.")
             if output and not any(files):
-                click.echo("No model written: nothing was told.")
+                click.echo("No model written: nothing was identified.")
             if regaining:
                 click.echo(regaining.summary)
             if report and flight:

@@ -98,7 +98,7 @@ def followed(
                 tell(state)
             for outlet in outlets:
                 outlet.heard(heard.samples, now)
-        news(f"{'lost' if listening.lost else 'ended'}: {listening.ended}; what was heard is fitted once more")
+        news(f"{'lost' if listening.lost else 'ended'}: {listening.ended}; fitting the flight once more")
         last, regimes = tracker.finish()
         for state in (*tracker.news(), last):
             tell(state)

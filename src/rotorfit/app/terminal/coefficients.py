@@ -135,7 +135,7 @@ def _law_lines(axis: str, known: Axis) -> Iterator[str]:
     """The laws between which the data cannot decide, and how far the lag depends on its prior."""
     if len(known.laws) > 1:
         parts = ", ".join(f"{law.structure} {100 * law.weight:.0f} %" for law in known.laws)
-        yield f"{axis}: the data do not decide between laws ({parts}): intervals hold what all of them say"
+        yield f"{axis}: the data do not decide between laws ({parts}): intervals cover all of them"
     if known.lag_prior is not None:
         yield f"{axis}: {100 * known.lag_prior:.0f} % of what is known of the lag is its prior (0.1 s, 0.014 to 0.71 s)"
 

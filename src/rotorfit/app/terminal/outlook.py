@@ -75,7 +75,7 @@ def _run_on(plan: Plan) -> list[str]:
         far = run_on(plan, seconds)
         where = f", {far.outside:.1f} m outside of the box" if far.outside else ""
         parts.append(f"{seconds:g} s: {far.sideways:.1f} m sideways, {far.upright:.1f} m up or down{where}")
-    return [f"if commands stop at the worst instant, and the vehicle goes on as last told for {'; '.join(parts)}"]
+    return [f"if commands stop at the worst instant and the vehicle follows the last one for {'; '.join(parts)}"]
 
 
 def _signals(plan: Plan) -> Table:
@@ -175,11 +175,11 @@ def next_view(proposal: NextFlight) -> View:
             f"{name} {value:.2g}" for name, value in sorted(proposal.tried.items(), key=lambda each: each[1])
         )
         yield indented(
-            "What each design would leave, standard error over wanted, root mean square over their coefficients "
-            f"(1: as wanted; less is better): {left}."
+            "What each design would leave, standard error over target, root mean square over their coefficients "
+            f"(1: on target; less is better): {left}."
         )
     yield ""
-    shown = table("standard error", "before", "after", "wanted", gap=3)
+    shown = table("standard error", "before", "after", "target", gap=3)
     for name, before, after, wanted in _rows(proposal):
         shown.add_row(name, *(three_digits(value) for value in (before, after, wanted)))
     yield shown
@@ -218,7 +218,9 @@ def demo_view(demo: Demo) -> View:
     yield title("Six simulated flights, three to fit and three for the proof. What came back:")
     yield out
     yield indented("input in m/s^2 (yaw rad/s^2) per command of 1, damping in 1/s, delay in s", 0, "dim")
-    yield indented(f"{inside} of {len(stated)} intervals hold the truth; of many, at least 95 % must.", 0)
+    yield indented(
+        f"{inside} of {len(stated)} intervals contain the truth; over many flights, at least 95 % should.", 0
+    )
     yield ""
     yield title("1 s predictions of the velocity on flights that were not fitted:")
     errors = table("axis", "likelihood", "paper's method", "velocity held", "flight", left=(0, 4))

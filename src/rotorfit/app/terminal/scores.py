@@ -134,8 +134,8 @@ def _scores_view(scores: Mapping[str, Sequence["FlightScores"]], models: Sequenc
         "at its end [cm, yaw deg]; fit: of 1 s velocity predictions; n: predictions. hold keeps the velocity of the "
         "start; paper uses the paper's coefficients with a filter of their own, as a model of that method does; coast "
         "uses them from the state of the model's filter, without trim and disturbance. heading predicted: x and y are "
-        "predicted along the heading that the model of yaw gives; measured: along the recorded one, for there is no "
-        "model of yaw.",
+        "predicted along the heading that the model of yaw gives; measured: along the recorded one, because the "
+        "model has no yaw.",
         style="dim",
     )
 

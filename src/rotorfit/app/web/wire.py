@@ -35,7 +35,7 @@ from rotorfit.version import __version__
 MOST_POINTS = 6000
 """Largest number of points of a line in a result; the report has more."""
 
-UNTOLD = "also axes that the data cannot tell"
+UNTOLD = "also axes that are not identifiable"
 """The page's words for `--predictor` of an export."""
 
 

@@ -139,7 +139,7 @@ def findings_of_responses(comparisons: Sequence[Mapping[str, ResponseComparison]
             "response_refutes_law",
             "warning",
             f"no coefficients give the law of {axis} the frequency response of "
-            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {combined(tests):.1g}); most off at "
+            f"{'the flight' if len(tests) == 1 else 'the flights'} (p = {combined(tests):.1g}); largest deviation at "
             f"{each.law.worst:.2g} rad/s, where the flight has gain {low:.3g} to {high:.3g} and delay "
             f"{1e3 * early:.0f} to {1e3 * late:.0f} ms, the model {each.model_gain[where]:.3g} and "
             f"{1e3 * each.model_delay[where]:.0f} ms",

@@ -95,7 +95,7 @@ def _known(text: str) -> tuple[str, str]:
     if name not in LINKS:
         raise LinkError(f"--link {text}: no link {name!r}; links are {', '.join(LINKS)}")
     if LINKS[name].example and not address:
-        raise LinkError(f"--link {text}: {name} wants a file: --link {LINKS[name].example}")
+        raise LinkError(f"--link {text}: {name} needs a file: --link {LINKS[name].example}")
     return name, address
 
 

@@ -100,7 +100,7 @@ class SimLink:
         lands = f", and lands after {pilot.land_after:g} s" if math.isfinite(pilot.land_after) else ""
         self.silence = Silence(pilot.command_timeout)
         self.fail_safe = (
-            f"Simulated: the vehicle goes on as last told for {pilot.command_timeout:g} s, then hovers{lands}."
+            f"Simulated: the vehicle follows the last command for {pilot.command_timeout:g} s, then hovers{lands}."
         )
 
     @property
