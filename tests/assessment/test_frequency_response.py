@@ -156,7 +156,7 @@ def test_a_loop_without_tones_or_reference_has_no_response() -> None:
     found = frequency_response(flown(windy, steps(amplitude=0.1), 60.0, seed=3, controller=Controller(2.0, 2.5)), "z")
     assert found.frequency.size == 0
     assert found.instrument == "none"
-    assert "answers its motion" in found.why_none
+    assert "responds to its motion" in found.why_none
 
 
 def test_an_axis_that_is_not_commanded_has_none() -> None:
@@ -279,7 +279,7 @@ def test_a_flight_without_a_response_says_why() -> None:
     windy = Truth(wind_sigma=(0.3, 0.3, 0.3, 0.3))
     flight = flown(windy, steps(amplitude=0.1), 60.0, seed=3, controller=Controller(2.0, 2.5))
     (axes,) = response_test(model_of(VEHICLE), [flight])
-    assert "answers its motion" in response_line(axes["z"])
+    assert "responds to its motion" in response_line(axes["z"])
     assert response_mapping(axes["z"])["law_p"] is None
     assert response_charts([{"z": axes["z"]}]) == ()
 

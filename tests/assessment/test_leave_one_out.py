@@ -44,7 +44,7 @@ def test_each_flight_has_the_scores_of_the_model_of_the_others() -> None:
 
 
 def test_an_axis_that_only_one_flight_moves_is_said_not_to_be_proved() -> None:
-    assert result().notes == ("z: only 2.bag moves it, so it cannot be left out: nothing proves z",)
+    assert result().notes == ("z: only 2.bag moves it, so it cannot be left out: z is not tested",)
     assert result().flights[1].axes["z"].horizons["1"].velocity_rmse is None
 
 
@@ -54,7 +54,7 @@ def test_an_axis_that_the_others_cannot_tell_is_named_with_the_flight_and_the_re
         [*flights()[1:2], replace(short, path="short.bag")], axes=("z",), horizons=(1.0,), structure=LAW
     )
 
-    assert found.notes == ("z: without 2.bag the others cannot tell it (too_short)",)
+    assert found.notes == ("z: without 2.bag the others do not determine it (too_short)",)
     assert found.spread[0].values[0] is None
     assert found.spread[0].jackknife_stderr is None
 

@@ -64,7 +64,7 @@ def test_wrong_limits_and_a_wrong_scale_are_told_from_a_log(bag: Path) -> None:
         ("axes_differ", None),
         ("published_sets_disagree", None),
     }
-    assert "outside of what others have published of the Bebop 2: x gain 2.1" in told["published_sets_disagree", None]
+    assert "outside the published values for the Bebop 2: x gain 2.1" in told["published_sets_disagree", None]
     assert "as if the tilt limit were 20." in told["gain_contradicts_limit", "x"]
     assert "and not 10 deg" in told["gain_contradicts_limit", "x"]
     assert "as if the vertical speed limit were 1.1" in told["gain_contradicts_limit", "z"]
@@ -191,7 +191,7 @@ def test_what_lies_within_the_published_sets_is_not_told_and_what_lies_outside_i
 
     told = found(model_of({"x": (3.7, 0.2, 0.15), "z": (2.5, 8.0, 0.1)}, demo_card("", "Bebop 2")))
     assert told["published_sets_disagree", None].evidence == (
-        "outside of what others have published of the Bebop 2: z damping 8 1/s (published: 1.79 to 4)"
+        "outside the published values for the Bebop 2: z damping 8 1/s (published: 1.79 to 4)"
     )
 
 
@@ -199,7 +199,7 @@ def test_gains_are_compared_where_the_limits_allow_a_conversion() -> None:
     points = {"x": (2 * 9.81 * np.tan(np.radians(20)), 0.2, 0.15)}
     limited, free = (found(model_of(points, demo_card(limits, "Bebop 2"))) for limits in (None, ""))
 
-    assert "x gain 2 times what the card makes one expect (published: 0.558 to 1)" in (
+    assert "x gain 2 times what the card leads one to expect (published: 0.558 to 1)" in (
         limited["published_sets_disagree", None].evidence
     )
     assert ("published_sets_disagree", None) not in free

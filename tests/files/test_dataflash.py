@@ -169,7 +169,7 @@ def test_messages_without_a_time_get_it_from_their_place_in_the_file(tmp_path: P
     np.testing.assert_allclose(mode["log_time"] / 1e9, mode["Mode"], atol=0.04)  # not the satellites' 400000 s
     np.testing.assert_array_equal(alone.tables["MODE"].columns["log_time"], mode["log_time"])
     assert "log_time" not in log.tables["ATT"].columns
-    assert log.notes == ("no time in MODE: their log_time is told by their place among messages that have one",)
+    assert log.notes == ("no time in MODE: their log_time is interpolated between messages that have one",)
 
 
 def test_the_mode_opens_a_window_on_commands_of_another_message(tmp_path: Path) -> None:
@@ -352,7 +352,7 @@ def test_the_text_of_a_log_is_read_as_the_log_itself(tmp_path: Path) -> None:
     np.testing.assert_allclose(mode["log_time"] / 1e9, mode["Mode"], atol=0.1)
     assert log.notes == (
         "2 torn lines left out",
-        "no time in MODE: their log_time is told by their place among messages that have one",
+        "no time in MODE: their log_time is interpolated between messages that have one",
     )
     assert list(read(tmp_path / "flight.log", {"IMU_1"}).tables) == ["IMU_1"]
 

@@ -39,7 +39,7 @@ def put(*places: str | int, value: object) -> Callable[[Any], object]:
 WRONG = [
     (put("axes", "x", "ci95", "input", value=[1.0, "a"]),
      r"axes\.x\.ci95\.input\[1\]: must be a finite number, not 'a'"),
-    (put("axes", "x", "ci95", "input", value=[2.0, 1.0]), r"axes\.x\.ci95\.input: 2 to 1 is no interval"),
+    (put("axes", "x", "ci95", "input", value=[2.0, 1.0]), r"axes\.x\.ci95\.input: 2 to 1 is not an interval"),
     (put("axes", "x", "ci95", TAG, value=[1.0, 2.0]), r"axes\.x\.ci95\.'!!python/object/apply.*': unknown key"),
     (put("axes", "x", "ci95", "inputs", value=[1.0, 2.0]), r"axes\.x\.ci95\.inputs: unknown key; nearest: 'input'"),
     (put("axes", "x", "stderr", "input", value=-1.0), r"axes\.x\.stderr\.input: must not be negative, not -1"),

@@ -156,7 +156,7 @@ def test_the_band_ends_below_one_over_the_delay_and_begins_higher_in_a_smaller_r
     ("change", "told"),
     [
         ({"design": "sweep"}, "no design 'sweep'; designs are two_sines"),
-        ({"duration": 5.0}, "too short to tell anything"),
+        ({"duration": 5.0}, "too short to identify anything"),
         ({"amplitude": 0.0}, "excites nothing"),
         ({"space": replace(ROOM, start=(9.0, 0.0, 1.0, 0.0))}, "is not inside the box"),
         ({"card": replace(CARD, command_frame="world")}, "heading frame only"),
@@ -247,7 +247,7 @@ def test_after_a_model_the_next_flight_is_shown_before_and_after(tmp_path: Path)
     save(model_of(card=CARD), tmp_path / "model.json")
     text = planned("--after", tmp_path / "model.json", "--duration", 12, "--design", "two_sines", "--axes", "yaw")
     assert "Next flight" in text
-    assert "yaw: the axes that were asked for" in text
+    assert "yaw: the axes asked for" in text
     assert "before" in text
     assert "quiet motion-capture room" not in text  # the model has noise and wind of its own
     result = json.loads(

@@ -265,8 +265,8 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
         yield Finding(
             "input_not_identifiable",
             "info",
-            f"the delay of {name} is not known, and its commands answer its own motion or end at the searched delays",
-            f"no coefficient of {name} is published: such a loop leaves a slow answer to old commands only",
+            f"the delay of {name} is not identifiable: its commands respond to its motion, or it is at a bound",
+            f"no coefficient of {name} is published: such a feedback loop shows only a slow response to old commands",
             f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
             name,
         )
@@ -275,7 +275,7 @@ def _coefficient_findings(name: str, axis: Axis, flights: Sequence[Flight]) -> I
         yield Finding(
             "input_not_identifiable",
             "info",
-            f"{name} answers faster than the data resolve: gain and damping grow together without bound",
+            f"{name} responds faster than the data resolve: gain and damping grow together without bound",
             f"the steady gain of {name}, {gain.value:.3g}, is known; its parts are not",
             "use the steady gain with the total lag, or record poses and commands at a higher rate",
             name,
@@ -327,7 +327,7 @@ def _mode_findings(name: str, axis: Axis) -> Iterator[Finding]:
             "warning",
             f"the likelihood of {name} is {above:.0f} log units higher at a delay of {rival.delay:.3f} s; it predicts "
             f"{by} over 1 s than the delay of {chosen.delay:.3f} s",
-            "the optimum that predicts was taken; the other reads the commands of a feedback loop as a measurement",
+            "the one that predicts better was taken; the other uses the commands of a feedback loop as a measurement",
             f"excite {name} from outside the feedback loop, with a reference that moves or an added signal",
             name,
         )
@@ -387,12 +387,12 @@ def _feedback_findings(name: str, estimate: Estimate) -> Iterator[Finding]:
         yield Finding(
             "feedback",
             "info",
-            f"the {name} command answers the motion: beyond what its own past tells, its changes correlate by "
-            f"{found.correlation:+.2f} with what the model did not foresee {1e3 * found.lag / BLOCK_RATE:.0f} ms "
-            f"before: all lags together, {found.sigmas:.0f} standard deviations of an open loop",
-            f"the likelihood allows for it; regressions, the paper's too, get gain and damping of {name} wrong",
-            f"nothing for this model; what keeps {name} known in a loop is a signal added to its command from outside, "
-            "as `rotorfit plan` adds one",
+            f"the {name} command responds to the motion: beyond what its own past predicts, its changes correlate by "
+            f"{found.correlation:+.2f} with the innovations {1e3 * found.lag / BLOCK_RATE:.0f} ms "
+            f"before; all lags together, {found.sigmas:.0f} standard deviations of an open loop",
+            f"the likelihood allows for it; regressions, including the paper's, bias gain and damping of {name}",
+            f"nothing for this model; {name} stays identifiable in a loop if a signal is added to its command from "
+            "outside, as by `rotorfit plan`",
             name,
         )
 

@@ -48,7 +48,7 @@ def law_findings(name: str, axis: Axis) -> Iterator[Finding]:
         "info",
         f"{name} does not quite obey {axis.structure}: {told}",
         f"the intervals of {name} are that much wider, so that they hold for other flights of the vehicle",
-        "fit with --structure auto; flights of several sizes and speeds tell what is missing",
+        "fit with --structure auto; flights with commands of several sizes and speeds show what is missing",
         name,
     )
 
@@ -65,10 +65,10 @@ def disagreement_findings(fit: Fit) -> Iterator[Finding]:
         yield Finding(
             "flights_disagree",
             "warning" if spread.flights_sd and spread.flights_sd > spread.prior_sd else "info",
-            f"the {spread.flights} flights that tell {name} apart differ by more than their own errors, most in "
+            f"the {spread.flights} flights that determine {name} differ by more than their own errors, most in "
             f"{quantity.replace('_', ' ')}: {values} (p = {spread.p_value:.1g})"
             + "".join(f"; {line}" for line in lines),
-            f"the intervals of {name} hold the vehicle over such flights; on the next one "
+            f"the intervals of {name} cover the vehicle over such flights; on the next one "
             f"{quantity.replace('_', ' ')} lies in {_ends(spread)}",
             "compare the settings, payload, battery and wind of the flights that stand out; what cannot be explained "
             "is in the intervals",

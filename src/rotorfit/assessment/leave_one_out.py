@@ -128,9 +128,9 @@ def _notes(axis: str, models: Sequence[Model], flights: Sequence[FlightScores]) 
     """Why flights have no score on this axis, one line per flight."""
     movers = [flight for flight in flights if axis in flight.moved]
     if len(movers) == 1:
-        return [f"{axis}: only {movers[0].path} moves it, so it cannot be left out: nothing proves {axis}"]
+        return [f"{axis}: only {movers[0].path} moves it, so it cannot be left out: {axis} is not tested"]
     return [
-        f"{axis}: without {flight.path} the others cannot tell it ({model.axes[axis].status['input']})"
+        f"{axis}: without {flight.path} the others do not determine it ({model.axes[axis].status['input']})"
         for model, flight in zip(models, flights, strict=True)
         if axis in flight.moved and model.axes[axis].predictor is None
     ]

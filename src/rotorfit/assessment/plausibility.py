@@ -57,7 +57,7 @@ def _against_limits(model: Model, axis: str) -> Iterator[Finding]:
     yield Finding(
         "gain_contradicts_limit",
         "warning",
-        f"{_reached(axis, meaning, quantity)}, {ratio.value:.2f} times what the card makes one expect "
+        f"{_reached(axis, meaning, quantity)}, {ratio.value:.2f} times what the card leads one to expect "
         f"({quantity.expected:.3g}); {_explained(meaning, quantity)}",
         f"gains of {axis} that are converted to other limits or compared with other flights are off by this factor; "
         "predictions under the settings of these flights are not",
@@ -163,14 +163,14 @@ def _against_published(model: Model) -> Iterator[Finding]:
         known = [each[name] for each in sets if name in each]
         if known and not min(known) / ALIKE <= value <= max(known) * ALIKE:
             ends = " to ".join(f"{end:.3g}" for end in sorted({min(known), max(known)}))
-            unit = " 1/s" if name.endswith("damping") else " times what the card makes one expect"
+            unit = " 1/s" if name.endswith("damping") else " times what the card leads one to expect"
             told.append(f"{name} {value:.3g}{unit} (published: {ends})")
     if told:
         yield Finding(
             "published_sets_disagree",
             "info",
-            f"outside of what others have published of the {vehicle}: {', '.join(told)}",
-            "either this vehicle, its settings or its flights are unlike theirs, or the coefficient is off",
+            f"outside the published values for the {vehicle}: {', '.join(told)}",
+            "either this vehicle, its settings or its flights differ from theirs, or the coefficient is wrong",
             "look at its interval and at the other findings of its axis; if they are clean, trust your own",
         )
 

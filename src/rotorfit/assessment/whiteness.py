@@ -232,7 +232,7 @@ def findings_of_residuals(axis: str, tests: ResidualTests, where: str) -> Iterat
             "warning",
             f"{where}: the innovations of {axis} follow its own past commands (p = {tests.command_p:.1g}), most those "
             f"of {tests.command_peak_lag:.2f} s before, by {tests.command_peak or 0.0:.1f} times the 95 % band",
-            f"the model leaves out part of how {axis} answers: its coefficients may be biased beyond their intervals",
-            "look where predictions fail in the report; fit the flight on its own, or a structure with more to it",
+            f"the model leaves out part of the response of {axis}: its coefficients may be off beyond their intervals",
+            "look where predictions fail in the report; fit the flight by itself, or a richer structure",
             axis,
         )

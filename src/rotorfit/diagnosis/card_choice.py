@@ -128,7 +128,7 @@ def _against(
 ) -> str:
     """Why a card that fits was not chosen."""
     if name not in flights:
-        return "makes no flight of it"
+        return "gives no flight"
     if name not in rank:
         return f"{next(other for other in flights if name in cards[other].over)} goes before it where both fit"
     if rank[name][0] < rank[best][0]:
@@ -146,6 +146,4 @@ def _first(log: Log, cards: Mapping[str, Card]) -> Proposal:
     left = [name for name in cards if name not in beaten]
     if len(left) != 1:
         raise CardError(f"{log.path}: several built-in cards fit ({', '.join(cards)}); name one with `--card`")
-    return Proposal(
-        left[0], cards[left[0]], f"none of {', '.join(cards)}, whose columns are there, makes a flight of it"
-    )
+    return Proposal(left[0], cards[left[0]], f"none of {', '.join(cards)}, whose columns are all there, gives a flight")

@@ -96,7 +96,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
         "# meaning: tilt, velocity, vertical_speed or yaw_rate; full_scale: the limit that a command of 1 asks for",
         "",
         "[pose]",
-        *(["# Motive has y up: the axes are turned in a ring"] * (log.format == "motive")),
+        *(["# Motive has y up: the axes are permuted cyclically"] * (log.format == "motive")),
         _line("time", pose.time),
         *(
             _line(axis, pose.channels.get(axis), found.remarks.get(axis, ""))
@@ -230,7 +230,7 @@ def draft_card(log: Log, fresh: bool = False) -> str:
     asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
     found, told = asked.found, asked.told
     if told is None:
-        return text_of(log, found, {}, f"The motion was not asked: {line_of(asked.why)}." if asked.why else "")
+        return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
     if turned := ", ".join(overturned(told.of, asked.height)):
         found = replace(found, pose_said=f"as z is above 0; {turned} are turned together: forward, right, down?")
     moved, said = _by_motion(found.commands, told)
@@ -285,7 +285,7 @@ def _asked(log: Log, found: DraftContents) -> _Asked:
     if not np.any(np.ptp(flight.command, axis=0)):
         return _Asked(found, None, "no command moves")
     pieces = len(flight.segments)
-    return _Asked(found, None, f"{flight.duration:.1f} s of commands in {pieces} pieces are too few to tell")
+    return _Asked(found, None, f"{flight.duration:.1f} s of commands in {pieces} pieces are too few to decide")
 
 
 def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:

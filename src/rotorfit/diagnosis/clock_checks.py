@@ -149,7 +149,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     if one_row:
         yield from _repeated(flight)
     else:
-        effect = "what acts when is known no better: the delay comes out wide or biased"
+        effect = "the time at which a command acts is no better known: the delay comes out wide or biased"
         yield from _jitter("command", commands, flight, effect)
     yield from _jitter(
         "pose", poses, flight, "if they are stamps of arrival, speed times jitter is added to every pose"
@@ -175,7 +175,7 @@ def _command_gaps(flight: Flight) -> Iterator[Finding]:
             f"{counted(len(holes), 'gap')} in the commands, up to {max(holes):.3f} s beyond the hold, taking "
             f"{lost:.1f} s ({100 * share:.0f} % of the flight) with the {SETTLING_LOSS:g} s that each segment needs to "
             "start",
-            "all coefficients rest on less data; a segment shorter than 0.7 s tells nothing",
+            "all coefficients rest on less data; a segment shorter than 0.7 s contributes nothing",
             "send commands at a steady rate; where the vehicle keeps the last one for longer, say so by hold in the "
             "card",
         )
@@ -231,7 +231,7 @@ def _corrected(flight: Flight) -> Iterator[Finding]:
         "clock_drift",
         "info",
         "; ".join(told),
-        f"none on gain and damping; {1e3 * flight.stamp_error:.1f} ms, the time of the messages that no clock tells, "
+        f"none on gain and damping; {1e3 * flight.stamp_error:.1f} ms, the remaining uncertainty of the clock offset, "
         "went into the interval of every delay",
         "synchronise the computers (chrony): then the stamps stay as they are",
     )
@@ -252,7 +252,7 @@ def _two_clocks(log: Log, card: Card) -> Iterator[Finding]:
             "warning",
             f"against the recorder's clock, that of the poses gains {1e3 * growth:.0f} ms on that of the commands in "
             f"{duration:.0f} s, {1e6 * growth / duration:.0f} us a second",
-            "the delay of every axis changes by as much within the flight; damping and gain pay for it",
+            "the delay of every axis changes by as much within the flight, which biases damping and gain",
             "synchronise the computers (chrony), or take log_time for both streams in the card",
         )
     offset = command.offset - pose.offset
@@ -305,7 +305,7 @@ def _repeated(flight: Flight) -> Iterator[Finding]:
         yield Finding(
             "repeated_commands",
             "info",
-            f"commands stand in every row beside a pose and change in {100 * np.mean(changed):.0f} % of the rows: a "
+            f"each row holds a command and a pose; commands change in {100 * np.mean(changed):.0f} % of the rows: a "
             f"change bears the stamp of its row, {1e3 * period / 2:.0f} ms late in the mean, {1e3 * period:.0f} ms at "
             "most",
             f"delays come out up to {1e3 * period:.0f} ms too short; gain and damping keep their values",

@@ -133,7 +133,7 @@ def _units(axis: str, card: Card, command: Array) -> Iterator[Finding]:
         yield Finding(
             "unit_mistake",
             "warning",
-            f"the {axis} command reaches {largest:.3g}, which cannot be {what}; more than {limit:g} is not believed",
+            f"the {axis} command reaches {largest:.3g}, which cannot be {what}; more than {limit:g} is implausible",
             f"the input gain of {axis} is per that command: too small by the ratio of the units",
             f"give the {axis} channel of [command] its unit (deg, deg/s, cm/s), or the scale that makes it a fraction",
             axis,

@@ -52,7 +52,7 @@ def damage_of(log: Log) -> Finding | None:
         "log_damaged",
         "warning",
         f"{log.path}: {'; '.join(log.damage)}",
-        "what is lost is missing from all that follows: the flight is shorter, or has a hole",
+        "the lost part is missing from the analysis: the flight is shorter, or has a hole",
         "copy or download the log again from where it was recorded; else go on with what is there",
     )
 

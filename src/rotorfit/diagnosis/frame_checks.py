@@ -59,7 +59,7 @@ SLIGHT = np.radians(3.0)
 """Standard deviation of yaw as read above which degrees taken for radians matter: below, the wrong heading changes the
 gains of x and y by less than 1 - cos(3 degrees), a thousandth."""
 
-SAME_THING = ": of a heading that is a few degrees off 0 all the time the commands tell no difference"
+SAME_THING = ": with a heading that stays within a few degrees of 0 the commands cannot distinguish the two"
 """Why degrees read as radians and world commands are one finding where the heading hardly turned."""
 
 OFF = np.radians(12.0)
@@ -197,10 +197,13 @@ def _jackknife(design: Array, target: Array, count: int) -> tuple[Complex, Array
 def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
     """Finding for a wrong frame in the card: another one explains more."""
     told = (
-        f"of the horizontal acceleration {100 * best.explained:.0f} % are explained {{}}, {100 * own.explained:.0f} % "
-        "as the card has it"
+        f"commands explain {100 * best.explained:.0f} % of the horizontal acceleration {{}}, but "
+        f"{100 * own.explained:.0f} % by the card as it is"
     )
-    effect = "input gain, damping and delay of x and y are not the vehicle's: with every turn the commands are mistaken"
+    effect = (
+        "input gain, damping and delay of x and y are not the vehicle's: whenever it turns, commands are resolved in "
+        "the wrong direction"
+    )
     if best.turns == -1 or (card.command_frame == "world" and best.turns == 0):
         counted = abs(_wrapped(best.angle.get("y", 0.0) - best.angle.get("x", 0.0))) < np.pi / 2
         return Finding(
@@ -241,7 +244,7 @@ def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator
     both = len(own.angle) == 2
     apart = abs(_wrapped(own.angle["y"] - own.angle["x"])) if both else 0.0
     told = " and ".join(
-        f"{axis} leads {np.degrees(angle):+.0f} +- {np.degrees(own.stderr[axis]):.0f} degrees from where it should"
+        f"{axis} acts {np.degrees(angle):+.0f} +- {np.degrees(own.stderr[axis]):.0f} degrees off its direction"
         for axis, angle in own.angle.items()
     )
     if both and apart > np.pi - NEAR:

@@ -125,9 +125,9 @@ def _leaps(what: str, time: Array, value: Array, floor: float, slope: float) -> 
     yield Finding(
         "pose_jumps",
         "warning",
-        f"the {what} leaps {counted(len(when), 'time')} beside its neighbouring motion, by up to {size}, the first "
+        f"the {what} jumps {counted(len(when), 'time')} against its neighbouring motion, by up to {size}, the first "
         f"time at {when[0]:.2f} s; {back} come back within {RETURN:g} s, {stay} stay",
-        f"{concerned} take leaps for motion that no command caused: they come out with wider intervals, and with few "
+        f"jumps are fitted as motion that no command caused: {concerned} come out with wider intervals, and with few "
         "data biased",
         "check the rigid body's markers for swaps and reflections; fit with --method robust, which leaves such poses "
         "out, or leave the stretch out by --span",

@@ -124,10 +124,10 @@ def restoring_findings(recording: Recording) -> Iterator[Finding]:
     yield Finding(
         "answers_before_motion",
         "warning",
-        f"commands answer the motion before it is seen: a position controller explains {told} by poses that are "
+        f"commands respond to the motion before it is seen: a position controller explains {told} by poses that are "
         f"stamped {1e3 * least:.0f} ms later",
-        f"the delay of every axis comes out at least {1e3 * least:.0f} ms too long; a fit of the axes that are only "
-        "held reads the feedback backwards",
+        f"the delay of every axis comes out at least {1e3 * least:.0f} ms too long; a fit of axes that are only "
+        "held identifies the feedback instead of the vehicle",
         "check the clocks: the poses are stamped late or the commands early; take the stamps at which both were "
         "received, or give the time of [pose] in the card a negative offset",
     )

@@ -226,7 +226,7 @@ def findings_of_braking(axis: str, found: Braking, time: float, whole: float) ->
         "brakes_at_zero",
         "warning" if apart else "error",
         f"while the command of {axis} is zero, {100 * found.share:.0f} % of the time, a damping of {found.further:.2g} "
-        f"+- {1.96 * found.error:.1g} 1/s acts beside that of the law, by one linearised step "
+        f"+- {1.96 * found.error:.1g} 1/s acts in addition to that of the law, according to one linearised step "
         f"(p = {found.probability:.1g}); no linear law does that",
         f"{axis} was fitted to the {time:.0f} of {whole:.0f} s in which it is commanded, and the model is valid "
         "for these only: at zero command the vehicle brakes by itself"

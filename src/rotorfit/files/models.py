@@ -285,7 +285,7 @@ def _check_published(known: Any, names: set[str], place: tuple[str, ...]) -> Non
 def _check_interval(ends: Interval, place: tuple[str, ...]) -> None:
     low, high = ends
     if low is not None and high is not None and low > high:
-        raise ValueError(f"{place_of(place)}: {low:g} to {high:g} is no interval")
+        raise ValueError(f"{place_of(place)}: {low:g} to {high:g} is not an interval")
 
 
 def _check_predictor(point: Predictor, law: Structure, place: tuple[str | int, ...]) -> None:

@@ -106,15 +106,14 @@ def without_low_pass(commands: Stream, axes: tuple[str, ...], poses: Stream, wor
     seen, base = well_seen(poses), (int(poses.stamps[0]) - int(commands.stamps[0])) / 1e9
     better = sum(_gain(seen, base, answers(commands), answers(sent), axis, world) for axis in shares)
     what = ", ".join(f"{axis} {share:.3f}" for axis, share in shares.items())
-    shape = f"changes of {len(commands.stamps)} logged commands shrink as those of a log that keeps a share of the old "
-    shape += f"value ({what})"
+    shape = f"{len(commands.stamps)} logged commands look low-pass filtered, keeping a share of the old value ({what})"
     if better > DECIDES:
-        told = f"{shape}, and the motion follows the commands before that by {better:.0f} log units: it was undone"
+        told = f"{shape}; unfiltered, they explain the motion better by {better:.0f} log units: it was undone"
         return replace(sent, notes=(*commands.notes, Note("commands_unfiltered", told, len(commands.stamps))))
     if better < -DECIDES:
-        told = f"{shape}, but the motion follows them as logged by {-better:.0f} log units: the sender smooths them"
+        told = f"{shape}; as logged, they explain the motion better by {-better:.0f} log units: the sender smooths them"
         return replace(commands, notes=(*commands.notes, Note("commands_filtered", told, len(commands.stamps))))
-    told = f"{shape}, and the motion does not tell whether the vehicle got them so ({better:+.1f} log units)"
+    told = f"{shape}; the motion does not show whether the vehicle received them so ({better:+.1f} log units)"
     return replace(commands, notes=(*commands.notes, Note("commands_low_pass", told, len(commands.stamps))))
 
 

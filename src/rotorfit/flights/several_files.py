@@ -116,7 +116,7 @@ def _groups(logs: Sequence[Log], card: Card) -> list[tuple[int, ...]]:
     files = [str(log.path) for log in logs]
     offer = "+".join(files[place] for place in least[0])
     raise CardError(
-        f"{', '.join(files)}: no file alone holds all that the card names, and which belong together cannot be told: "
+        f"{', '.join(files)}: no file alone holds all that the card names, and it is unclear which belong together: "
         f"join the files of each flight by a plus, as {offer}"
     )
 

@@ -295,7 +295,7 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
     stamps = stream.stamps
     for why, open_ in conditions(log, card, stamps):
         if not np.any(open_[np.isin(stamps, stream.stamps)]):
-            raise FlightError(f"{log.path}: the window is never open: during all the commands that are left {why}")
+            raise FlightError(f"{log.path}: the window is never open: during all remaining commands {why}")
         stream = closed(stream, stamps[~open_])
         stream = keep_samples(
             stream, open_[np.isin(stamps, stream.stamps)], "commands_outside_window", f"lie where {why}: dropped"
@@ -305,7 +305,7 @@ def _inside_window(stream: Stream, log: Log, card: Card) -> Stream:
         return stream
     note = Note(
         "pose_resets",
-        f"{counted(steps.size, 'step')} of the estimator's own in the pose: the flight is split there",
+        f"{counted(steps.size, 'step')} in the pose, made by the estimator: the flight is split there",
         steps.size,
     )
     return replace(closed(stream, steps - 1), notes=(*stream.notes, note))  # also where a command bears that stamp
@@ -373,7 +373,7 @@ def _without_idle_ends(stream: Stream) -> Stream:
     idle = idle_ends(stream.stamps, stream.values)
     stream = closed(stream, stream.stamps[idle])
     return keep_samples(
-        stream, ~idle, "idle_commands", "stand still at the ends though they change all the time else: dropped"
+        stream, ~idle, "idle_commands", "are constant at the ends but change all the time in between: dropped"
     )
 
 

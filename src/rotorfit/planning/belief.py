@@ -233,7 +233,7 @@ def _rest(model: Model, known: Sequence[str], where: str) -> Belief:
             mean, covariance, note = _expected(model.card, axis)
         except PlanError as error:
             if not known:
-                raise PlanError(f"model {where}: it knows no axis, and {error}") from None
+                raise PlanError(f"model {where}: it has numbers for no axis, and {error}") from None
             mean, covariance = np.array([1.0, 1.0, DELAY[0]]), np.diag([1.0, 1.0, DELAY[1] ** 2])
             note = str(error)
         parts.append((mean, covariance, "" if axis in known else note))

@@ -247,7 +247,9 @@ def _check_request(
     if missing := [axis for axis in axes if axis not in card.command]:
         raise PlanError(f"card {card.name}: it has no command for {', '.join(missing)}; leave it out of --axes")
     if duration < SHORTEST:
-        raise PlanError(f"a plan of {duration:g} s is too short to tell anything; give --duration {SHORTEST:g} or more")
+        raise PlanError(
+            f"a plan of {duration:g} s is too short to identify anything; give --duration {SHORTEST:g} or more"
+        )
     if amplitude is not None and not amplitude > 0:
         raise PlanError(f"an amplitude of {amplitude:g} excites nothing; give one above 0")
     inside = all(low < at < high for low, at, high in zip(space.lower, space.start, space.upper, strict=False))

@@ -62,7 +62,7 @@ def response_bands(
         turned = f", or the heading turns by more than {np.degrees(TURNED):.0f} deg" if k < 2 else ""
         return (), "none", f"no {SHORTEST:g} s without a hole in commands or poses{turned}"
     if restoring_law(flight, axis, motion() if motion else None) is not None:
-        return (), "none", f"the command of {axis} is a controller's answer to the motion, and nothing else"
+        return (), "none", f"the command of {axis} is only a controller's response to the motion"
     every = [window_tones(window) for window in windows]
     share = min(tones.share for tones in every)
     loop = share < ALL_TONES and answers_motion(windows)
@@ -77,7 +77,7 @@ def response_bands(
     return (
         (),
         "none",
-        f"the command of {axis} answers its motion, and nothing that moves it from outside is known: no tones, no "
+        f"the command of {axis} responds to its motion, and no excitation from outside is known: no tones, no "
         "recorded reference",
     )
 

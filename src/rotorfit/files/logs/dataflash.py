@@ -432,5 +432,5 @@ def content_of(
             else:
                 skipped[name] = "not asked for"
     if placed:
-        notes.append(f"no time in {listed(placed)}: their log_time is told by their place among messages that have one")
+        notes.append(f"no time in {listed(placed)}: their log_time is interpolated between messages that have one")
     return Content(tables, skipped, tuple(notes), damage=damage, units=told)

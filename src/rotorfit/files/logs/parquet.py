@@ -58,7 +58,7 @@ def _check_end(path: Path) -> None:
         file.seek(max(0, size - 8))
         end = file.read(8)
     if end[4:] != _MAGIC or int.from_bytes(end[:4], "little") > size - 12:
-        raise LogError(f"{path}: the Parquet file is cut short: its end says what it holds; copy it again")
+        raise LogError(f"{path}: the Parquet file is cut short: its footer is missing; copy it again")
 
 
 def _decoded(path: Path, folder: Path) -> dict[str, list[str]]:

@@ -160,7 +160,7 @@ def _pages(file: BufferedReader, size: int) -> _Pages:
     page = int.from_bytes(head[16:18], "big")
     page = 65536 if page == 1 else page
     if len(head) < 100 or page < 512 or page & (page - 1) or head[20] > 32:
-        raise DamageError("pages of a size that is none")
+        raise DamageError("an invalid page size")
     return _Pages(file, page, page - head[20], size // page)
 
 

@@ -156,7 +156,7 @@ def clock_offset(witnesses: Sequence[Witness], seen: GriddedMotion) -> Offset | 
         return f"they do not move alike at any offset: at most {100 * share:.0f} % of one is explained by the other"
     error = float(np.sqrt(best.covariance[0, 0]))
     if error > WIDEST:
-        return f"their likeness is too vague: the offset would be known to {1e3 * error:.0f} ms only"
+        return f"their motions are too little alike: the offset has a standard error of {1e3 * error:.0f} ms"
     return _rival(places, best.offset) or _of_the_promptest(witnesses, seen, best)
 
 

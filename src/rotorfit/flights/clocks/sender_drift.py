@@ -221,6 +221,6 @@ def _told(what: str, found: Correction) -> str:
     mean, most = 1e3 * float(np.mean(found.error)), 1e3 * float(np.ptp(found.error))
     return (
         f"the clock of {found.error.size} {what}s {', '.join(parts)} against the recorder's, by the earliest arrivals: "
-        f"taken off, {mean:+.1f} ms in the mean and {most:.1f} ms from least to most, known to +-"
+        f"corrected by {mean:+.1f} ms on average, {most:.1f} ms peak to peak, known to +-"
         f"{1e3 * found.half_width:.1f} ms"
     )
