@@ -56,9 +56,9 @@ def test_a_room_keeps_its_margins_and_the_flight_starts_in_its_middle() -> None:
     ("make", "text", "told"),
     [
         (space_of_room, "6x4", "not length x width x height"),
-        (space_of_room, "0.6x4x3", "leaves no space"),
+        (space_of_room, "0.6x4x3", "leaves no room"),
         (space_of_box, "1,2,3", "not x0,y0,z0,x1,y1,z1"),
-        (space_of_box, "0,0,2,1,1,1", "leaves no space"),
+        (space_of_box, "0,0,2,1,1,1", "leaves no room"),
     ],
 )
 def test_a_room_that_is_none_is_refused(make: Any, text: str, told: str) -> None:

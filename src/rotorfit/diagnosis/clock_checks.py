@@ -231,7 +231,7 @@ def _corrected(flight: Flight) -> Iterator[Finding]:
         "clock_drift",
         "info",
         "; ".join(told),
-        f"none on gain and damping; {1e3 * flight.stamp_error:.1f} ms, the remaining uncertainty of the clock offset, "
+        f"none on gain and damping; {1e3 * flight.stamp_error:.1f} ms, the transmission time that no clock shows, "
         "went into the interval of every delay",
         "synchronise the computers (chrony): then the stamps stay as they are",
     )
