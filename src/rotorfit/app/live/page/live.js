@@ -32,7 +32,7 @@ function between(low, high) { // an interval in words; an end that is open is le
 
 function told(value, [low, high], unit = "") { // a number with its interval
   const range = between(low, high), behind = unit && ` ${unit}`;
-  if (missing(value)) return range ? `${range}${behind}` : "not told";
+  if (missing(value)) return range ? `${range}${behind}` : "unknown";
   return `${figure(value)}${behind}${range && ` (${range})`}`;
 }
 
@@ -137,7 +137,7 @@ function noted(box) {
 function alarmed(alarm) {
   alarms.push(alarm.since[0]);
   const box = made("div", "alarm"), head = made("div");
-  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, told at ${alarm.time.toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
+  head.append(made("b", "", `${alarm.cause.replaceAll("_", " ")}`), ` on ${alarm.axes.join(", ")}, raised at ${alarm.time.toFixed(1)} s, since ${alarm.since[0].toFixed(1)} to ${alarm.since[1].toFixed(1)} s`);
   const changes = Object.entries(alarm.change).map(([name, [low, high]]) => `${name.replace(".", " ")} ${/delay|trim/.test(name) ? "by" : "times"} ${figure(low)} to ${figure(high)}`);
   box.append(head, made("p", "", `${alarm.why}.${changes.length ? ` ${changes.join("; ")}.` : ""}`));
   noted(box);

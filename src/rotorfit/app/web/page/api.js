@@ -6,7 +6,7 @@ export class Refusal extends Error {
 
 async function answered(response) {
   if (response.ok) return response;
-  let line = `the studio answered ${response.status}; what happened stands in its terminal`;
+  let line = `the studio answered ${response.status}; see its terminal for details`;
   try { line = (await response.json()).error || line; } catch { /* not JSON: a bug, told above */ }
   throw new Refusal(response.status, line);
 }
