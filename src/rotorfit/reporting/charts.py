@@ -29,11 +29,12 @@ def horizon_charts(scores: Sequence[HorizonErrors], paired: Sequence[PairedTest]
         paired: Tests of the model against the baselines, for the band of errors that do not differ significantly.
     """
     charts = []
+    units: Mapping[Quantity, Mapping[str, tuple[str, float]]] = {"velocity": SPEED, "position": LENGTH}
     for axis in AXES:
         mine = [score for score in scores if score.axis == axis]
-        if any(score.velocity.get("model") is not None for score in mine):
-            charts.append(_horizon_chart(mine, "velocity", *SPEED[axis], _band(mine, paired, "velocity")))
-            charts.append(_horizon_chart(mine, "position", *LENGTH[axis], _band(mine, paired, "position")))
+        for what, unit in units.items():  # an axis with a velocity alone has no position to predict
+            if any(getattr(score, what).get("model") is not None for score in mine):
+                charts.append(_horizon_chart(mine, what, *unit[axis], _band(mine, paired, what)))
     return tuple(charts)
 
 
