@@ -24,10 +24,10 @@ def check_flights(flights: object) -> None:
         TypeError: Names the type that was given.
     """
     if not isinstance(flights, Sequence) or isinstance(flights, str | bytes):
-        raise TypeError(f"a sequence of flights is wanted, not {type(flights).__name__}")
+        raise TypeError(f"expected a sequence of flights, got {type(flights).__name__}")
     for one in flights:
         if not isinstance(one, Flight):
-            raise TypeError(f"a sequence of flights is wanted, not one of {type(one).__name__}")
+            raise TypeError(f"expected a sequence of flights, got one of {type(one).__name__}")
 
 
 def check_distinct(flights: Sequence[Flight]) -> None:

@@ -156,7 +156,7 @@ def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
     chosen = "the axes asked for" if named else "the worst known axes"
     return (
-        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times what is wanted"
+        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target"
     )
 
 
