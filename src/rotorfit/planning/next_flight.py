@@ -155,9 +155,7 @@ def _reason(ratio: Array, group: Sequence[str], named: bool) -> str:
     axis = max(group, key=lambda each: float(rows[each].max()))
     name, times = COEFFICIENTS[int(np.argmax(rows[axis]))], float(rows[axis].max())
     chosen = "the axes asked for" if named else "the worst known axes"
-    return (
-        f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target"
-    )
+    return f"{', '.join(group)}: {chosen}; the standard error of the {name} of {axis} is {times:.2g} times the target"
 
 
 def _table(errors: Array) -> dict[str, dict[str, float]]:
