@@ -43,7 +43,7 @@ def test_the_page_names_whom_it_follows_and_says_numbers_with_units_and_bounds(l
     server.state(told(1, 0.1), 0)
     captions = page.locator("figcaption")
     expect(captions).to_have_text(
-        ["input [rad/s²]4.00 (3.90 to 4.10)", "damping [1/s]below 0.316", "delay [s]not told", "wind [rad/s²]not told"]
+        ["input [rad/s²]4.00 (3.90 to 4.10)", "damping [1/s]below 0.316", "delay [s]unknown", "wind [rad/s²]unknown"]
     )
     expect(page.locator(".now")).to_have_text("velocity -0.116 rad/s · gusts 0.0195 rad/s")
     expect(page.locator(".rest")).to_have_text("lag 0.120 s (above 0.100)")

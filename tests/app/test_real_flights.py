@@ -266,7 +266,7 @@ def test_the_other_bag_is_predicted(real_flights: Path, manoeuvre: str, axis: st
 # DJI hexarotor: all axes at once, 10 Hz, turning
 
 
-def test_the_hexarotor_is_known_on_all_axes_from_four_flights(real_flights: Path) -> None:
+def test_the_hexarotors_steady_gains_are_known_from_four_flights(real_flights: Path) -> None:
     model = fitted(real_flights, tuple(DJI[:4])).model
 
     for name in AXES:
@@ -276,8 +276,9 @@ def test_the_hexarotor_is_known_on_all_axes_from_four_flights(real_flights: Path
         assert low is not None
         assert high is not None
         assert 0.85 < low < high < 1.3  # commands are velocities
-    for name in ("x", "y", "z"):
+    for name in ("x", "y"):  # z has a lag, and its stretches disagree under a law without
         assert {model.axes[name].status[part] for part in ("input", "damping", "delay")} == {"ok"}
+    assert "time" in {test.test for test in model.axes["z"].evidence}
     assert model.axes["yaw"].status["damping"] == "not_identifiable"  # faster than a log of 10 Hz
 
 

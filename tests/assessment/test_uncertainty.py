@@ -223,7 +223,7 @@ def test_two_vehicles_in_one_fit_are_told_on_the_command_line_with_the_table(tmp
     logs = [str(tmp_path / f"{number}.bag") for number in range(2)]
     result = CliRunner().invoke(main, ["fit", *logs, "--axes", "z", "--uncertainty", "-o", str(tmp_path / "m.json")])
     assert result.exit_code == 0, result.output
-    assert "warning flights_disagree: the 2 flights that tell z apart differ" in result.output
+    assert "warning flights_disagree: the 2 flights that determine z differ" in result.output
     assert "insens. %" in result.output
     assert "bootstrap: 200 flights drawn in blocks of 2 s, seed 0" in result.output
     stored = json.loads((tmp_path / "m.json").read_text())
