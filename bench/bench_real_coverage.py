@@ -229,6 +229,8 @@ def main() -> None:
     parser.add_argument("--cache", type=Path)
     parser.add_argument("-o", dest="output", type=Path, default=Path(__file__).with_name("real_coverage.json"))
     options = parser.parse_args()
+    if options.cache:
+        options.cache.mkdir(parents=True, exist_ok=True)
     if not options.data.is_dir():
         raise SystemExit(f"{options.data}: no recordings there; name their folder with --data")
     start = time.perf_counter()

@@ -152,7 +152,7 @@ class _Fleet:
         Where the answer was certain before all had flown, the shares are lower bounds.
         """
         tracker, count, shares = tracker_of(plan), np.zeros(8), np.zeros(8)
-        for place, (seed, truth) in enumerate(self._vehicles):
+        for place, (seed, truth) in enumerate(tuple(self._vehicles)):
             _, violated = _violated(plan, fly_plan(tracker, truth, seed))
             if violated.any():
                 self._vehicles.insert(0, self._vehicles.pop(place))
