@@ -279,13 +279,13 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     B 49 (1987), pp. 1-39.
     """
     K, n, F, L = point.gain.size, point.n, len(records), point.levels.size
-    scaled = K == 1 and point.measured == "position"
+    scaled = [place for k in range(K) for place in (4 * k, 4 * k + 1)] if point.measured == "position" else []
     first_trim = point.coefficients
     width = first_trim + 2 * K
     information, gradient = np.zeros((n + L, n + L)), np.zeros(n + L)
     projected, slopes, cross = np.zeros((n, n)), np.zeros((L, n, n)), np.zeros((n, L))
     log_likelihood, innovations = 0.0, []
-    looked = [] if restricted is None else [i for i in range(L) if i or not scaled]
+    looked = [] if restricted is None else [i for i in range(L) if i not in scaled[:1]]
     levels = np.repeat(point.levels[None], 1 + len(looked), axis=0)
     levels.reshape(len(levels), L)[1 + np.arange(len(looked)), looked] += LEVEL_STEP
     for j, (rec, at) in enumerate(_flights(records)):
@@ -322,13 +322,13 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
                 slopes[i][where[:, None], where] += change[1:, 1:] / LEVEL_STEP
                 cross[where, i] += change[1:, 0] / LEVEL_STEP
         if scaled:
-            # q and r together only scale every variance except that of the unknown start: this saves a filter pass
-            later = ~rec.fresh
-            d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[1]
-            d_log_variance[0] = LEVEL_STEP * later - d_log_variance[1]
+            # all q and r together only scale every variance except that of the unknown start: this saves a filter pass
+            later = np.repeat(~rec.fresh, K)
+            d_innovation[0] = -0.5 * LEVEL_STEP * e * later - d_innovation[scaled[1:]].sum(axis=0)
+            d_log_variance[0] = LEVEL_STEP * later - d_log_variance[scaled[1:]].sum(axis=0)
         for (where, _), product in zip(parts, products, strict=True):
             projected[where[:, None], where] += product[1:few, 1:few]
-            if scaled:  # minus the gradient; the second level's share is subtracted below
+            if scaled:  # minus the gradient; the shares of the other levels are subtracted below
                 cross[where, 0] -= product[1:few, 0]
         d_innovation /= LEVEL_STEP
         d_log_variance /= LEVEL_STEP
@@ -338,8 +338,8 @@ def score(records: Sequence[Record], point: Point, restricted: Restriction | Non
     adjustment = 0.0
     if restricted is not None:
         if scaled:
-            slopes[0] = -projected - slopes[1]
-            cross[:, 0] -= cross[:, 1]
+            slopes[0] = -projected - slopes[scaled[1:]].sum(axis=0)
+            cross[:, 0] -= cross[:, scaled[1:]].sum(axis=1)
         gradient[n:] -= 0.5 * np.einsum("ij,kij->k", inverted(projected, restricted.active), slopes)
         adjustment = -0.5 * _log_determinant(projected, restricted.active)
     return LikelihoodScore(log_likelihood, adjustment, gradient, information, slopes, cross, tuple(innovations))
