@@ -55,7 +55,7 @@ def lagged_axis_response(
     return out
 
 
-@kernel()
+@kernel(fastmath={"contract"})
 def _lagged_axis_response(
     starts: Array, pose_range: Any, command_range: Any, pose_time: Array, block: Any, command_time: Array,
     command: Array, weight: Array, law: Array, velocity: Array, series: Array, out: Array,
@@ -184,7 +184,7 @@ def _lagged_axis_response(
             i += 1
 
 
-@inner(inline="always")
+@inner(inline="always", fastmath={"contract"})
 def _impulse(series: Array, rate: float, damping: float, second: bool, dt: float) -> Any:
     """The response G of the velocity to an impulse of the third state, its integrals J and H, and derivatives.
 
