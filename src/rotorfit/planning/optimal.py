@@ -21,7 +21,7 @@ problem is bounded from above (`bench/bench_optimal.py`).
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from rotorfit.planning.axis_information import (
     transitions,
 )
 from rotorfit.planning.belief import Belief, levels_of
+
+if TYPE_CHECKING:
+    from highspy import Highs
 
 Criterion = Literal["d", "a"]
 
@@ -63,6 +66,10 @@ SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 121)])
 
 LONGEST_CLIMB = 100
 """Largest number of steps of a climb; 5 to 20 are usual."""
+
+PRIMAL = 4
+"""Number by which the solver knows the primal simplex: the last corner stays feasible when only the objective changes,
+and its neighbours are tried next."""
 
 
 @dataclass(frozen=True)
@@ -276,12 +283,21 @@ class _Problem:
         return np.asarray(inverse @ inverse * scale / (2 * np.trace(inverse)))
 
     @functools.cached_property
-    def motion(self) -> tuple[Any, Array]:
-        """Equations A x = 0 and bounds (3 N, 2) of x: N commands, and the positions and speeds after each of them.
+    def programme(self) -> "Highs":
+        """The linear programme of `corner`, without its objective.
 
-        Each is in units of its limit, which suits the solver better than SI.
+        Variables are N commands, and the positions and speeds after each of them, each in units of its limit, which
+        suits the solver better than SI. The solver keeps its last corner and starts the next search there.
         """
+        import highspy
         from scipy.sparse import csc_array, eye_array, hstack, vstack
+
+        class Silent(highspy.Highs):
+            """The solver without the banner that it prints from its own initialisation."""
+
+            def enableCallbacks(self) -> None:  # noqa: N802 (the name is theirs)
+                self.silent()
+                super().enableCallbacks()  # type: ignore[no-untyped-call]
 
         N, limits = self.n, self.limits
         gain, damping, _ = self.form.dynamics
@@ -292,9 +308,21 @@ class _Problem:
         one, before = eye_array(N), eye_array(N, k=-1)
         position = hstack([-h * push / room * one, one - before, -k * fastest / room * before])
         speed = hstack([-k * push / fastest * one, 0 * one, one - f * before])
+        equations = csc_array(vstack([position, speed]))
         bounds = np.repeat([[-1.0, 1.0], [limits.lower / room, limits.upper / room], [-1.0, 1.0]], N, axis=0)
         bounds[[2 * N - 1, 3 * N - 1]] = 0.0  # at rest at the start position
-        return csc_array(vstack([position, speed])), bounds
+        model = highspy.HighsLp()
+        model.num_row_, model.num_col_ = equations.shape
+        model.col_cost_, (model.col_lower_, model.col_upper_) = np.zeros(3 * N), bounds.T
+        model.row_lower_ = model.row_upper_ = np.zeros(2 * N)
+        model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+        model.a_matrix_.start_, model.a_matrix_.index_ = equations.indptr, equations.indices
+        model.a_matrix_.value_ = equations.data
+        solver = Silent()  # type: ignore[no-untyped-call]
+        for option, value in (("solver", "simplex"), ("simplex_strategy", PRIMAL), ("presolve", "off"), ("threads", 1)):
+            solver.setOptionValue(option, value)
+        solver.passModel(model)
+        return solver
 
     def corner(self, direction: Array) -> Array:
         """The flight inside the limits that maximises the projection of its commands on a direction, shape (N,).
@@ -302,18 +330,17 @@ class _Problem:
         Raises:
             PlanError: The linear programme failed.
         """
-        from scipy.optimize import linprog
+        from highspy import HighsModelStatus
 
-        equations, bounds = self.motion
-        cost = np.concatenate([-direction / np.abs(direction).max(), np.zeros(2 * self.n)])
-        for presolve in (False, True):  # either may end "Unknown" at a degenerate corner: HiGHS issues 1528, 2108
-            found = linprog(
-                cost, A_eq=equations, b_eq=np.zeros(2 * self.n), bounds=bounds, method="highs-ds",
-                options={"presolve": presolve},
-            )  # fmt: skip
-            if found.x is not None:
-                return np.asarray(self.limits.command * found.x[: self.n])
-        raise PlanError(f"the linear programme of the optimal design failed ({found.message}): change the limits")
+        solver, N = self.programme, self.n
+        solver.changeColsCost(N, np.arange(N, dtype=np.int32), -direction / np.abs(direction).max())
+        for _ in range(2):
+            solver.run()
+            if solver.getModelStatus() == HighsModelStatus.kOptimal:
+                return np.asarray(self.limits.command * np.array(solver.getSolution().col_value[:N]))
+            solver.clearSolver()  # a degenerate corner can end a search from the last one: once more from the beginning
+        status = solver.modelStatusToString(solver.getModelStatus())
+        raise PlanError(f"the linear programme of the optimal design failed ({status}): change the limits")
 
     def climb(self, command: Array) -> _Climb:
         """Climbs from a flight inside the limits to a local optimum; the score never falls."""
