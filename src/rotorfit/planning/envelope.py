@@ -15,9 +15,9 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.progress import Progress
 from rotorfit.planning.belief import Belief, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
-from rotorfit.planning.precision import fly_plan, path
+from rotorfit.planning.precision import conditions_of, fly_plan, fly_under, path
 from rotorfit.planning.signals import scaled
-from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, noise_free
+from rotorfit.simulation.paper_vehicle import Conditions, SimulatedFlight, Truth, noise_free
 
 DRAWS = 50
 """Number of vehicles drawn."""
@@ -134,8 +134,12 @@ class _Fleet:
     A vehicle that violated a limit flies first the next time, and as soon as the answer is certain no other one flies.
     """
 
-    def __init__(self, belief: Belief, draws: int, seed: int) -> None:
-        self._vehicles = list(enumerate(sample_vehicles(belief, draws, seed), seed + 1))
+    def __init__(self, vehicles: Sequence[Conditions]) -> None:
+        self._vehicles = list(vehicles)
+
+    def half(self) -> "_Fleet":
+        """The first half of the vehicles, at least one."""
+        return _Fleet(self._vehicles[: max(len(self._vehicles) // 2, 1)])
 
     def fits(self, plan: Plan) -> bool:
         """Whether no more vehicles leave the space than are allowed: `Envelope.fits`."""
@@ -152,8 +156,8 @@ class _Fleet:
         Where the answer was certain before all had flown, the shares are lower bounds.
         """
         tracker, count, shares = tracker_of(plan), np.zeros(8), np.zeros(8)
-        for place, (seed, truth) in enumerate(tuple(self._vehicles)):
-            _, violated = _violated(plan, fly_plan(tracker, truth, seed))
+        for place, under in enumerate(tuple(self._vehicles)):
+            _, violated = _violated(plan, fly_under(tracker, under))
             if violated.any():
                 self._vehicles.insert(0, self._vehicles.pop(place))
                 count += [*violated, violated[:5].any()]
@@ -191,8 +195,8 @@ def largest_amplitudes(
     """
     axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
     low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
-    fleet, half = _Fleet(belief, draws, seed), _Fleet(belief, max(draws // 2, 1), seed)
-    factors = dict(high)
+    fleet = _fleet(plan, belief, draws, seed)
+    half, factors = fleet.half(), dict(high)
     for step in range(_STEPS):
         if progress:
             progress(0.5 * step / _STEPS, "looking for the largest amplitude")
@@ -208,13 +212,13 @@ def largest_amplitudes(
         return dict.fromkeys(axes, 0.0)
     plan, rest = with_amplitudes(plan, low), _second_half(progress)
     if not fleet.fits(plan):
-        common = largest_amplitude(plan, belief, 1.0, draws, seed, rest)
+        common = _largest_common(plan, fleet, 1.0, rest)
         return {axis: common * factor for axis, factor in low.items()}
     plane = [axis for axis in axes if axis in ("x", "y")]
     if len(plane) < 2:
         return low
     spare = min(np.sqrt(2), upper / max(low[axis] for axis in plane))  # they need not be fastest at the same time
-    more = largest_amplitude(plan, belief, spare, draws, seed, rest, plane) if spare > 1 else 1.0
+    more = _largest_common(plan, fleet, spare, rest, plane) if spare > 1 else 1.0
     return {axis: (max(more, 1.0) if axis in plane else 1.0) * factor for axis, factor in low.items()}
 
 
@@ -240,19 +244,25 @@ def _second_half(progress: Progress | None) -> Progress | None:
 
 
 def largest_amplitude(
-    plan: Plan,
-    belief: Belief,
-    upper: float = 1.0,
-    draws: int = DRAWS,
-    seed: int = 0,
-    progress: Progress | None = None,
-    axes: Sequence[str] = AXES,
+    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
 ) -> float:
-    """The largest common factor on the signals of some axes with which the plan stays in its space; 0 if none does.
+    """The largest common factor on all signals with which the plan stays in its space; 0 if none does.
 
-    The other arguments and the search are as for `largest_amplitudes`.
+    The arguments and the search are as for `largest_amplitudes`.
     """
-    fleet = _Fleet(belief, draws, seed)
+    return _largest_common(plan, _fleet(plan, belief, draws, seed), upper, progress)
+
+
+def _fleet(plan: Plan, belief: Belief, draws: int, seed: int) -> _Fleet:
+    return _Fleet(
+        [conditions_of(plan, truth, n) for n, truth in enumerate(sample_vehicles(belief, draws, seed), seed + 1)]
+    )
+
+
+def _largest_common(
+    plan: Plan, fleet: _Fleet, upper: float, progress: Progress | None, axes: Sequence[str] = AXES
+) -> float:
+    """As `largest_amplitude`, on the signals of some axes."""
 
     def stays(factor: float, step: int) -> bool:
         if progress:

@@ -24,7 +24,16 @@ from rotorfit.files.cards import load_card
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.planning.belief import NAMES, Belief, levels_of, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
-from rotorfit.simulation.paper_vehicle import HOVER_HEIGHT, Controller, SimulatedFlight, Truth, as_log, simulate_flight
+from rotorfit.simulation.paper_vehicle import (
+    HOVER_HEIGHT,
+    Conditions,
+    Controller,
+    SimulatedFlight,
+    Truth,
+    as_log,
+    conditions,
+    flown,
+)
 
 COARSE = 0.02  # s, longest step of the integration: a path of 60 s is then accurate to a tenth of a millimetre
 
@@ -40,19 +49,25 @@ def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
     Returns:
         The flight, from rest at `paper_vehicle.HOVER_HEIGHT` above the origin, with the heading of the plan's start.
     """
-    plan, feedback = tracker.plan, tracker.plan.feedback
+    return fly_under(tracker, conditions_of(tracker.plan, truth, seed))
+
+
+def conditions_of(plan: Plan, truth: Truth, seed: int) -> Conditions:
+    """Conditions in which a vehicle flies a plan, or one that differs from it in nothing but amplitudes."""
     truth = replace(truth, command_rate=plan.rate, command_jitter=min(truth.command_jitter, 0.2 / plan.rate))
-    scale = _four(tracker.full_scale)
+    return conditions(truth, plan.duration, seed, max_step=COARSE)
+
+
+def fly_under(tracker: Tracker, under: Conditions) -> SimulatedFlight:
+    """Flies a plan as `fly_plan`, under known conditions."""
+    plan, feedback, scale = tracker.plan, tracker.plan.feedback, _four(tracker.full_scale)
     controller = Controller(axes=(), full_scale=scale)
     if feedback:
         controller = Controller(
             feedback.stiffness, feedback.damping, feedback.filter_time, feedback.axes,
             tuple(map(float, tracker.gamma)), functools.partial(reference_at, plan), scale,
         )  # fmt: skip
-    return simulate_flight(
-        truth, functools.partial(command_at, plan), plan.duration, seed,
-        controller=controller, initial_yaw=plan.space.start[3], max_step=COARSE,
-    )  # fmt: skip
+    return flown(under, functools.partial(command_at, plan), controller, plan.space.start[3])
 
 
 def recorded_flight(flight: SimulatedFlight) -> Flight:

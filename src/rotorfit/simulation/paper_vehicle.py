@@ -28,6 +28,8 @@ from rotorfit.simulation.published import PUBLISHED
 
 Integers = npt.NDArray[np.int64]
 
+Places = npt.NDArray[np.int32]
+
 Flags = npt.NDArray[np.bool_]
 
 Four = tuple[float, float, float, float]  # one value for each of x, y, z, yaw
@@ -165,6 +167,63 @@ def noise_free(truth: Truth) -> Truth:
     return replace(truth, wind_sigma=(0.0,) * 4, mocap_noise=(0.0,) * 4, stale_share=0.0)
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """Vehicle, air and room of a flight, with all stamps and all that is random: whatever its commands do not change.
+
+    Attributes:
+        truth: Vehicle, air and room.
+        duration: Duration of commands and poses [s].
+        seed: Seed of all randomness.
+        held: Whether commands are samples.
+        command_stamp: When each command is sent, shape (M,) [ns since the start].
+        pose_stamp: When each frame is taken, shape (N,) [ns since the start].
+        noise: Error of the mocap, shape (N, 4) [m, rad].
+        stale: Whether the frame repeats the previous pose, shape (N,).
+        node: Times of the wind, shape (J,) [s].
+        gust: The wind at these times, shape (J, 4) [m/s^2, rad/s^2].
+        time: The grid of the integration, shape (T,) [s].
+        wind: The wind on the grid, shape (T, 4) [m/s^2, rad/s^2].
+        row: Row of the commands that acts on each axis in each interval of the grid, shape (T - 1, 4), see `_fly`.
+        pose_at: Frame that is taken at each instant of the grid, or -1, shape (T,).
+        command_at: Command that is sent at each instant of the grid, or -1, shape (T,).
+    """
+
+    truth: Truth
+    duration: float
+    seed: int
+    held: bool
+    command_stamp: Integers
+    pose_stamp: Integers
+    noise: Array
+    stale: Flags
+    node: Array
+    gust: Array
+    time: Array
+    wind: Array
+    row: Places
+    pose_at: Places
+    command_at: Places
+
+
+def conditions(truth: Truth, duration: float, seed: int, *, held: bool = True, max_step: float = 0.002) -> Conditions:
+    """The conditions of a flight; arguments as for `simulate_flight`."""
+    stamp_rng, wind_rng, noise_rng = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(3))
+    pose_stamp = _stamps(duration, truth.pose_rate, truth.pose_jitter, stamp_rng)
+    command_stamp = _stamps(duration, truth.command_rate, truth.command_jitter, stamp_rng) if held else pose_stamp
+    seen, sent = _seconds(pose_stamp), _seconds(command_stamp)
+    node, gust = _wind(truth, duration, wind_rng)
+    time = _grid(duration, seen, sent, truth.delay, node, max_step)
+    return Conditions(
+        truth=truth, duration=duration, seed=seed, held=held, command_stamp=command_stamp, pose_stamp=pose_stamp,
+        noise=np.array(truth.mocap_noise) * noise_rng.standard_normal((seen.size, 4)),
+        stale=(noise_rng.random(seen.size) < truth.stale_share) & (seen > seen[0]),
+        node=node, gust=gust, time=time, wind=_interpolated(time, node, gust),
+        row=_held_rows(time, sent, truth.delay) if held else _smooth_rows(time), pose_at=_places(time, seen),
+        command_at=_places(time, sent),
+    )  # fmt: skip
+
+
 def simulate_flight(
     truth: Truth,
     excitation: Excitation,
@@ -194,29 +253,28 @@ def simulate_flight(
     """
     if controller and not held:
         raise ValueError("a controller sends samples: it needs held commands")
-    stamp_rng, wind_rng, noise_rng = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(3))
-    pose_stamp = _stamps(duration, truth.pose_rate, truth.pose_jitter, stamp_rng)
-    command_stamp = _stamps(duration, truth.command_rate, truth.command_jitter, stamp_rng) if held else pose_stamp
-    seen, sent = _seconds(pose_stamp), _seconds(command_stamp)
-    node, wind = _wind(truth, duration, wind_rng)
-    time = _grid(duration, seen, sent, truth.delay, node, max_step)
+    return flown(conditions(truth, duration, seed, held=held, max_step=max_step), excitation, controller, initial_yaw)
+
+
+def flown(
+    under: Conditions, excitation: Excitation, controller: Controller | None = None, initial_yaw: float = 0.0
+) -> SimulatedFlight:
+    """The flight of a vehicle under known conditions; arguments and result as for `simulate_flight`."""
+    truth, sent = under.truth, _seconds(under.command_stamp)
     command = excitation(sent)
-    value, row, stride = _held(time, sent, truth.delay, command) if held else _smooth(time, truth.delay, excitation)
-    noise = np.array(truth.mocap_noise) * noise_rng.standard_normal((seen.size, 4))
-    stale = (noise_rng.random(seen.size) < truth.stale_share) & (seen > seen[0])
-    steered_at = _places(time, sent) if controller else np.full(time.size, -1)
+    value = np.concatenate([np.zeros((1, 4)), command]) if under.held else _smooth(under, excitation)
     start = np.array([0.0, 0.0, HOVER_HEIGHT, initial_yaw])
     gains, reference = _steering(controller or Controller(axes=()), truth, sent, start)
     state, acceleration, pose = _compiled(_fly)(
-        time, _interpolated(time, node, wind), value, row, stride,
-        _places(time, seen), noise, stale, steered_at, gains, reference,
-        start, np.array(truth.gamma, float), np.array(truth.trim, float),
+        under.time, under.wind, value, under.row, 0 if under.held else 1,
+        under.pose_at, under.noise, under.stale, under.command_at if controller else np.full_like(under.command_at, -1),
+        gains, reference, start, np.array(truth.gamma, float), np.array(truth.trim, float),
     )  # fmt: skip
-    command = value[1:] if held else command  # including the controller's contribution
     return SimulatedFlight(
-        truth=truth, seed=seed, command_stamp=command_stamp, command=command, pose_stamp=pose_stamp, pose=pose,
-        stale=stale, true_pose=state[:, :4], velocity=state[:, 4:], acceleration=acceleration,
-        wind=_interpolated(seen, node, wind),
+        truth=truth, seed=under.seed, command_stamp=under.command_stamp,
+        command=value[1:] if under.held else command,  # including the controller's contribution
+        pose_stamp=under.pose_stamp, pose=pose, stale=under.stale, true_pose=state[:, :4], velocity=state[:, 4:],
+        acceleration=acceleration, wind=_interpolated(_seconds(under.pose_stamp), under.node, under.gust),
     )  # fmt: skip
 
 
@@ -264,9 +322,9 @@ def _grid(duration: float, poses: Array, commands: Array, delay: Four, node: Arr
     return np.append(events[index] + gap[index] * (part / parts[index]), events[-1])
 
 
-def _places(time: Array, asked: Array) -> Integers:
+def _places(time: Array, asked: Array) -> Places:
     """Index of each instant of the grid among the requested instants, or -1."""
-    places = np.full(time.size, -1)
+    places = np.full(time.size, -1, np.int32)
     places[np.searchsorted(time, asked)] = np.arange(asked.size)
     return places
 
@@ -291,21 +349,26 @@ def _between(time: Array, node: Array, value: Array) -> Array:
     return out
 
 
-def _held(time: Array, sent: Array, delay: Four, command: Array) -> tuple[Array, Integers, int]:
-    """Values, rows and stride for `_fly`; row 0 is the hover before the first command. Midpoints select the row."""
+def _held_rows(time: Array, sent: Array, delay: Four) -> Places:
+    """Rows of held commands for `_fly`; row 0 is the hover before the first command. Midpoints select the row."""
     middle = (time[:-1] + time[1:]) / 2
     # there are fewer commands than intervals: locate each command among the intervals, then count those before each
     first = [np.searchsorted(middle, sent + tau, side="right") for tau in delay]
-    row = np.stack([np.cumsum(np.bincount(each, minlength=time.size)[:-1]) for each in first], axis=1)
-    return np.concatenate([np.zeros((1, 4)), command]), row, 0
+    return np.stack([np.cumsum(np.bincount(each, minlength=time.size)[:-1]) for each in first], axis=1).astype(np.int32)
 
 
-def _smooth(time: Array, delay: Four, excitation: Excitation) -> tuple[Array, Integers, int]:
-    """Three rows per interval, with the delay included: hover until it has passed, then the function itself."""
+def _smooth_rows(time: Array) -> Places:
+    """Rows of smooth commands for `_fly`: three per interval, the same for all axes."""
+    return np.repeat(3 * np.arange(time.size - 1, dtype=np.int32)[:, None], 4, axis=1)
+
+
+def _smooth(under: Conditions, excitation: Excitation) -> Array:
+    """Values at start, middle and end of each interval, with the delay included: hover until it has passed."""
+    time = under.time
     middle = (time[:-1] + time[1:]) / 2
     stage = np.stack([time[:-1], middle, time[1:]], axis=1).ravel()
-    flown = [excitation(stage - tau)[:, a] * (np.repeat(middle, 3) > tau) for a, tau in enumerate(delay)]
-    return np.stack(flown, axis=1), np.repeat(3 * np.arange(middle.size)[:, None], 4, axis=1), 1
+    sides = [excitation(stage - tau)[:, a] * (np.repeat(middle, 3) > tau) for a, tau in enumerate(under.truth.delay)]
+    return np.stack(sides, axis=1)
 
 
 def _steering(controller: Controller, truth: Truth, sent: Array, start: Array) -> tuple[Array, Array]:
@@ -343,8 +406,8 @@ def _compiled(function: Function) -> Function:
 
 
 def _fly(
-    time: Array, wind: Array, value: Array, row: Integers, stride: int,
-    pose_at: Integers, noise: Array, stale: Flags, steered_at: Integers,
+    time: Array, wind: Array, value: Array, row: Places, stride: int,
+    pose_at: Places, noise: Array, stale: Flags, steered_at: Places,
     gains: Array, reference: Array, start: Array, gamma: Array, trim: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Integrates over the grid; takes a pose at `pose_at`, adds the controller's command to `value` at `steered_at`.
