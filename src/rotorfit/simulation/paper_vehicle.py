@@ -402,7 +402,7 @@ def _compiled(function: Function) -> Function:
     """Compiles a function with numba, cached on disk; numba is imported late, as it takes longer than `--help` may."""
     import numba
 
-    return cast("Function", numba.njit(cache=True)(function))
+    return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
 
 
 def _fly(
