@@ -28,7 +28,8 @@ from bench_real_coverage import VEHICLES, Known, Vehicle, fitted, known_of, row_
 from bench_real_coverage import Pair as Judged
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
-from rotorfit.estimation.judgement.random_effects import GRID, NORMAL, mixed_half_width, posterior
+from rotorfit.core.quantiles import NORMAL
+from rotorfit.estimation.judgement.random_effects import GRID, mixed_half_width, posterior
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 
 SCALES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rotorfit.estimation.judgement.random_effects import NORMAL, mixed_half_width, random_effects
+from rotorfit.core.quantiles import NORMAL
+from rotorfit.estimation.judgement.random_effects import mixed_half_width, random_effects
 
 
 def test_flights_that_agree_give_their_weighted_mean() -> None:

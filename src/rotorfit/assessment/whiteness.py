@@ -17,8 +17,8 @@ import numpy as np
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.quantiles import NORMAL, student_quantile
 from rotorfit.core.residuals import Correlogram, Innovations, ResidualTests
-from rotorfit.core.results import student_quantile
 from rotorfit.dynamics.long_run import frequencies, variance_of_mean
 from rotorfit.estimation.regression.paper import newey_west
 
@@ -27,9 +27,6 @@ REACH = 1.0
 
 COMMAND_EVERY = 0.1
 """Spacing of the past commands that are tested together [s]."""
-
-BAND = 1.959963984540054
-"""97.5 % point of the normal distribution."""
 
 LEVEL = 0.05
 """p-value below which a test rejects the model."""
@@ -65,7 +62,7 @@ def autocorrelation(time: Array, innovation: Array, reach: float = REACH) -> Cor
     for i, k in enumerate(lags):
         product = (e[k:] * e[:-k])[_adjacent(time, int(k))]
         value[i] = product.sum() / power
-        band[i] = BAND * np.sqrt(product @ product) / power
+        band[i] = NORMAL * np.sqrt(product @ product) / power
     return Correlogram(np.asarray(step * lags, float), value, band)
 
 
@@ -85,7 +82,7 @@ def cross_correlation(innovations: Innovations, covariance: Array) -> Correlogra
     value, band = np.zeros(size.size), np.zeros(size.size)
     for i in np.flatnonzero(size > 0):
         total, spread = _with_command(innovations, u[:, i : i + 1], covariance)
-        value[i], band[i] = total[0] / size[i], BAND * np.sqrt(spread[0, 0]) / size[i]
+        value[i], band[i] = total[0] / size[i], NORMAL * np.sqrt(spread[0, 0]) / size[i]
     lag = _step(innovations.time) * np.arange(1, size.size + 1)
     return Correlogram(np.asarray(lag, float), value, band)
 
@@ -110,7 +107,7 @@ def residual_tests(
     n, lags = e.size, found.lag.size
     classic = float(n * (n + 2) * np.sum(found.value**2 / (n - np.arange(1, lags + 1))))
     told = found.band > 0  # a predictor without any error has no band
-    robust = float(np.sum((BAND * found.value[told] / found.band[told]) ** 2))
+    robust = float(np.sum((NORMAL * found.value[told] / found.band[told]) ** 2))
     command_p, freedom = _independence(innovations, covariance)
     with_command = cross_correlation(innovations, covariance)
     peak = int(np.argmax(np.abs(with_command.value) - with_command.band))

@@ -18,9 +18,7 @@ from rotorfit.core.frames import Array
 from rotorfit.core.frequency_response import Spectrum
 from rotorfit.core.laws import LAG, ZERO, Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Interval, Model, Predictor, Weighed, predictor_of, weighed
-
-NORMAL = 1.959963984540054
-"""97.5 % point of the normal distribution."""
+from rotorfit.core.quantiles import NORMAL
 
 STEP = 1e-5
 """Relative step of the finite differences by a parameter."""

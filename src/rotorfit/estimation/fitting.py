@@ -12,10 +12,11 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes
-from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
+from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.judgement.judge import judged
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, couple_axes, estimate_axis, estimate_plane
 from rotorfit.estimation.likelihood.blocks import record

@@ -1,8 +1,5 @@
 """Widths of intervals beyond which a coefficient is not identifiable, and the shortest usable time."""
 
-NORMAL = 1.959963984540054
-"""97.5 % point of the normal distribution."""
-
 LEAST_TIME = 5.0
 """Shortest usable time for which an axis is fitted [s]."""
 

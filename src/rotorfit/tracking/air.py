@@ -15,9 +15,9 @@ from rotorfit.core.frames import AXES, Array, heading_from_world, world_from_hea
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
 from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import Interval
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.tracked import Air
 from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
-from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
 

@@ -24,9 +24,9 @@ from rotorfit.core.errors import CardError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import disagreement
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES, Alarm, TrackedAxis
-from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.files.models import load
 
 SHARE = 0.25

@@ -14,11 +14,12 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import Interval, Model
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
-from rotorfit.estimation.identifiability import LEAST_TIME, NORMAL
+from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
 from rotorfit.estimation.zero_command import commanded_parts

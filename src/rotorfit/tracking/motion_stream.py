@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.tracked import AxisMotion, Motion
 from rotorfit.dynamics.motion_filter import GUSTS, LATER, LATER_ERROR, VELOCITY, WIND, WIND_ERROR
-from rotorfit.estimation.identifiability import NORMAL
 from rotorfit.tracking.air import PAIRS, Course
 from rotorfit.tracking.flight_so_far import Rows
 

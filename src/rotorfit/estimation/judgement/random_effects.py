@@ -20,10 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.results import student_quantile
-
-NORMAL = 1.959963984540054
-"""97.5 % point of the normal distribution."""
+from rotorfit.core.quantiles import NORMAL, student_quantile
 
 TAIL = 3.0
 """Degrees of freedom of the half t: heavy tails, but a finite variance."""

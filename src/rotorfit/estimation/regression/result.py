@@ -8,7 +8,8 @@ import numpy as np
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE
 from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, unknown_axis
-from rotorfit.estimation.identifiability import NORMAL, WIDEST_DELAY, WIDEST_INPUT
+from rotorfit.core.quantiles import NORMAL
+from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
 
 FASTEST = 100.0
 """Absolute damping above which an estimate counts as diverged [1/s]."""
