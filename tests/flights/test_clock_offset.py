@@ -12,12 +12,13 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import world_from_heading
 from rotorfit.core.log import Log, Table
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read as read_log
 from rotorfit.files.logs.several import join_logs
 from rotorfit.flights.assemble import flight_from_log
-from rotorfit.flights.clocks.two_clocks import ANSWER_HALF, NORMAL
+from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
 from rotorfit.flights.several_files import bound
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import SimulatedFlight, Truth, simulate_flight

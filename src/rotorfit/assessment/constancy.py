@@ -14,7 +14,7 @@ import numpy as np
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.quantiles import student_quantile
+from rotorfit.core.quantiles import NORMAL, student_quantile
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import record
@@ -163,9 +163,6 @@ def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
     known = np.sqrt(variance[0, 0]) < 0.5 * abs(theta[0]) and np.sqrt(variance[1, 1]) < 1.0
     return Part(*flight.span, theta, variance) if told and known else None
 
-
-NORMAL = 1.959964
-"""97.5 % point of the normal distribution."""
 
 EVENT = 1.0
 """Changes of a command within this time are one event [s]: the horizon by which models are judged, and the reach of the

@@ -8,6 +8,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.limits import GRAVITY, Meaning, Quantity, limit_text, meaning_of
 from rotorfit.core.model import Interval, Model
 from rotorfit.core.physics import compared, mapped, people
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 
 LIMIT_MARGIN = 1.2
@@ -30,9 +31,6 @@ LAGGING = (
     "compare a structure with a lag"
 )
 """The usual cause of a tilt that has less effect than it should, if the card is right."""
-
-NORMAL = 1.96
-"""97.5 % point of the normal distribution."""
 
 
 def findings_of_settings(model: Model) -> tuple[Finding, ...]:

@@ -37,6 +37,7 @@ from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, RATE, AxisTunin
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
+from rotorfit.core.quantiles import NORMAL
 
 LOST = 2.0
 """Peak of the sensitivity above which the margins are lost. Source: as of `tuning.PEAK`, the upper end of its range."""
@@ -70,9 +71,6 @@ again, noise alone gives 0.82."""
 EXPLAINED = 16.27
 """99.9 % quantile of chi-squared with 3 degrees of freedom: largest squared distance of three coefficients that both
 intervals explain."""
-
-AGREES = 1.96
-"""Standard errors of the fit before within which the next fit agrees with it."""
 
 
 @dataclass(frozen=True)
@@ -201,11 +199,11 @@ class Retuning:
 
 
 def _same(old: Weighed, now: Weighed) -> bool:
-    """Whether a law agrees with the one before, and its standard errors have settled."""
+    """Whether a law lies in the 95 % intervals of the one before, and its standard errors have settled."""
     if any(name not in law.stderr for law in (old, now) for name in COEFFICIENTS):
         return False
     return all(
-        abs(getattr(now.predictor, name) - getattr(old.predictor, name)) <= AGREES * old.stderr[name]
+        abs(getattr(now.predictor, name) - getattr(old.predictor, name)) <= NORMAL * old.stderr[name]
         and now.stderr[name] >= SETTLED * old.stderr[name]
         for name in COEFFICIENTS
     )

@@ -9,8 +9,8 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Axis, Combination, Interval, Model
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.estimation.identifiability import WIDEST_DELAY
-from rotorfit.flights.clocks.two_clocks import NORMAL
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")
 

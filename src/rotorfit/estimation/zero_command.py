@@ -17,6 +17,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.laws import DELAY_RANGE
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Braking
 from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
@@ -226,7 +227,7 @@ def findings_of_braking(axis: str, found: Braking, time: float, whole: float) ->
         "brakes_at_zero",
         "warning" if apart else "error",
         f"while the command of {axis} is zero, {100 * found.share:.0f} % of the time, a damping of {found.further:.2g} "
-        f"+- {1.96 * found.error:.1g} 1/s acts in addition to that of the law, according to one linearised step "
+        f"+- {NORMAL * found.error:.1g} 1/s acts in addition to that of the law, according to one linearised step "
         f"(p = {found.probability:.1g}); no linear law does that",
         f"{axis} was fitted to the {time:.0f} of {whole:.0f} s in which it is commanded, and the model is valid "
         "for these only: at zero command the vehicle brakes by itself"

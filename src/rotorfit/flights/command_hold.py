@@ -20,6 +20,7 @@ from rotorfit.core.display import counted
 from rotorfit.core.flight_data import Note
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.log import Log
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.flights.clocks.lag_search import GriddedMotion
 from rotorfit.flights.clocks.motion_signals import ANSWER_STEP, DAMPINGS, HALF_WIDTH, answers, motion_column, seen_by
 from rotorfit.flights.stamps import GAP_PERIODS, GAP_TOLERANCE, Mask, median_period
@@ -31,9 +32,6 @@ PX4 0.5 s, ArduPilot 3 s, Parrot and Tello practically none), and a segment cost
 
 LONGEST = 10.0
 """Longer gaps are not tested [s]: what follows them is another flight."""
-
-SIGMAS = 1.96
-"""Distance of the share from a half, in standard errors, at which it counts as known."""
 
 WORST = 0.3
 """Standard error of the share above which the motion is uninformative."""
@@ -69,8 +67,8 @@ class Share:
 
     @property
     def known(self) -> bool:
-        """Whether the share distinguishes the two."""
-        return self.error < WORST and abs(self.value - 0.5) > SIGMAS * self.error
+        """Whether the share distinguishes the two: its 95 % interval excludes a half."""
+        return self.error < WORST and abs(self.value - 0.5) > NORMAL * self.error
 
 
 @dataclass(frozen=True)
@@ -226,7 +224,7 @@ def _told(levels: list[_Level], hold: float, found: str) -> str:
     for level in levels:
         what = f"{counted(int(np.sum(level.gap)), 'gap')} of up to {level.longest:.3f} s"
         if level.share and level.share.known:
-            why = f"the vehicle followed {level.share.value:.2f} +- {SIGMAS * level.share.error:.2f} of it"
+            why = f"the vehicle followed {level.share.value:.2f} +- {NORMAL * level.share.error:.2f} of it"
         else:
             why = f"the motion does not show it{', and vehicles hold commands for longer' if level.kept else ''}"
         kept = "is assumed to keep acting" if level.kept else "is assumed to have ended"

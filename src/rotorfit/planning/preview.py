@@ -17,6 +17,7 @@ import numpy as np
 from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.writing import write_whole
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.envelope import Envelope, predicted_path
@@ -31,15 +32,13 @@ UNITS = ("", " [1/s]", " [s]")
 
 EXPECTED_HEADS = tuple(f"{name}{unit}" for name, unit in zip(COEFFICIENTS, UNITS, strict=True))
 
-_Z95 = 1.96
-
 
 def expected_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
     """Axis, and its believed coefficients with half the 95 % interval after the flight."""
     for axis, errors in plan.predicted["stderr"].items():
         a, belief = AXES.index(axis), plan.belief
         values = (*belief["gamma"][2 * a : 2 * a + 2], belief["delay"][a])
-        yield axis, *(_plus_minus(v, _Z95 * errors[name]) for name, v in zip(COEFFICIENTS, values, strict=True))
+        yield axis, *(_plus_minus(v, NORMAL * errors[name]) for name, v in zip(COEFFICIENTS, values, strict=True))
 
 
 def _plus_minus(value: float, half: float) -> str:

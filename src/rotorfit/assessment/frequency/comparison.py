@@ -18,6 +18,7 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import LawTest, ResponseComparison
 from rotorfit.core.laws import Structure, structure_named
 from rotorfit.core.model import COEFFICIENTS, Axis, Model
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Motion
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_response
@@ -77,8 +78,8 @@ def model_bands(model: Model, axis: str, omega: Array) -> tuple[Array, Array]:
     ]  # fmt: skip
     slope = np.stack(moved, axis=1)
     middle = law_response(structure, point, omega)
-    half = 1.96 * np.sqrt(np.einsum("kp,pq,kq->k", slope.real, covariance, slope.real))
-    late = 1.96 * np.sqrt(np.einsum("kp,pq,kq->k", slope.imag, covariance, slope.imag)) / omega
+    half = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.real, covariance, slope.real))
+    late = NORMAL * np.sqrt(np.einsum("kp,pq,kq->k", slope.imag, covariance, slope.imag)) / omega
     delay = -np.unwrap(np.angle(middle)) / omega
     gain = np.abs(middle)
     return (

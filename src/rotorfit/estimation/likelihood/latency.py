@@ -14,6 +14,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import DELAY_RANGE, start_levels
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, estimate_axis, estimate_plane, free_of
 from rotorfit.estimation.likelihood.blocks import HALF_STEP, Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
@@ -30,8 +31,6 @@ GRID = 0.02
 
 ENOUGH = 1e-4
 """Tolerance of the maximum and of the ends of the interval [s]."""
-
-NORMAL = 1.959964
 
 FALL = 0.5 * NORMAL**2
 """Fall of the log-likelihood at the ends of the 95 % interval of one parameter."""

@@ -11,15 +11,13 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import AGREES, ANSWER, Clocks
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
+from rotorfit.core.quantiles import NORMAL
 from rotorfit.flights.clocks.lag_search import GriddedMotion
 from rotorfit.flights.clocks.motion_signals import answers, attitude_clock, moved, onboard, seen_by, velocity_clock
 from rotorfit.flights.clocks.offset import Offset, clock_offset
 from rotorfit.flights.columns import table_of
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, stamps_of
 from rotorfit.flights.streams import Stream, commands_of, poses_of
-
-NORMAL = 1.959964
-"""97.5 % point of the normal distribution."""
 
 ANSWER_HALF = 0.11
 """Half the 95 % interval of offset plus delay from the response to the commands [s].
