@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import given_by_law, structure_named
+from rotorfit.core.limits import COMMAND_UNITS
 from rotorfit.core.model import COEFFICIENTS, Interval, Model
 from rotorfit.core.results import FlightScores, Validation
 
@@ -88,11 +89,11 @@ def _axis_rows(model: Model, name: str) -> Iterator[CoefficientRow]:
     papers = {"input": gain, "damping": damping}
     if gain is not None and damping:
         papers |= {"steady_gain": gain / damping, "total_lag": 1 / damping if damping > 0 else None}
-    rate, place = ("rad/s", "rad") if name == "yaw" else ("m/s", "m")
+    rate = f"{POSE_UNITS[name]}/s"
     own = {"speed": rate, "gain": f"{rate}^2"}
     units = {"damping": "1/s", "damping_at_rest": "1/s", "natural_frequency": "rad/s", "damping_ratio": ""} | {
         "input": f"{rate}^2", "input_up": f"{rate}^2", "input_down": f"{rate}^2", "steady_gain": rate,
-        "quadratic_drag": f"1/{place}",
+        "quadratic_drag": f"1/{POSE_UNITS[name]}",
     }  # fmt: skip
 
     def row(
@@ -128,8 +129,7 @@ def command_unit(model: Model, axis: str) -> str:
         return "unit of command"
     if channel.full_scale:
         return f"full {channel.full_scale.replace('_', ' ')}"
-    units = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
-    return units.get(channel.meaning or "", "unit of command")
+    return COMMAND_UNITS.get(channel.meaning or "", "unit of command")
 
 
 def scores_of(validation: Validation, flights: Sequence[Flight]) -> tuple[HorizonErrors, ...]:

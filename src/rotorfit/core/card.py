@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from rotorfit.core.display import html_table
+from rotorfit.core.frames import UNIT_SCALE, Array
+
+Numbers = TypeVar("Numbers", float, Array)
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,19 @@ class Channel:
     meaning: str | None = None
     full_scale: str | None = None
     others: tuple["Channel", ...] = ()
+
+    @property
+    def factor(self) -> float:
+        """Factor to SI from its unit."""
+        return 1.0 if self.unit is None else UNIT_SCALE[self.unit]
+
+    def in_si(self, raw: Numbers) -> Numbers:
+        """The quantity of raw values, in SI or as the fraction that the card defines."""
+        return (raw * self.scale + self.offset) * self.factor
+
+    def raw(self, value: float) -> float:
+        """The raw value of a quantity: the inverse of `in_si`."""
+        return (value / self.factor - self.offset) / self.scale
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ Mask = npt.NDArray[np.bool_]
 AXES = ("x", "y", "z", "yaw")
 """The four axes in the order of the commands, of the pose and of the paper's coefficients gamma."""
 
+POSE_UNITS: Mapping[str, str] = MappingProxyType({"x": "m", "y": "m", "z": "m", "yaw": "rad"})
+"""SI unit of the pose along each axis; velocities and accelerations are in it per second, and per second squared."""
+
 UNIT_SCALE: Mapping[str, float] = MappingProxyType(
     {
         "m": 1.0,

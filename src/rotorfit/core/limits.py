@@ -230,6 +230,7 @@ def disagreement(one: Card, other: Card, whose: tuple[str, str] = ("the plan's c
 
 
 COMMAND_UNITS = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+"""SI unit of what a command asks for."""
 
 LIMIT_OF = {"tilt": "tilt", "velocity": "speed", "vertical_speed": "vertical_speed", "yaw_rate": "yaw_rate"}
 

@@ -4,14 +4,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rotorfit.core.frames import AXES
-from rotorfit.core.limits import PEOPLE, Figure, Meaning, Quantity, expectation, limit_that_gives, meaning_of
+from rotorfit.core.frames import AXES, POSE_UNITS
+from rotorfit.core.limits import (
+    COMMAND_UNITS,
+    PEOPLE,
+    Figure,
+    Meaning,
+    Quantity,
+    expectation,
+    limit_that_gives,
+    meaning_of,
+)
 from rotorfit.core.model import Axis, Model
 
 QUANTITIES = ("acceleration", "steady_speed", "time_constant", "total_lag")
 """The quantities of every axis, in this order."""
-
-_PER = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
 
 
 def physics(model: Model) -> dict[str, dict[str, Quantity]]:
@@ -38,8 +45,8 @@ def compared(model: Model, axis: str) -> Quantity:
 
 def _quantities(model: Model, axis: str) -> dict[str, Quantity]:
     known, meaning = model.axes[axis], meaning_of(model.card, axis)
-    length = "rad" if axis == "yaw" else "m"
-    per = f" per {_PER[meaning.asked]}" if meaning.asked and not meaning.limit else ""
+    length = POSE_UNITS[axis]
+    per = f" per {COMMAND_UNITS[meaning.asked]}" if meaning.asked and not meaning.limit else ""
     tilt, no_gain = meaning.asked == "tilt", _why_not(known, "steady_gain")
     return {
         "acceleration": _quantity(_input(known), f"{length}/s^2{per}", meaning, tilt, _why(known, "input")),

@@ -22,7 +22,7 @@ from rotorfit.core.display import (
     line_panels,
     number,
 )
-from rotorfit.core.frames import Array
+from rotorfit.core.frames import POSE_UNITS, Array
 
 if TYPE_CHECKING:
     import polars as pl
@@ -424,7 +424,7 @@ class Track:
         for name in TIMELINE:
             for axis in self.axes:
                 one, colour = self.timeline(axis, name), AXIS_COLOURS[axis]
-                unit = units.get(name, "rad/s²" if axis == "yaw" else "m/s²")
+                unit = units.get(name, f"{POSE_UNITS[axis]}/s²")
                 line = Line("estimate", one.time, one.value, {"color": colour, "linewidth": 1.4})
                 band = Band("95 % interval", one.time, one.low, one.high, colour)
                 panels.append(

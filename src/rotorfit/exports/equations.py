@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import structure_named
 from rotorfit.exports.formats import Language
 from rotorfit.exports.subject import Subject
@@ -50,7 +50,7 @@ def number(value: float) -> str:
 def constants(subject: Subject) -> Iterator[Constant]:
     """The numbers of every exported law, axis by axis, without the delays."""
     for axis in subject.axes:
-        point, speed = subject.point(axis), "rad/s" if axis == "yaw" else "m/s"
+        point, speed = subject.point(axis), f"{POSE_UNITS[axis]}/s"
         unit = subject.commands[AXES.index(axis)].unit
         per = "command of 1" if unit in ("fraction", "unit of command") else unit
         units = {"speed": speed, "gain": f"{speed}^2 per {per}", "command": unit}

@@ -4,7 +4,7 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Interval
 from rotorfit.exports.subject import Subject
@@ -105,7 +105,7 @@ def _command(subject: Subject, axis: str) -> str:
 
 
 def _coefficients(axis: str, known: Axis) -> Iterator[str]:
-    structure, point, rate = structure_named(known.structure), known.predictor, "rad/s" if axis == "yaw" else "m/s"
+    structure, point, rate = structure_named(known.structure), known.predictor, f"{POSE_UNITS[axis]}/s"
     if point is None:
         return
     values = {"input": point.input, "damping": point.damping}

@@ -7,7 +7,7 @@ import numpy as np
 
 from rotorfit.assessment.validation import to_mapping
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES, Array, heading_from_world
+from rotorfit.core.frames import AXES, POSE_UNITS, Array, heading_from_world
 from rotorfit.core.model import Model
 from rotorfit.core.results import Validation
 from rotorfit.dynamics.kinematics import seen_in
@@ -70,7 +70,7 @@ def scores(model: Model, validation: Validation | None, axes: Sequence[str] = AX
 
 def _line(axis: str, flight: Mapping[str, Any]) -> str:
     horizons = flight["axes"][axis]["horizons"]
-    unit = "rad" if axis == "yaw" else "m"
+    unit = POSE_UNITS[axis]
     known = [
         f"{horizon} s {at['velocity_rmse']:.3g} {unit}/s and {at['position_rmse']:.3g} {unit}"
         for horizon in HORIZONS

@@ -12,7 +12,8 @@ import numpy as np
 
 from rotorfit.core.card import KINDS, Card, Channel
 from rotorfit.core.errors import CardError, nearest
-from rotorfit.core.frames import UNIT_SCALE, Array
+from rotorfit.core.frames import POSE_UNITS, Array
+from rotorfit.core.limits import COMMAND_UNITS
 from rotorfit.core.log import Column, Log, Table
 from rotorfit.files.cards import builtin_cards
 
@@ -64,13 +65,13 @@ def card_for(log: Log, card: Card) -> Card:
         card,
         command_time=named(card.command_time),
         command=all_named(
-            card.command, {axis: _ASKED.get(one.meaning or "", "") for axis, one in card.command.items()}
+            card.command, {axis: COMMAND_UNITS.get(one.meaning or "", "") for axis, one in card.command.items()}
         ),
         pose_time=named(card.pose_time),
-        pose=all_named(card.pose, _PLACE),
+        pose=all_named(card.pose, POSE_UNITS),
         velocity=all_named(card.velocity, _SPEED),
         velocity_time=named(card.velocity_time) if card.velocity_time else None,
-        attitude=all_named(card.attitude, _PLACE),
+        attitude=all_named(card.attitude, POSE_UNITS),
         attitude_time=named(card.attitude_time) if card.attitude_time else None,
         reference=all_named(card.reference),
         window=tuple(part for part in window if not part.optional or _holds(log, part.channel.source)),
@@ -80,9 +81,7 @@ def card_for(log: Log, card: Card) -> Card:
 
 _NO_UNITS: Mapping[str, str] = {}
 
-_PLACE, _SPEED = ({"x": unit, "y": unit, "z": unit, "yaw": turn} for unit, turn in (("m", "rad"), ("m/s", "rad/s")))
-
-_ASKED = {"tilt": "rad", "velocity": "m/s", "vertical_speed": "m/s", "yaw_rate": "rad/s"}
+_SPEED = {axis: f"{unit}/s" for axis, unit in POSE_UNITS.items()}
 
 
 def _as_logged(log: Log, channel: Channel, si: str | None) -> Channel:
@@ -167,10 +166,9 @@ def column(log: Log, channel: Channel, count: int | None = None) -> Array:
         raw = raw_column(log, channel.source, count)[1].astype(np.float64)
     else:
         raw = np.full(1 if count is None else count, float(channel.source))
-    factor = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
-    if (channel.scale, channel.offset, factor) == (1.0, 0.0, 1.0):
+    if (channel.scale, channel.offset, channel.factor) == (1.0, 0.0, 1.0):
         return raw
-    return (raw * channel.scale + channel.offset) * factor
+    return channel.in_si(raw)
 
 
 def raw_column(log: Log, source: str | float, count: int | None = None) -> tuple[str, Column]:

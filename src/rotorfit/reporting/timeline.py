@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorfit.core.flight_data import Flight
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, POSE_UNITS
 from rotorfit.core.model import Interval, Model
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Knowledge, Regime, Track, TrackedAxis
 from rotorfit.reporting.document import Heading, document
@@ -138,8 +138,7 @@ def _headline(track: Track) -> str:
 def _now(name: str, axis: TrackedAxis) -> AxisNow:
     wind = ""
     if axis.wind is not None:
-        unit = "rad/s²" if name == "yaw" else "m/s²"
-        wind = f"{_value(axis.wind, axis.wind_ci95)} {unit} ({_interval(axis.wind_ci95, axis.wind)})"
+        wind = f"{_value(axis.wind, axis.wind_ci95)} {unit_of('wind', name)} ({_interval(axis.wind_ci95, axis.wind)})"
     return AxisNow(name, COLOURS[axis.knowledge], axis.state, wind)
 
 
@@ -179,7 +178,7 @@ def _rows(axes: Mapping[str, TrackedAxis]) -> list[list[tuple[str, ...]]]:
 
 def unit_of(what: str, axis: str) -> str:
     """The unit of a quantity; those of input and steady gain are per unit of the command."""
-    length = "rad" if axis == "yaw" else "m"
+    length = POSE_UNITS[axis]
     units = {"input": f"{length}/s² per command", "damping": "1/s", "steady_gain": f"{length}/s per command"}
     return f"{length}/s²" if what == "wind" else units.get(what, "s")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorfit.assessment.evidence import FlightMotion
 from rotorfit.core.flight_data import LONGEST_GAP
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, POSE_UNITS, Array
 
 DRAWN_RATE = 30.0
 """Rate of the drawn motion [1/s]: the local polynomials pass no frequency above a third of it."""
@@ -250,8 +250,7 @@ def _one_over_the_other(charts: Sequence[tuple[int, Chart]], names: Sequence[str
 
 def _motion_chart(kind: str, axis: str, time: Array, drawn: Mapping[str, Array], whole: Mapping[str, Array]) -> Chart:
     """The chart of one axis of a flight; the figures of its summary come from the series before reduction."""
-    order = "" if kind == "velocity" else "²"
-    unit = f"rad/s{order}" if axis == "yaw" else f"m/s{order}"
+    unit = f"{POSE_UNITS[axis]}/s{'' if kind == 'velocity' else '²'}"
     frame = "" if axis in ("z", "yaw") else " (heading frame)" if kind == "velocity" else " (world)"
     modelled = "predicted" if kind == "velocity" else "modelled"
     names = {"measured": "measured", "model": modelled, "paper": "paper's prediction"}

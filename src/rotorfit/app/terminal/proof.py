@@ -133,7 +133,7 @@ def _band(found: "Sequence[Coverage]", axis: str) -> str:
     if not found:
         return "-"
     half, wide = found
-    scale = 180 / math.pi if axis == "yaw" else 100.0
+    scale = SPEED[axis][1]
     return f"{three_digits(scale * wide.width)} {100 * wide.coverage:.0f} % ({100 * half.coverage:.0f})"
 
 

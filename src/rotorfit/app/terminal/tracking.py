@@ -8,12 +8,11 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from rotorfit.app.terminal.tables import View, bullets, indented, interval_text, number_text, table, title
+from rotorfit.core.frames import POSE_UNITS
 from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, TrackedAxis
 
-_LENGTH = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
-
 UNITS = {"input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "steady_gain": "{}/s", "total_lag": "s"}
-"""Quantity to its unit, with `{}` for the axis' unit of length; input and steady gain are per command of 1."""
+"""Quantity to its unit, with `{}` for that of the axis' pose; input and steady gain are per command of 1."""
 
 SAID = ("known", "not_identifiable")
 """States in which numbers are shown at once; in other states only if they are those of an earlier model."""
@@ -103,11 +102,11 @@ def track_view(result: Track) -> View:
             if value is None:
                 out.add_row(*said)
             else:
-                unit = UNITS[what].format(_LENGTH[name])
+                unit = UNITS[what].format(POSE_UNITS[name])
                 number = number_text(value, axis.ci95[what])
                 out.add_row(*said, what.replace("_", " "), number, unit, interval_text(axis.ci95[what]))
         if axis.wind is not None:
-            wind = f"{axis.wind:z.2f}", f"{_LENGTH[name]}/s^2"
+            wind = f"{axis.wind:z.2f}", f"{POSE_UNITS[name]}/s^2"
             out.add_row("", "", "wind", *wind, interval_text(axis.wind_ci95))
     yield out
     if any(axis.values.get("input") is not None for axis in last.axes.values()):

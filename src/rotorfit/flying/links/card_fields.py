@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import LinkError
-from rotorfit.core.frames import AXES, UNIT_SCALE
+from rotorfit.core.frames import AXES
 from rotorfit.flights.columns import split_source
 
 STAMP = "header.stamp"
@@ -114,12 +114,7 @@ def raw_values(fields: CommandFields, command: Sequence[float]) -> dict[str, flo
     astray = [axis for axis, value in values.items() if value and axis not in fields.channels]
     if astray:
         raise LinkError(f"a command on {astray[0]}, which the card does not command; add it to [command]")
-    return {str(channel.source): _raw(channel, values[axis]) for axis, channel in fields.channels.items()}
-
-
-def _raw(channel: Channel, value: float) -> float:
-    unit = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
-    return (value / unit - channel.offset) / channel.scale
+    return {str(channel.source): channel.raw(values[axis]) for axis, channel in fields.channels.items()}
 
 
 def channel_value(channel: Channel, read: Callable[[str], float]) -> float:
@@ -129,9 +124,7 @@ def channel_value(channel: Channel, read: Callable[[str], float]) -> float:
         channel: The channel.
         read: Name of a source to its raw value.
     """
-    unit = 1.0 if channel.unit is None else UNIT_SCALE[channel.unit]
-    raw = read(channel.source) if isinstance(channel.source, str) else channel.source
-    return (raw * channel.scale + channel.offset) * unit
+    return channel.in_si(read(channel.source) if isinstance(channel.source, str) else channel.source)
 
 
 def command_values(fields: CommandFields, read: Callable[[str], float]) -> tuple[float, ...] | None:
