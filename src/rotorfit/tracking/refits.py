@@ -17,10 +17,10 @@ from rotorfit.core.model import STRUCTURE, Axis, Interval, Model, unknown_axis
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, coupled_records
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point

@@ -17,9 +17,9 @@ from rotorfit.core.frames import AXES, Array, heading_from_world
 from rotorfit.core.model import COEFFICIENTS, Interval
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.disturbance_state import disturbance_states
-from rotorfit.estimation.judgement.estimand import estimands
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.likelihood import inverted
 
 RATE, BACK = 30.0, 10.0

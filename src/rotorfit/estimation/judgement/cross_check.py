@@ -18,11 +18,11 @@ from dataclasses import replace
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.estimation.judgement.estimand import Estimand
 from rotorfit.estimation.judgement.refutation import Homogeneity, homogeneity_of
 from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.estimand import Estimand
 from rotorfit.estimation.likelihood.likelihood import score
 from rotorfit.estimation.regression.paper import newey_west
 

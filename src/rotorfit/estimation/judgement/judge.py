@@ -21,13 +21,13 @@ from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Evidence, Inter
 from rotorfit.core.quantiles import NORMAL
 from rotorfit.estimation.judgement.cross_check import between_filters
 from rotorfit.estimation.judgement.each_flight import each_flight
-from rotorfit.estimation.judgement.estimand import Estimand, estimands, half_widths, interval, moved
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
 from rotorfit.estimation.judgement.refutation import doubt
 from rotorfit.estimation.judgement.residual_variance import weighted_innovations, widening
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.coefficients import statuses
+from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval, moved
 from rotorfit.estimation.likelihood.extra_parameters import extra_status
 
 Said = tuple[float, float] | None

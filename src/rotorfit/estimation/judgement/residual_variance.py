@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.estimation.judgement.estimand import Estimand
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.estimand import Estimand
 from rotorfit.estimation.likelihood.likelihood import inverted, response, segments, whiten
 
 BANDWIDTH = 0.1

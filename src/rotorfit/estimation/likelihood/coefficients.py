@@ -7,21 +7,21 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Mode, Predictor, unknown_axis
+from rotorfit.core.model import COEFFICIENTS, Axis, Interval, Mode, Predictor, unknown_axis
 from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
+from rotorfit.estimation.likelihood.combinations import combinations
 from rotorfit.estimation.likelihood.extra_parameters import (
     estimated_extras,
     further,
-    further_combinations,
     structure_at,
 )
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.noise_levels import noise_of
 from rotorfit.estimation.likelihood.optima import SAME_DELAY, SAME_LOG_DAMPING
-from rotorfit.estimation.likelihood.profile import Profile, profile, quantile
+from rotorfit.estimation.likelihood.profile import Profile, profile
 
 Blocks = dict[tuple[str, ...], Array]
 """Names of coefficients, such as `x.input`, to their covariance: one block per likelihood."""
@@ -87,7 +87,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
         ci95={name: ends[name] for name in COEFFICIENTS} | dict(more.ci95),
         status=status | dict(more.status),
         predictor=point,
-        combinations=_combinations(optimum, k) | further_combinations(records, optimum, k, raw),
+        combinations=combinations(records, optimum, k, raw),
         profile=profiles["delay"].points if structure.delayed else (),
         profile_fall=profiles["delay"].fall if structure.delayed else None,
         extra=more.extra,
@@ -162,26 +162,6 @@ def statuses(ends: Mapping[str, Interval]) -> dict[str, str]:
     return {
         name: "ok" if good else "not_identifiable"
         for name, good in zip(COEFFICIENTS, (gain, damping, delay), strict=True)
-    }
-
-
-def _combinations(optimum: Optimum, k: int) -> dict[str, Combination]:
-    """Steady gain and total lag, with intervals by the delta method (for the gain on its logarithm)."""
-    K = optimum.point.gain.size
-    C = inverted(optimum.score.information, optimum.free)
-    g, b, tau = float(optimum.point.gain[k]), float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
-
-    def half_width(gradient: tuple[float, float, float]) -> float:
-        c = np.zeros(optimum.point.n)
-        c[[k, K + k, 2 * K + k]] = gradient
-        return quantile(optimum, c) * float(np.sqrt(c @ C[: c.size, : c.size] @ c))
-
-    spread, half = half_width((1 / g, -1.0, 0.0)), half_width((0.0, -1 / b, 1.0))
-    low, high = sorted((g / b * float(np.exp(-spread)), g / b * float(np.exp(spread)))) if spread < 2 else (None, None)
-    lag = tau + 1 / b
-    return {
-        "steady_gain": Combination(g / b, (low, high)),
-        "total_lag": Combination(lag, (lag - half, lag + half) if half < 2 * lag else (None, None)),
     }
 
 

@@ -20,7 +20,8 @@ from rotorfit.core.model import Candidate, Combination
 from rotorfit.dynamics.protocol import predict_flight, start_errors
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, free_of
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.extra_parameters import delay_plus_lag, told_apart
+from rotorfit.estimation.likelihood.combinations import delay_plus_lag
+from rotorfit.estimation.likelihood.extra_parameters import told_apart
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, dynamics_of, start_point, thinned

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from rotorfit.core.model import Interval
 from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, structure_at
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.parameters import Point
 
 
 @dataclass(frozen=True)
@@ -39,35 +41,29 @@ class Estimand:
 
 
 def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
-    """Every quantity of axis k that is published with an interval and compared between flights, by name."""
+    """Every quantity of axis k that is published with an interval and compared between flights, by name.
+
+    Source: of the second order, T v'' + v' + b v, also with a zero: natural frequency sqrt(b / T), damping ratio
+    1 / (2 sqrt(b T)); for the total lag see `core.laws`.
+    """
     point, structure = optimum.point, structure_at(optimum, k)
     g, b, tau = float(point.gain[k]), float(np.exp(point.log_damping[k])), float(point.delay[k])
-    extra = point.extra_values(k)
-
-    def along(**slopes: float) -> Array:
-        out = np.zeros(point.n)
-        for name, slope in slopes.items():
-            out[point.place(name, k)] = slope
-        return out
-
+    extra, along = point.extra_values(k), partial(gradient, point, k)
     # under a second-order law the lag does not enter the total lag, and a zero reduces it
-    late, slopes = 0.0, dict[str, float]()
-    if structure.order == 1:
-        late, slopes = extra["lag"], {"lag": extra["lag"]}
-    elif "zero" in extra:
-        late, slopes = -extra["zero"], {"zero": -1.0}
+    lag, zero = extra["lag"] if structure.order == 1 else 0.0, extra.get("zero", 0.0)
+    late = {"lag": lag} if structure.order == 1 else {"zero": -1.0} if "zero" in extra else {}
     out = [
         Estimand("input", g, True, along(input=1 / g)),
         Estimand("damping", b, True, along(damping=1.0)),
         Estimand("delay", tau, False, along(delay=1.0)),
         Estimand("steady_gain", g / b, True, along(input=1 / g, damping=-1.0)),
-        Estimand("total_lag", tau + 1 / b + late, False, along(delay=1.0, damping=-1 / b, **slopes)),
+        Estimand("total_lag", tau + lag + 1 / b - zero, False, along(delay=1.0, damping=-1 / b, **late)),
     ]
     out += [
         Estimand(e.name, extra[e.name], e.logarithmic, along(**{e.name: 1.0})) for e in estimated_extras(optimum, k)
     ]
     if structure.order == 1:
-        out.append(Estimand("delay_plus_lag", tau + late, False, along(delay=1.0, **slopes)))
+        out.append(Estimand("delay_plus_lag", tau + lag, False, along(delay=1.0, lag=lag)))
     if structure.order == 2:
         T = extra["lag"]
         out += [
@@ -75,6 +71,14 @@ def estimands(optimum: Optimum, k: int) -> dict[str, Estimand]:
             Estimand("damping_ratio", 0.5 / math.sqrt(b * T), True, along(damping=-0.5, lag=-0.5)),
         ]
     return {one.name: one for one in out if structure.delayed or one.name != "delay"}
+
+
+def gradient(point: Point, k: int, **slopes: float) -> Array:
+    """Derivative with respect to all parameters of the estimator, shape (n,), from those to some of axis k, by name."""
+    out = np.zeros(point.n)
+    for name, slope in slopes.items():
+        out[point.place(name, k)] = slope
+    return out
 
 
 def half_widths(estimand: Estimand, ends: Interval) -> Interval:
