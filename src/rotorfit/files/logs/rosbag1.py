@@ -1,15 +1,14 @@
-"""ROS 1 bags (format 2.0), read from front to back, so that a bag cut short or without index yields what it has.
+"""ROS 1 bags (format 2.0); a bag cut short or without index yields what it has.
 
-The index after each chunk only speeds this up: chunks without a requested topic are not decompressed, and messages are
-located all at once instead of one after the other.
+With the index after each chunk, chunks without a requested topic are not decompressed, and messages are located all at
+once instead of one after the other.
 
 Source: http://wiki.ros.org/Bags/Format/2.0
 """
 
 import struct
-from collections.abc import Collection
-from dataclasses import dataclass, field
-from mmap import ACCESS_READ, mmap
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.core.errors import LogError
-from rotorfit.files.logs.batches import Fault, Messages, Places, integers, stretches
+from rotorfit.files.logs.batches import Fault, Messages, Places, RecordRun, Resume, integers, stretches
+from rotorfit.files.logs.chunked import Chunk, ChunkedFile
 from rotorfit.files.logs.compression import unpacked
-from rotorfit.files.logs.content import BLOCK_LIMIT, Content, DamageError, TornError
+from rotorfit.files.logs.content import Content, DamageError, TornError
+from rotorfit.files.logs.damage import Block
 from rotorfit.files.logs.ros_messages import Topic, normal_type
 from rotorfit.files.logs.rosbag1_records import (
     BAG_HEADER,
@@ -68,201 +69,130 @@ def read(path: Path, tables: Collection[str] | None) -> Content:
                 f"{path}: a ROS bag of version {version[9:-1].decode('latin-1')!r}, only 2.0 is read; "
                 "convert it with `rosbag migrate`"
             )
-        topics: dict[int, Topic] = {}
-        walk: _Walk | None = _Walk(path, file, path.stat().st_size, len(_VERSION))
-        while walk is not None:
-            walk = _walked(walk, topics, collector)
+        _Bag(file, path.stat().st_size, len(_VERSION), collector).walk()
     return collector.content()
 
 
-@dataclass
-class _Chunk:
-    """A chunk that waits until the index after it is known.
+class _Bag(ChunkedFile[Header]):
+    """A ROS 1 bag."""
 
-    Attributes:
-        header: Header of its record.
-        place: Offset of the record in the file.
-        start: Offset of its data in the file.
-        length: Length of the data, as far as present [byte].
-        torn: Whether damage follows directly, so that its last record may be torn.
-        index: Connection to the offsets of its messages in the decompressed chunk.
-    """
+    def _head(self) -> tuple[Header, int, int]:
+        """Header, start and length of the data of the current record; only a chunk may be cut short."""
+        self.file.seek(self.place)
+        header = fields_of(_block(self.file, self.size - self.place))
+        start = self.file.tell() + 4
+        length = _length(self.file, self.size - start + 4)
+        if length > self.size - start and header.get(b"op") != CHUNK:
+            raise DamageError("a record is cut short")
+        return header, start, length
 
-    header: Header
-    place: int
-    start: int
-    length: int
-    torn: bool = False
-    index: dict[int, Places] = field(default_factory=dict)
+    def _pass(self, header: Header, start: int, length: int) -> bool:
+        """Handles one record, and what waited for it."""
+        kind = header.get(b"op")
+        if kind == INDEX:
+            if self.chunk is not None:
+                self._keep_index(self.chunk, header, start, length)
+            return True
+        if kind == MESSAGE and (
+            number_of(header, b"conn", U32) not in self.topics or len(header.get(b"time", b"")) != TIME.size
+        ):
+            raise TornError("a message without its connection or time")
+        self._settle()
+        if kind == BAG_HEADER:
+            self._check_bag_header(header)
+        elif kind == CHUNK:
+            self._begin(header, start, length)
+        elif kind == MESSAGE:
+            self.message = self.place, header, self._data(start, length)
+        else:
+            self._record(header, self._data(start, length))
+        return True
 
+    def _check_bag_header(self, header: Header) -> None:
+        """Reports whether the bag was closed and is whole; raises `LogError` on an encrypted one."""
+        if header.get(b"encryptor"):
+            raise LogError(f"{self.collector.path}: an encrypted bag; decrypt it with `rosbag decrypt`")
+        index = number_of(header, b"index_pos", U64)
+        if index == 0:
+            self.collector.damaged(
+                "the bag was never closed and has no index: what was recorded behind its end is lost"
+            )
+        elif index > self.size:
+            self.collector.damaged(f"the bag is cut short: {self.size} bytes, its index would begin at {index}")
 
-@dataclass
-class _Walk:
-    """A walk from record to record, with what is still pending.
+    def _next(self, data: Block, start: int, in_chunk: bool = True) -> int | None:
+        return next_record(data, start, self.topics, in_chunk)
 
-    Attributes:
-        path: Path of the file.
-        file: The file that is read.
-        size: Its size [byte].
-        place: Offset of the current record.
-        chunk: Chunk that waits until the index after it is known.
-        message: Message outside of chunks, with its offset: it waits until a record follows, as it may be torn.
-    """
+    def _keep_index(self, chunk: Chunk[Header], header: Header, start: int, length: int) -> None:
+        """Stores the offsets of one connection's messages in the chunk; the index is discarded if it is implausible."""
+        try:
+            number, claim = number_of(header, b"conn", U32), number_of(chunk.head, b"size", U32)
+            room = claim // _LEAST_RECORD - sum(map(len, chunk.index.values()))
+            if (
+                length > room * INDEX_ENTRY.itemsize
+                or length % INDEX_ENTRY.itemsize
+                or len(chunk.index) == _MOST_INDEXED
+            ):
+                raise DamageError("more than fits in the chunk")
+            chunk.index[number] = np.frombuffer(self._data(start, length), INDEX_ENTRY)["place"].astype(np.int64)
+        except DamageError:
+            chunk.index.clear()
 
-    path: Path
-    file: BinaryIO
-    size: int
-    place: int
-    chunk: _Chunk | None = None
-    message: tuple[int, Header, bytes] | None = None
+    def _plain(self, chunk: Chunk[Header]) -> tuple[bytes, int]:
+        claim, method = number_of(chunk.head, b"size", U32), chunk.head.get(b"compression", b"").decode("latin-1")
+        return unpacked(self._data(chunk.start, chunk.length), method, claim), claim
 
+    def _runs(self, plain: bytes, hints: Places, resume: Resume) -> Iterator[RecordRun]:
+        return stretches(plain, hints, _ends, _starts, resume)
 
-def _walked(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> _Walk | None:
-    """Walks to the end, or to damage; in the latter case returns a walk that resumes behind it, if possible."""
-    try:
-        while walk.place < walk.size:
-            header, start, length = _head(walk)
-            _pass(walk, header, start, length, topics, collector)
-            walk.place = start + length
-        _settle(walk, topics, collector)
-        return None
-    except DamageError as error:
-        if isinstance(error, TornError) and walk.message:
-            walk.place, walk.message = walk.message[0], None
-        place = walk.place
-        if walk.chunk and isinstance(error, TornError):
-            walk.chunk.torn = place == walk.chunk.start + walk.chunk.length
-        _settle(walk, topics, collector)
-        behind = None if collector.losses.many else _behind(walk, place + 1, topics)
-        collector.losses.found(place, walk.size, (behind or walk.size) - place, str(error))
-        return None if behind is None else _Walk(walk.path, walk.file, walk.size, behind)
+    def _messages(self, plain: bytes, starts: Places) -> None:
+        """Takes records of a decompressed chunk, all at once where their headers are uniform."""
+        heads = integers(plain, starts, "<u4")
+        bodies = starts + 8 + heads
+        found = Messages(plain, bodies, integers(plain, bodies - 4, "<u4"))
+        headers = Messages(plain, starts + 4, heads)
+        if not self._at_once(headers, found):
+            for row in range(len(found)):
+                self._record(fields_of(headers.one(row)), found.one(row))
 
+    def _at_once(self, headers: Messages, found: Messages) -> bool:
+        """Takes messages with headers of a few layouts at once; returns False, with none taken, otherwise."""
+        numbers, times = np.full(len(found), -1), np.zeros(len(found), np.int64)
+        left, layouts = np.arange(len(found)), 0
+        try:
+            while len(left):
+                row = int(left[0])
+                header = fields_of(headers.one(row))
+                if header.get(b"op") != MESSAGE:
+                    self._record(header, found.one(row))
+                    left = left[1:]
+                elif layouts == _MOST_LAYOUTS:
+                    return False
+                else:
+                    layouts += 1
+                    alike = _alike(headers, left)
+                    numbers[alike.rows], times[alike.rows] = alike.numbers, alike.times
+                    left = left[numbers[left] < 0]
+        except DamageError:
+            return False
+        return self.collector.add_mixed(self.topics, numbers, times, found)
 
-def _pass(walk: _Walk, header: Header, start: int, length: int, topics: dict[int, Topic], collector: Collector) -> None:
-    """Handles one record, and what waited for it."""
-    kind = header.get(b"op")
-    if kind == INDEX:
-        if walk.chunk is not None:
-            _keep_index(walk.file, walk.chunk, header, start, length)
-        return
-    if kind == MESSAGE and (
-        number_of(header, b"conn", U32) not in topics or len(header.get(b"time", b"")) != TIME.size
-    ):
-        raise TornError("a message without its connection or time")
-    _settle(walk, topics, collector)
-    if kind == BAG_HEADER:
-        _check_bag_header(walk.path, header, walk.size, collector)
-    elif kind == CHUNK:
-        walk.chunk = _Chunk(header, walk.place, start, min(length, walk.size - start))
-        if length > walk.size - start:
-            behind = None if collector.losses.many else _behind(walk, start, topics, in_chunk=False)
-            walk.place = walk.size if behind is None else behind
-            walk.chunk.length = walk.place - start
-            raise DamageError("the chunk before it is cut short")
-    elif kind == MESSAGE:
-        walk.message = walk.place, header, _bytes(walk.file, start, length)
-    else:
-        _record(header, _bytes(walk.file, start, length), topics, collector)
-
-
-def _settle(walk: _Walk, topics: dict[int, Topic], collector: Collector) -> None:
-    """Handles what is pending."""
-    chunk, message, walk.chunk, walk.message = walk.chunk, walk.message, None, None
-    if chunk is not None:
-        _take(walk, chunk, topics, collector)
-    if message is not None:
-        _record(message[1], message[2], topics, collector)
-
-
-def _behind(walk: _Walk, start: int, topics: dict[int, Topic], in_chunk: bool = True) -> int | None:
-    """Where records resume."""
-    with mmap(walk.file.fileno(), 0, access=ACCESS_READ) as data:
-        return next_record(data, start, topics, in_chunk)
-
-
-def _check_bag_header(path: Path, header: Header, size: int, collector: Collector) -> None:
-    """Reports whether the bag was closed and is whole; raises `LogError` on an encrypted one."""
-    if header.get(b"encryptor"):
-        raise LogError(f"{path}: an encrypted bag; decrypt it with `rosbag decrypt`")
-    index = number_of(header, b"index_pos", U64)
-    if index == 0:
-        collector.damaged("the bag was never closed and has no index: what was recorded behind its end is lost")
-    elif index > size:
-        collector.damaged(f"the bag is cut short: {size} bytes, its index would begin at {index}")
-
-
-def _keep_index(file: BinaryIO, chunk: _Chunk, header: Header, start: int, length: int) -> None:
-    """Stores the offsets of one connection's messages in the chunk; the index is discarded if it is implausible."""
-    try:
-        number, claim = number_of(header, b"conn", U32), number_of(chunk.header, b"size", U32)
-        room = claim // _LEAST_RECORD - sum(map(len, chunk.index.values()))
-        if length > room * INDEX_ENTRY.itemsize or length % INDEX_ENTRY.itemsize or len(chunk.index) == _MOST_INDEXED:
-            raise DamageError("more than fits in the chunk")
-        chunk.index[number] = np.frombuffer(_bytes(file, start, length), INDEX_ENTRY)["place"].astype(np.int64)
-    except DamageError:
-        chunk.index.clear()
-
-
-def _take(walk: _Walk, chunk: _Chunk, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes the messages of a chunk; damage loses the messages it hits, in a compressed chunk also all after it."""
-    if collector.passed_over(topics, chunk.index):
-        return
-    left = chunk.length
-
-    def resume(data: bytes, start: int) -> int | None:
-        return None if collector.losses.many else next_record(data, start, topics)
-
-    try:
-        claim = number_of(chunk.header, b"size", U32)
-        packed = _bytes(walk.file, chunk.start, chunk.length)
-        plain = unpacked(packed, chunk.header.get(b"compression", b"").decode("latin-1"), claim)
-        del packed  # a chunk may be large: one copy is enough
-        plain = plain[:-1] if chunk.torn else plain  # makes the last record incomplete
-        hints = np.concatenate([*chunk.index.values(), np.zeros(0, np.int64)])
-        for part in stretches(plain, hints, _ends, _starts, resume):
-            left = len(plain) - int(part.starts[0]) if len(part.starts) else 0
-            _messages(plain, part.starts, topics, collector)
-            if part.lost:
-                collector.losses.found(chunk.place, walk.size, part.lost, f"in a chunk, {part.why}")
-        left = claim - len(plain)
-        if left > 0:
-            raise DamageError(f"{len(plain)} of {claim} bytes")
-    except DamageError as error:
-        collector.losses.found(chunk.place, walk.size, left, f"in a chunk, {error}")
-
-
-def _messages(plain: bytes, starts: Places, topics: dict[int, Topic], collector: Collector) -> None:
-    """Takes records of a decompressed chunk, all at once where their headers are uniform."""
-    heads = integers(plain, starts, "<u4")
-    bodies = starts + 8 + heads
-    found = Messages(plain, bodies, integers(plain, bodies - 4, "<u4"))
-    headers = Messages(plain, starts + 4, heads)
-    if not _at_once(headers, found, topics, collector):
-        for row in range(len(found)):
-            _record(fields_of(headers.one(row)), found.one(row), topics, collector)
-
-
-def _at_once(headers: Messages, found: Messages, topics: dict[int, Topic], collector: Collector) -> bool:
-    """Takes messages with headers of a few layouts at once; returns False, with none taken, otherwise."""
-    numbers, times = np.full(len(found), -1), np.zeros(len(found), np.int64)
-    left, layouts = np.arange(len(found)), 0
-    try:
-        while len(left):
-            row = int(left[0])
-            header = fields_of(headers.one(row))
-            if header.get(b"op") != MESSAGE:
-                _record(header, found.one(row), topics, collector)
-                left = left[1:]
-            elif layouts == _MOST_LAYOUTS:
-                return False
-            else:
-                layouts += 1
-                alike = _alike(headers, left)
-                numbers[alike.rows], times[alike.rows] = alike.numbers, alike.times
-                left = left[numbers[left] < 0]
-    except DamageError:
-        return False
-    return collector.add_mixed(topics, numbers, times, found)
+    def _record(self, header: Header, data: bytes) -> None:
+        """Handles a message or a connection."""
+        kind = header.get(b"op")
+        if kind == MESSAGE:
+            topic = self.topics.get(number_of(header, b"conn", U32))
+            if topic is None:
+                raise DamageError("a message without its connection")
+            if len(time := header.get(b"time", b"")) != TIME.size:
+                raise DamageError("a message without time")
+            seconds, nanoseconds = TIME.unpack(time)
+            self.collector.add(topic, seconds * 1_000_000_000 + nanoseconds, data)
+        elif kind == CONNECTION:
+            number = number_of(header, b"conn", U32)
+            if number not in self.topics:  # the index at the end names them again
+                self.topics[number] = _topic(header, fields_of(data))
+                self.collector.declare(self.topics[number])
 
 
 @dataclass(frozen=True)
@@ -338,24 +268,6 @@ def _starts(data: bytes, start: int, end: int) -> tuple[list[int], Fault | None]
     return starts, None
 
 
-def _record(header: Header, data: bytes, topics: dict[int, Topic], collector: Collector) -> None:
-    """Handles a message or a connection."""
-    kind = header.get(b"op")
-    if kind == MESSAGE:
-        topic = topics.get(number_of(header, b"conn", U32))
-        if topic is None:
-            raise DamageError("a message without its connection")
-        if len(time := header.get(b"time", b"")) != TIME.size:
-            raise DamageError("a message without time")
-        seconds, nanoseconds = TIME.unpack(time)
-        collector.add(topic, seconds * 1_000_000_000 + nanoseconds, data)
-    elif kind == CONNECTION:
-        number = number_of(header, b"conn", U32)
-        if number not in topics:  # the index at the end names them again
-            topics[number] = _topic(header, fields_of(data))
-            collector.declare(topics[number])
-
-
 def _topic(header: Header, details: Header) -> Topic:
     """The topic of a connection."""
     try:
@@ -364,25 +276,6 @@ def _topic(header: Header, details: Header) -> Topic:
         return Topic(name, msgtype, "ros1", details.get(b"message_definition", b"").decode(errors="replace"))
     except (KeyError, UnicodeDecodeError) as error:
         raise DamageError("a connection without topic or type") from error
-
-
-def _head(walk: _Walk) -> tuple[Header, int, int]:
-    """Header, start and length of the data of the current record; only a chunk may be cut short."""
-    walk.file.seek(walk.place)
-    header = fields_of(_block(walk.file, walk.size - walk.place))
-    start = walk.file.tell() + 4
-    length = _length(walk.file, walk.size - start + 4)
-    if length > walk.size - start and header.get(b"op") != CHUNK:
-        raise DamageError("a record is cut short")
-    return header, start, length
-
-
-def _bytes(file: BinaryIO, start: int, length: int) -> bytes:
-    """The data of a record."""
-    if length > BLOCK_LIMIT:
-        raise DamageError(f"a record of {length} bytes")
-    file.seek(start)
-    return file.read(length)
 
 
 def _block(file: BinaryIO, left: int) -> bytes:

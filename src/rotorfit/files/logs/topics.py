@@ -73,11 +73,12 @@ class Collector:
     Only messages of requested topics are kept, and only until a batch of them is decoded.
 
     Attributes:
+        path: Path of the file.
         losses: Holes in the file between messages.
     """
 
     def __init__(self, path: Path, tables: Collection[str] | None) -> None:
-        self._path = path
+        self.path = path
         self._wanted = tables
         self._streams: dict[str, _Stream] = {}
         self._of_topic: dict[Topic, _Stream] = {}
@@ -269,7 +270,7 @@ class Collector:
         if not any(stream.count for stream in self._streams.values()):
             said = [*damage, *self._notes]
             why = f" ({said[0]})" if said else "; check that the topics were published"
-            raise LogError(f"{self._path}: the bag holds no messages{why}")
+            raise LogError(f"{self.path}: the bag holds no messages{why}")
         tables: dict[str, Table] = {}
         skipped: dict[str, str] = {}
         for name, stream in self._streams.items():
@@ -344,7 +345,7 @@ class Collector:
             _append(stream, {"log_time": times[batch.rows]} | batch.columns)
             self._bytes += sum(values.nbytes for values in batch.columns.values()) + 8 * len(batch.rows)
         if self._bytes > LIMIT:
-            raise LogError(f"{self._path}: more than {LIMIT >> 20} MiB of numbers; read only the topics that you need")
+            raise LogError(f"{self.path}: more than {LIMIT >> 20} MiB of numbers; read only the topics that you need")
 
 
 def _stable_order(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
