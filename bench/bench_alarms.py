@@ -174,7 +174,7 @@ def _usual(before: np.ndarray, shape: np.ndarray, scores: Scores) -> float:
 
 def _innovations(following: Following, flight: Flight) -> list[Scores]:
     """Those of a flight under the estimates of a tracker."""
-    known = [group.followed for group in following._groups.values() if group.followed]
+    known = [group.fitted for group in following._groups.values() if group.fitted]
     return scores_of_groups([renewed(one, flight) for one in known], flight)
 
 

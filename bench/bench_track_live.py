@@ -63,7 +63,7 @@ def filter_cost(flight: Flight) -> tuple[float, float]:
         spent += time.process_time() - begun
         begun = time.process_time()
         for _ in range(1000):
-            course.filter.told(*commands)
+            course.filter.motion(*commands)
         told += time.process_time() - begun
     return 1e6 * spent / after[0].size, 1e3 * told
 

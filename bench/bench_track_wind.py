@@ -65,7 +65,7 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
         true = damping * heading_from_world(flown.wind[n - 1 : n, :2], part.yaw[-1:])[0]
         estimates = {}
         for group in following._groups.values():
-            estimates |= group.followed.estimates if group.followed else {}
+            estimates |= group.fitted.estimates if group.fitted else {}
         known = motion_now(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"})
         for k, axis in enumerate("xy"):
             low, high = state.axes[axis].wind_ci95

@@ -130,7 +130,7 @@ def main(folder: Path, times: int, seed: int) -> None:
             assert workspace.path_of(upload).read_bytes() == content_of(upload.name), f"{time_}: {upload.name}"
         assert {one.name for one in (folder / "logs").iterdir()} == {one.id for one in workspace.session.uploads}
         workspace.close()
-        assert not workspace.told, workspace.told
+        assert not workspace.notice, workspace.notice
         assert found in allowed, f"kill {time_}: {found} is none of {allowed}"
         state = found
     print(json.dumps({"acknowledged": kept, "killed_inside": inside}))

@@ -91,7 +91,7 @@ class Hostile:
         assert shown.status_code == 200, told
         if self._rng.random() < 0.02:  # whatever is kept can be read again
             self._studio.workspace._loaded()
-            assert not self._studio.workspace.told, told
+            assert not self._studio.workspace.notice, told
         return method, path, answer.status_code
 
     def _some(self, value: Any) -> Any:

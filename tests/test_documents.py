@@ -305,7 +305,7 @@ def test_the_figures_of_the_findings_are_those_of_the_code() -> None:
         f"more than {motion_checks.LATCH_TIME:g} s and {motion_checks.LATCH_CHANGES:g} times the usual time",
         f"at least {100 * motion_checks.LATCH_MOTION:g} % as much",
         f"more than {feedback.LOOP_SIGMAS:g} standard deviations of an open loop",
-        f"of more than {np.degrees(frame_checks.OFF):g} degrees and {frame_checks.TOLD:g} standard errors",
+        f"of more than {np.degrees(frame_checks.OFF):g} degrees and {frame_checks.SIGNIFICANT:g} standard errors",
         f"more than {pose_checks.FASTEST:g} m/s or {pose_checks.HARDEST:g} m/s^2",
         f"no more than {100 * pose_checks.SMALLEST:g} cm of travel",
         f"more than {pose_checks.FASTEST_TURN:g} rad/s of turning",

@@ -6,7 +6,7 @@ import pytest
 from numba.core import event
 
 from rotorfit.app.cli import compiling
-from rotorfit.app.cli.compiling import compiling_told
+from rotorfit.app.cli.compiling import compiling_announced
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def compiled(clock: list[float], *seconds: float) -> None:
 
 
 def test_what_takes_its_time_is_said_once(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
-    with compiling_told():
+    with compiling_announced():
         for _ in range(5):
             compiled(clock, 0.3, 0.1)
 
@@ -39,7 +39,7 @@ def test_what_takes_its_time_is_said_once(clock: list[float], capsys: pytest.Cap
 
 
 def test_one_long_compilation_is_said_while_it_lasts(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
-    with compiling_told(), event.trigger_event("numba:compile"):
+    with compiling_announced(), event.trigger_event("numba:compile"):
         clock[0] += 1.5
         compiled(clock, 0.1)
         assert capsys.readouterr().err == compiling.LINE + "\n"
@@ -48,7 +48,7 @@ def test_one_long_compilation_is_said_while_it_lasts(clock: list[float], capsys:
 def test_other_work_between_short_compilations_does_not_count(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with compiling_told():
+    with compiling_announced():
         for _ in range(3):
             compiled(clock, 0.1)
             clock[0] += 100
@@ -60,7 +60,7 @@ def test_nothing_is_said_in_a_pipe(
     clock: list[float], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     on_terminal(monkeypatch, False)
-    with compiling_told():
+    with compiling_announced():
         compiled(clock, 60)
 
     assert capsys.readouterr().err == ""

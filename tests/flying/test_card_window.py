@@ -40,9 +40,9 @@ def test_all_conditions_and_the_vehicle_itself_must_agree() -> None:
 
     assert told(asked, 1.0) == [0.0]
     assert told(asked, 0.5, table="/range") == [1.0]
-    assert [one.values for one in asked.told(False, 2)] == [(0.0,)]
+    assert [one.values for one in asked.reported(False, 2)] == [(0.0,)]
     assert told(asked, 2.0) == []
-    assert [one.values for one in asked.told(True, 2)] == [(1.0,)]
+    assert [one.values for one in asked.reported(True, 2)] == [(1.0,)]
 
 
 def test_scale_and_unit_come_before_the_condition() -> None:
@@ -53,7 +53,7 @@ def test_without_a_window_nothing_is_said_before_there_is_anything_to_say() -> N
     asked = window()
 
     assert told(asked, 0.0) == []
-    assert [one.values for one in asked.told(True, 1)] == [(1.0,)]
+    assert [one.values for one in asked.reported(True, 1)] == [(1.0,)]
 
 
 def test_a_condition_without_a_message_is_refused() -> None:

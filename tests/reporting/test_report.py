@@ -724,7 +724,7 @@ def test_the_lead_of_a_model_over_itself_is_chance(compared: tuple[Case, ...]) -
 
     told = leads(evidence_of(twice), 1.0)
     assert [lead.axis for lead in told] == list(AXES)
-    assert all("chance" in lead.told and "no chance" not in lead.told for lead in told)
+    assert all("chance" in lead.reason and "no chance" not in lead.reason for lead in told)
 
 
 def test_flights_side_by_side_show_the_error_of_each(compared: tuple[Case, ...]) -> None:

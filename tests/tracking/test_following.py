@@ -7,7 +7,7 @@ import pytest
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.model import Interval
 from rotorfit.tracking.following import Following
-from rotorfit.tracking.refits import Followed, read_backwards, refitted, renewed, said, stepped
+from rotorfit.tracking.refits import GroupEstimate, axis_report, read_backwards, refitted, renewed, stepped
 from rotorfit.tracking.replayed import growing, until
 from tracked_flights import LAW, known
 
@@ -15,17 +15,17 @@ pytestmark = pytest.mark.flights
 
 
 @pytest.fixture(scope="module")
-def early() -> Followed:
+def early() -> GroupEstimate:
     return refitted(until(known()[0], 18.0), ("z",), LAW, 18.0)
 
 
-def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> None:
+def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: GroupEstimate) -> None:
     flight = known()[0]
-    whole = said(refitted(flight, ("z",), LAW, 30.0), "z")
+    whole = axis_report(refitted(flight, ("z",), LAW, 30.0), "z")
     moved = early
     for now in (21.0, 24.0, 27.0, 30.5, 30.5):
         moved = stepped(moved, until(flight, now), now)
-    told = said(moved, "z")
+    told = axis_report(moved, "z")
 
     for name, value in whole.values.items():
         if value is not None:
@@ -39,7 +39,7 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: Followed) -> N
             assert far - near == pytest.approx(high - low, rel=0.25)
 
 
-def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: Followed) -> None:
+def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: GroupEstimate) -> None:
     """Else the information would be of another number of start velocities than there are."""
     flight = replace(until(known()[0], 20.0), segments=(Segment(0.0, 18.0), Segment(18.5, 20.0)))
     held = stepped(replace(early, stepped=31.0), flight, 31.1)
@@ -49,8 +49,8 @@ def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: Followed) 
     assert len(optimum.free) == len(optimum.score.information)
 
 
-def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: Followed) -> None:
-    told = said(early, "z")
+def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(early: GroupEstimate) -> None:
+    told = axis_report(early, "z")
 
     for name, (low, high) in told.ci95_flight.items():
         least, most = told.ci95[name]
@@ -58,8 +58,8 @@ def test_the_interval_of_the_vehicle_is_no_narrower_than_that_of_this_flight(ear
         assert high is None or most is None or most >= high - 1e-12
 
 
-def test_of_an_axis_that_is_not_followed_nothing_is_said(early: Followed) -> None:
-    told = said(early, "x")
+def test_of_an_axis_that_is_not_followed_nothing_is_said(early: GroupEstimate) -> None:
+    told = axis_report(early, "x")
 
     assert set(told.values.values()) == {None}
     assert told.ci95 == told.ci95_flight == {}
@@ -85,9 +85,9 @@ def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
     followed = refitted(until(flight, 12.0), ("z",), LAW, 12.0)
     whole = until(flight, 20.0)
     apart = replace(whole, segments=(Segment(whole.segments[0].start, 12.0), Segment(12.5, 20.0)))
-    now = said(renewed(followed, apart), "z")
+    now = axis_report(renewed(followed, apart), "z")
 
-    low, high = said(followed, "z").ci95["input"]
+    low, high = axis_report(followed, "z").ci95["input"]
     assert low is not None
     assert high is not None
     assert low < now.values["input"] < high  # type: ignore[operator]

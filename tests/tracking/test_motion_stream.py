@@ -12,7 +12,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.tracking.air import courses, motion_now
 from rotorfit.tracking.flight_so_far import Rows
 from rotorfit.tracking.motion_stream import MotionStream
-from rotorfit.tracking.refits import Followed, refitted
+from rotorfit.tracking.refits import GroupEstimate, refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
 from tracked_flights import LAW, known
@@ -23,12 +23,12 @@ NO_DOUBT = dict.fromkeys(AXES, 0.0)
 
 
 @pytest.fixture(scope="module")
-def followed() -> dict[str, Followed]:
+def followed() -> dict[str, GroupEstimate]:
     early = until(known()[0], 18.0)
     return {axis: refitted(early, group, LAW, 18.0) for group in (("x", "y"), ("z",), ("yaw",)) for axis in group}
 
 
-def streamed(flight: Flight, followed: dict[str, Followed], begin: float, forget: float) -> MotionStream:
+def streamed(flight: Flight, followed: dict[str, GroupEstimate], begin: float, forget: float) -> MotionStream:
     """The filters of a look at an instant, and the rest of the flight sample by sample, the oldest forgotten."""
     estimates = {axis: one.estimates[axis] for axis, one in followed.items()}
     commands, poses = Rows(4), Rows(3)
@@ -50,7 +50,7 @@ def streamed(flight: Flight, followed: dict[str, Followed], begin: float, forget
 
 
 @pytest.mark.parametrize("forget", [np.inf, 3.0])
-def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, Followed], forget: float) -> None:
+def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, GroupEstimate], forget: float) -> None:
     flight = known()[0]
     batch = motion_now(flight, {axis: one.estimates[axis] for axis, one in followed.items()})
     stream = streamed(flight, followed, 8.0, forget).motion()

@@ -203,11 +203,11 @@ def track(
     given = flight if isinstance(flight, Flight) else flight_from_log(flight, chosen)
     end = given.segments[-1].end
 
-    def told(state: Tracked) -> None:
+    def report(state: Tracked) -> None:
         if progress:
             progress(min(state.time / end, 1.0), f"tracked to {state.time:.0f} s")
 
-    return tracked(given, law, most, told, earlier)
+    return tracked(given, law, most, report, earlier)
 
 
 def ladder(

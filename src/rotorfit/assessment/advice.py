@@ -86,7 +86,7 @@ WRONG_FRAME = ("axes_exchanged", "command_frame", "mirrored_pose", "yaw_offset")
 OVERTURNED = "axes_turned"
 """Finding of a flight that makes the signs of `OVER` meaningless."""
 
-SAID_BETTER = ("short_data", "slow_commands")
+LEFT_TO_THE_FIT = ("short_data", "slow_commands")
 """Findings of single flights that the fit of all of them repeats or withdraws."""
 
 ABOUT_EXCITATION = ("velocity_follows_command", "wind_dominates")
@@ -141,7 +141,7 @@ def findings_of_fit(fit: Fit, before: Iterable[Finding] = ()) -> tuple[Finding, 
 def _settled(finding: Finding, fit: Fit) -> bool:
     """Whether the fit supersedes this finding of a single flight."""
     if finding.code not in ABOUT_EXCITATION or finding.axis is None:
-        return finding.code in SAID_BETTER
+        return finding.code in LEFT_TO_THE_FIT
     axis = fit.model.axes[finding.axis]
     return all(status == "ok" for status in axis.status.values()) and not _weak(axis)
 

@@ -102,11 +102,11 @@ def validate(
     tests, bands = [], []
     for number, flight in enumerate(flights):
 
-        def told(share: float, number: int = number, path: str = flight.path) -> None:
+        def report(share: float, number: int = number, path: str = flight.path) -> None:
             if progress:
                 progress((number + share) / len(flights), path)
 
-        scored, held = _score_flight(model, flight, horizons, told)
+        scored, held = _score_flight(model, flight, horizons, report)
         for name, (score, by_horizon) in scored.items():
             scores[name].append(score)
             errors[name].append(by_horizon)
@@ -153,7 +153,7 @@ def paper_dynamics(model: Model, flight: Flight | None = None) -> dict[str, Axis
 
 
 def _score_flight(
-    model: Model, flight: Flight, horizons: Sequence[float], told: Callable[[float], None]
+    model: Model, flight: Flight, horizons: Sequence[float], report: Callable[[float], None]
 ) -> tuple[dict[str, tuple[FlightScores, dict[str, StartErrors]]], dict[str, dict[str, BandScore]]]:
     """Scores of the model's predictions and of all baselines on one flight, with the errors behind them; the bands.
 
@@ -163,25 +163,25 @@ def _score_flight(
         model: The model.
         flight: The flight.
         horizons: Prediction horizons [s].
-        told: Called with the completed share.
+        report: Called with the completed share.
     """
     coefficients = np.array([np.nan if g is None else g for g in model.paper])
     coasting = np.nan_to_num(coefficients.reshape(4, 2).T)
     errors: dict[str, list[Errors]] = {name: [] for name in ("model", *BASELINES)}
     bands: dict[float, list[Stated]] = {horizon: [] for horizon in horizons}
     (begin, end), longest = flight.span, max(horizons)
-    told(0.0)
+    report(0.0)
     for part in predictions(flight, dynamics_from_model(model, flight), longest):
         errors["model"].append(judged(part, part.predicted, horizons))
         errors["hold"].append(judged(part, hold_velocity(part), horizons))
         errors["coast"].append(judged(part, free_run_prediction(flight, part, *coasting), horizons))
         for horizon, each in bands.items():
             each.append(stated(part, horizon))
-        told(0.5 * (part.start[-1] - begin) / (end - begin))
+        report(0.5 * (part.start[-1] - begin) / (end - begin))
     paper = paper_dynamics(model, flight)
     for part in predictions(flight, paper, longest):
         errors["paper"].append(judged(part, part.predicted, horizons))
-        told(0.5 + 0.3 * (part.start[-1] - begin) / (end - begin))
+        report(0.5 + 0.3 * (part.start[-1] - begin) / (end - begin))
 
     known = np.array([model.axes[axis].predictor is not None for axis in AXES])
     wanted = dict.fromkeys(errors, np.isfinite(coefficients[::2])) | {"model": known, "hold": np.ones(4, bool)}

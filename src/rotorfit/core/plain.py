@@ -54,7 +54,7 @@ def plain_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except ValueError as error:
-        raise ValueError(_told(error)) from None
+        raise ValueError(_message(error)) from None
     _check(raw)
     return raw
 
@@ -74,7 +74,7 @@ def plain_json(text: str | bytes) -> Any:
     except UnicodeDecodeError as error:
         raise ValueError(f"not UTF-8 (byte {error.start})") from None
     except ValueError as error:
-        raise ValueError(_told(error)) from None
+        raise ValueError(_message(error)) from None
     _check(raw)
     return raw
 
@@ -84,7 +84,7 @@ _TOO_DEEP = f"nested deeper than {DEEPEST} levels"
 _TOO_LARGE = "an integer of more than 64 bits"
 
 
-def _told(error: ValueError) -> str:
+def _message(error: ValueError) -> str:
     """The message of a parsing error; Python's own limit on the digits of an integer is reported like ours."""
     return _TOO_LARGE if "integer string conversion" in str(error) else line_of(error)
 

@@ -166,7 +166,7 @@ class Air:
     direction_ci95: tuple[float, float]
 
     @property
-    def told(self) -> bool:
+    def significant(self) -> bool:
         """Whether the wind is distinguishable from still air, which has no direction."""
         begin, end = self.direction_ci95
         return self.speed_ci95[0] > 0 and end - begin < 2 * np.pi * (1 - 1e-9)

@@ -48,7 +48,7 @@ class DraftContents:
         frame: Frame of the commands: `heading` or `world`.
         velocity_frame: Frame of the velocity, likewise.
         pose_frame: `ENU` or `NED`.
-        pose_said: Reason for the frame, appended to its line.
+        pose_remark: Reason for the frame, appended to its line.
         remarks: Remarks appended to other lines of the pose, by quantity.
     """
 
@@ -58,7 +58,7 @@ class DraftContents:
     frame: str
     velocity_frame: str
     pose_frame: str
-    pose_said: str
+    pose_remark: str
     remarks: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -85,7 +85,7 @@ def text_of(log: Log, found: DraftContents, said: Mapping[str, str], checked: st
     reference = reference_in(log, commands)
     body = [
         f"name = {_quoted(log.path.stem)}",
-        f'frame = "{found.pose_frame}"  # {found.pose_said}',
+        f'frame = "{found.pose_frame}"  # {found.pose_remark}',
         "",
         "[command]",
         f'frame = "{found.frame}"  # "world" where x and y do not turn with the vehicle',
@@ -228,11 +228,11 @@ def draft_card(log: Log, fresh: bool = False) -> str:
         text = builtin_card_text(name)
         return f"# A copy of the built-in card {name}, whose columns are all in {visible(log.path.name)}.\n{text}"
     asked = _better_read(log, _in_the_better_frame(log, _asked(log, found_in(log))))
-    found, told = asked.found, asked.told
+    found, told = asked.found, asked.answers
     if told is None:
         return text_of(log, found, {}, f"The motion could not be used: {line_of(asked.why)}." if asked.why else "")
     if turned := ", ".join(overturned(told.of, asked.height)):
-        found = replace(found, pose_said=f"as z is above 0; {turned} are turned together: forward, right, down?")
+        found = replace(found, pose_remark=f"as z is above 0; {turned} are turned together: forward, right, down?")
     moved, said = _by_motion(found.commands, told)
     found = _in_metres(replace(found, commands=moved, frame=told.frame or "heading"), asked.motion)
     sure = all(answer.axis for answer in told.of.values())
@@ -255,14 +255,14 @@ class _Asked:
 
     Attributes:
         found: Its contents.
-        told: Responses to the commands; None where the motion shows none.
+        answers: Responses to the commands; None where the motion shows none.
         why: Why there are none; empty for an incomplete draft.
         motion: Motion of the flight.
         height: From `height_sign`.
     """
 
     found: DraftContents
-    told: Answers | None
+    answers: Answers | None
     why: str = ""
     motion: Motion | None = None
     height: int = 0
@@ -294,14 +294,14 @@ def _in_the_better_frame(log: Log, asked: _Asked) -> _Asked:
     Where commands and velocity share a frame, the motion does not reveal which: then it is the heading frame, as it
     almost always is for commands. The coefficients are the same.
     """
-    found, told = asked.found, asked.told
+    found, told = asked.found, asked.answers
     if told is None or told.frame is None or "x" not in found.alone:
         return asked
     other = _asked(log, replace(found, velocity_frame="world" if found.velocity_frame == "heading" else "heading"))
-    if other.told is None:
+    if other.answers is None:
         return asked
     allowed = BETTER if told.frame == "heading" else 1 / BETTER
-    return other if _left(other.told) < allowed * _left(told) else asked
+    return other if _left(other.answers) < allowed * _left(told) else asked
 
 
 def _left(told: Answers) -> float:
@@ -315,20 +315,20 @@ def _better_read(log: Log, asked: _Asked) -> _Asked:
     That is the other frame if it alone reverses several commands back, since both explain the same; else, among
     readings that explain the motion clearly better, the one with the fewest commands that contradict their names.
     """
-    found, told = asked.found, asked.told
+    found, told = asked.found, asked.answers
     if told is None or (told.frame != "world" and not _odd(told)):
         return asked
     turned = overturned(told.of, asked.height)
     if turned and asked.height <= 0:
         here, other = found.pose_frame, "ENU" if found.pose_frame == "NED" else "NED"
         said = f"by the motion: in {here}, {', '.join(turned)} would be turned; if it is {here}, give scale = -1 there"
-        return _asked(log, replace(found, pose_frame=other, pose_said=said))
+        return _asked(log, replace(found, pose_frame=other, pose_remark=said))
     if told.frame is None or found.alone:
         return asked
     others = [_asked(log, one) for one in _readings(found)]
-    better = [one for one in others if one.told and one.told.left < CLEARER * told.left]
-    least = min((one.told.left for one in better if one.told), default=0.0)
-    sound = [(_odd(one.told), one) for one in better if one.told and CLEARER * one.told.left <= least]
+    better = [one for one in others if one.answers and one.answers.left < CLEARER * told.left]
+    least = min((one.answers.left for one in better if one.answers), default=0.0)
+    sound = [(_odd(one.answers), one) for one in better if one.answers and CLEARER * one.answers.left <= least]
     return min(sound, key=lambda pair: pair[0])[1] if sound else asked
 
 

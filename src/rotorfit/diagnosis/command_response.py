@@ -34,7 +34,7 @@ BLOCKS = 10
 LEAST_POSES = 100
 """Least number of poses under commands."""
 
-TOLD = 5.0
+SIGNIFICANT = 5.0
 """Standard errors above which a response has a sign."""
 
 EXPLAINED = 0.3
@@ -189,5 +189,5 @@ def _answer(fits: list[_Fit], j: int) -> CommandResponse:
     order = sorted(range(4), key=lambda k: -abs(fits[k].effect[j]))
     first, second = fits[order[0]], fits[order[1]]
     told = float(first.effect[j])
-    sure = abs(told) > max(TOLD, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
+    sure = abs(told) > max(SIGNIFICANT, CLEARLY * abs(float(second.effect[j]))) and first.explained > EXPLAINED
     return CommandResponse(AXES[order[0]] if sure else None, int(np.sign(told)), abs(told), first.explained, first.lag)

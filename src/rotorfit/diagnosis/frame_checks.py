@@ -37,7 +37,7 @@ BLOCKS = 10
 LEAST_POSES = 100
 """Least number of poses under commands: ten per stretch."""
 
-TOLD = 5.0
+SIGNIFICANT = 5.0
 """Standard errors above which a command's effect has a direction."""
 
 LEAST_EXPLAINED = 0.3
@@ -63,8 +63,8 @@ SAME_THING = ": with a heading that stays within a few degrees of 0 the commands
 """Why degrees read as radians and world commands are one finding where the heading hardly turned."""
 
 OFF = np.radians(12.0)
-"""Deviation of a direction that is reported if it also exceeds `TOLD` standard errors. Markers placed by eye are off by
-2 to 5 degrees."""
+"""Deviation of a direction that is reported if it also exceeds `SIGNIFICANT` standard errors. Markers placed by eye are
+off by 2 to 5 degrees."""
 
 NEAR = np.radians(30.0)
 """Deviation from a quarter or half turn up to which a direction counts as one."""
@@ -148,7 +148,7 @@ def directions(flight: Flight, motion: Motion, moved: list[str], turns: float) -
             left, design = remains, free
         straight = min(straight, _left(held, _real(target)))
     effect, spread = _jackknife(design, _real(target), len(moved))
-    told = [i for i in range(len(moved)) if abs(effect[i]) > TOLD * spread[i]]
+    told = [i for i in range(len(moved)) if abs(effect[i]) > SIGNIFICANT * spread[i]]
     return Directions(
         turns=turns,
         explained=1 - left / float(np.sum(np.abs(target - target.mean()) ** 2)),
@@ -238,7 +238,7 @@ def _other_frame(card: Card, own: Directions, best: Directions) -> Finding:
 
 def _turned(card: Card, own: Directions, yaw: float, turning: float) -> Iterator[Finding]:
     """The frame is right or indistinguishable; directions may be off by a constant angle."""
-    off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, TOLD * own.stderr[axis])}
+    off = {axis: angle for axis, angle in own.angle.items() if abs(angle) > max(OFF, SIGNIFICANT * own.stderr[axis])}
     if not off or own.left > STRAIGHT * own.straight:
         return
     both = len(own.angle) == 2

@@ -30,7 +30,7 @@ _COMMAND_FAMILIES = (
 
 _ASKED = "cmd|command|setpoint|target|goal|desired"
 
-_TOLD = {axis: f"(?:d|t|des)_?v(?:el)?_?{axis}" for axis in "xyz"}  # DVelX, TVX of autopilots
+_DEMAND = {axis: f"(?:d|t|des)_?v(?:el)?_?{axis}" for axis in "xyz"}  # DVelX, TVX of autopilots
 
 _SETPOINT = {axis: f"v_?{axis}|(?:velocity|vel|twist|linear)_{axis}|velocity_{i}" for i, axis in enumerate("xyz")}
 
@@ -252,7 +252,7 @@ def _commands(log: Log, table: Table) -> dict[str, str]:
     twist = {"x": "(?:twist_)?linear_x", "y": "(?:twist_)?linear_y", "z": "(?:twist_)?linear_z"}
     twist |= {"yaw": "(?:twist_)?angular_z"}
     families = [_named(table, _family(word, speed)) for word, speed in _COMMAND_FAMILIES]
-    families.append(_named(table, _TOLD))
+    families.append(_named(table, _DEMAND))
     if log.format.startswith("dataflash"):  # its DesRoll, DesPitch, DesYaw are setpoints of the inner angle loops
         families = families[-1:]
     if _asked(log, table):

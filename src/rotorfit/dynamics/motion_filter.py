@@ -26,7 +26,7 @@ AHEAD = 1.0
 """Prediction horizon [s]."""
 
 VELOCITY, WIND, WIND_ERROR, GUSTS, LATER, LATER_ERROR = range(6)
-"""Columns of the result of `MotionFilter.told`."""
+"""Columns of the result of `MotionFilter.motion`."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class MotionFilter:
             self.z, self.k, self.u, self.mean, self.covariance, self.clock, self.grid,
         )  # fmt: skip
 
-    def told(self, command_time: Array, command: Array) -> Array:
+    def motion(self, command_time: Array, command: Array) -> Array:
         """The motion at the last pose, shape (2, 6); for each axis:
 
         its world velocity; the wind as an acceleration, and its standard error (for x and y along the heading where
@@ -97,7 +97,7 @@ class MotionFilter:
             command_time: As for `follow`.
             command: As for `follow`.
         """
-        return _told(
+        return _motion(
             command_time, command, self.law, self.series, self.levels, self.known, self.turns, self.z[1], self.k[1],
             self.u[1], self.mean[1], self.covariance[1], self.clock[1],
         )  # fmt: skip
@@ -197,11 +197,11 @@ def _follow(
 
 
 @kernel()
-def _told(
+def _motion(
     command_time: Array, command: Array, law: Array, series: Array, levels: Array, known: Any, turns: bool, z: Array,
     k: Any, u: Array, mean: Array, covariance: Array, clock: Array,
 ) -> Array:  # fmt: skip
-    """See `MotionFilter.told`."""
+    """See `MotionFilter.motion`."""
     own = command[:, :2] if turns else command[:, 2:]
     later, out = z.copy(), np.full((2, 6), np.nan)
     until = clock[0] + AHEAD

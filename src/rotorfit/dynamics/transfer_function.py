@@ -78,7 +78,7 @@ def sine_response(model: Model, axis: str, frequency: float) -> SineResponse:
     """
     known = model.axes[axis]
     laws = known.laws or (_only(model, axis),)
-    told = [_told(law, frequency) for law in laws]
+    told = [_response(law, frequency) for law in laws]
     gains, delays = [t.gain_ci95 for t in told], [t.delay_ci95 for t in told]
     return SineResponse(frequency, told[0].gain, told[0].delay, _around(gains), _around(delays))
 
@@ -95,7 +95,7 @@ def _only(model: Model, axis: str) -> Weighed:
     return weighed(known.structure, point, names, model.covariance[np.ix_(at, at)])
 
 
-def _told(law: Weighed, frequency: float) -> SineResponse:
+def _response(law: Weighed, frequency: float) -> SineResponse:
     structure, w = structure_named(law.structure), np.array([frequency])
 
     def logarithm(point: Predictor) -> complex:

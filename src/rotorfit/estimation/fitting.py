@@ -27,7 +27,7 @@ from rotorfit.estimation.likelihood.coefficients import (
     covariances,
     holds_zero,
 )
-from rotorfit.estimation.likelihood.extra_parameters import structure_at, told_apart
+from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
 from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, delay_error
 from rotorfit.estimation.likelihood.law_average import averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
@@ -103,7 +103,9 @@ def fit(
     for axis, some in parts.items():
         report(0.9, f"{axis} while it is commanded")
         apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)
-        found, parts[axis] = (_with_axis(found, apart, axis), some) if _told(apart, axis) else (found, list(flights))
+        found, parts[axis] = (
+            (_with_axis(found, apart, axis), some) if _gain_known(apart, axis) else (found, list(flights))
+        )
     report(1.0, "done")
     serving = {
         axis: serving_flights(parts.get(axis, flights), e.records[0].axes) for axis, e in found.estimates.items()
@@ -159,7 +161,7 @@ def _plain_of(alone: Model, axis: str) -> Plain:
     return Plain(known.input, known.damping, known.delay, known.stderr, known.ci95, known.status, law)
 
 
-def _told(found: "_Found", axis: str) -> bool:
+def _gain_known(found: "_Found", axis: str) -> bool:
     """Whether the input gain of an axis was estimated with status `ok`."""
     return axis in found.axes and found.axes[axis].status["input"] == "ok"
 
@@ -345,7 +347,7 @@ def _other_structures(
     else:
         wanted |= dict.fromkeys(known, structure_named(structure))
     found = estimate_laws(serving, estimates, wanted)
-    lost = [axis for axis, e in found.items() if not told_apart(e.optimum, e.place)]
+    lost = [axis for axis, e in found.items() if not separable(e.optimum, e.place)]
     if lost:
         found = estimate_laws(serving, estimates, wanted | dict.fromkeys(lost, FIRST_ORDER_DELAY))
     if any(structure_at(e.optimum, e.place) != FIRST_ORDER_DELAY for e in found.values()):

@@ -39,7 +39,7 @@ STEP = 0.01
 LAGS = tuple(0.1 * j for j in range(11))
 """Ages of the commands to which a linear law may give any weight [s]."""
 
-TOLD_APART = 1e-6
+DEPENDENT = 1e-6
 """Share of the largest singular value below which a direction of the linear laws' effects counts as dependent."""
 
 
@@ -115,7 +115,7 @@ def _freed(rec: Record, estimate: Estimate, flight: int, rows: slice) -> tuple[A
     nuisance = np.hstack([np.delete(white, [*places, -1], axis=1), *starts])
     size = np.sqrt(np.sum(nuisance**2, axis=0))
     basis = np.linalg.svd(nuisance[:, size > 0] / size[size > 0], full_matrices=False)
-    free = basis[0][:, basis[1] > TOLD_APART * basis[1][0]]
+    free = basis[0][:, basis[1] > DEPENDENT * basis[1][0]]
     own, e = white[:, -1], estimate.optimum.score.innovations[flight][:, k]
     return own - free @ (free.T @ own), e - free @ (free.T @ e)
 

@@ -32,13 +32,13 @@ TURNED = (
 
 
 def header(
-    subject: Subject, told: str, trained: Mapping[str, str], scored: Sequence[str], mark: str
+    subject: Subject, contents: str, trained: Mapping[str, str], scored: Sequence[str], mark: str
 ) -> tuple[str, ...]:
     """Lines of the header, without characters that could end a comment in any of the languages.
 
     Args:
         subject: What is exported.
-        told: Contents of the file, in a sentence or two.
+        contents: What is in of the file, in a sentence or two.
         trained: Axis name to speeds and commands of the training flights.
         scored: Lines about prediction errors.
         mark: The line that identifies the file as an export.
@@ -47,7 +47,7 @@ def header(
         mark,
         "",
         f"Vehicle: {subject.model.card.name}.",
-        *_wrapped(told),
+        *_wrapped(contents),
         "",
         "Laws, along each axis of the heading frame:",
         *(_row(axis, _law(subject, axis)) for axis in AXES),

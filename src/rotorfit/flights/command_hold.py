@@ -107,7 +107,9 @@ def with_judged_hold(log: Log, card: Card, commands: Stream, axes: tuple[str, ..
     hold = max(GAP_PERIODS * period / 1e9, longest)
     held = commands_of(log, replace(card, hold=hold))[0] if longest else commands
     count = int(np.sum(gaps))
-    note = Note("hold_judged", _told(levels, hold, f"{counted(count, 'gap')} longer than three median periods"), count)
+    note = Note(
+        "hold_judged", _sentence(levels, hold, f"{counted(count, 'gap')} longer than three median periods"), count
+    )
     return replace(held, notes=(*held.notes, note))
 
 
@@ -218,7 +220,7 @@ def _regressed(time: Array, velocity: Array, ended: Array, followed: Array, dela
     return (float(rest @ rest), Share(float(part / whole), error)) if np.isfinite(error) and error > 0 else None
 
 
-def _told(levels: list[_Level], hold: float, found: str) -> str:
+def _sentence(levels: list[_Level], hold: float, found: str) -> str:
     """Which gaps were bridged, and why, in one sentence."""
     parts = []
     for level in levels:

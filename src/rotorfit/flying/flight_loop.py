@@ -73,10 +73,10 @@ SLOW, MEMORY = 0.9, 50
 """Share of the planned rate below which a note is made; number of commands over which a rate below half ends the
 flight."""
 
-SAID = 20
+MOST_TEXTS = 20
 """Largest number of different texts of the vehicle in the notes; the recording has all."""
 
-TOLD = 0.2
+PROGRESS_EVERY = 0.2
 """Time between two reports of progress [s]."""
 
 
@@ -148,7 +148,7 @@ class _Flight:
         self._lateness: list[int] = []
         self._excess = 0.0  # of the intervals between commands over the period, the latest most [ns]
         self._planned = self._zero = self._stamp = 0  # when the command was due; stamps of first pose, last command
-        self._first = self._asked = self._last = self._began = self._told = link.now
+        self._first = self._asked = self._last = self._began = self._progressed = link.now
         self._phase, self._steering = "", False
 
     def performed(self, take_off: bool) -> Ending:
@@ -284,8 +284,8 @@ class _Flight:
             return Ending("operator", f"ended by the operator: {pressed}")
         if self.recorder.fault or self.recorder.stalled():
             return Ending("disk", self.recorder.fault or f"{self.recorder.path}: the disk takes nothing any more")
-        if self.progress and now - self._told > TOLD * 1e9:
-            self._told = now
+        if self.progress and now - self._progressed > PROGRESS_EVERY * 1e9:
+            self._progressed = now
             left = room_left(self.watch, limits, now)
             duration, battery = self.plan.duration, self.watch.battery
             self.progress(Status(self._phase, self._since(), duration, self.watch.pose, left, battery))
@@ -309,7 +309,7 @@ class _Flight:
         """Receives samples up to a time [ns], records them, and updates watch and tracking."""
         for sample in self.link.receive(until):
             self.recorder.sample(sample)
-            if sample.text and sample.text not in self.notes and len(self.notes) < SAID:
+            if sample.text and sample.text not in self.notes and len(self.notes) < MOST_TEXTS:
                 self.notes.append(sample.text)
             self.watch, believed = observed(self.watch, sample, self.limits)
             if believed and self._steering and self.watch.pose is not None:

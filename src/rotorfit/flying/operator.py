@@ -31,12 +31,12 @@ def operator_abort() -> Iterator[Abort]:
     """
     pressed: list[str] = []
 
-    def told(number: int, _frame: FrameType | None) -> None:
+    def interrupted(number: int, _frame: FrameType | None) -> None:
         pressed.append(_SIGNALS[signal.Signals(number)])
 
     before = {}
     if threading.current_thread() is threading.main_thread():
-        before = {number: signal.signal(number, told) for number in _SIGNALS}
+        before = {number: signal.signal(number, interrupted) for number in _SIGNALS}
     try:
         with _keys() as keys:
 

@@ -172,7 +172,7 @@ class Recorder:
         data = text.encode() + b"\0"
         self._add(EVENTS, stamp, _LENGTH.pack(_CDR, len(data)) + data)
 
-    def told(self, topic: str, stamp: int, mapping: Mapping[str, Any]) -> None:
+    def json_message(self, topic: str, stamp: int, mapping: Mapping[str, Any]) -> None:
         """Records plain types as a JSON message on a topic at `stamp` [ns].
 
         Raises:

@@ -28,7 +28,7 @@ import numpy as np
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Steps
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.progress import Progress
+from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.axis_information import (
     EARLY,
     AxisBelief,
@@ -208,7 +208,7 @@ def optimal_excitations(
     for place, (axis, limits) in enumerate(room.items()):
         a = AXES.index(axis)
         dynamics = AxisBelief(truth.gamma[2 * a], truth.gamma[2 * a + 1], truth.delay[a])
-        part = None if progress is None else functools.partial(_told, progress, place, len(room))
+        part = part_of(progress, place, len(room))
         signal = optimal_signal(
             dynamics, np.log(levels_of(belief, truth, axis)), limits, duration, criterion, seed * len(AXES) + a, part,
             step=step, smooth=smooth[axis] if smooth else 0.0, pose_rate=truth.pose_rate * (1 - truth.stale_share),
@@ -217,10 +217,6 @@ def optimal_excitations(
             signal = against_feedback(signal, axis, dynamics, feedback, duration, step)
         out.append(AxisExcitation(axis, "command", start, duration, signal))
     return tuple(out)
-
-
-def _told(progress: Progress, place: int, of: int, share: float, text: str) -> None:
-    progress((place + share) / of, text)
 
 
 def _check(dynamics: tuple[float, float, float], limits: AxisLimits, duration: float) -> None:

@@ -39,7 +39,7 @@ class Lead:
     axis: str
     errors: tuple[str, ...]
     best: int
-    told: str
+    reason: str
 
 
 def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
@@ -62,8 +62,8 @@ def leads(evidences: Sequence[Evidence], horizon: float) -> tuple[Lead, ...]:
             unit, factor = SPEED[axis]
             texts = tuple(f"{figure(factor * errors[k])} {unit}" if k in errors else "—" for k in range(len(evidences)))
             first, *others = sorted(errors, key=lambda k: errors[k])
-            told = _shown(evidences, first, others[0], axis, horizon) if others else "the only one that was scored"
-            out.append(Lead(axis, texts, first, told))
+            reason = _shown(evidences, first, others[0], axis, horizon) if others else "the only one that was scored"
+            out.append(Lead(axis, texts, first, reason))
     return tuple(out)
 
 

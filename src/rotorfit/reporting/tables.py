@@ -50,7 +50,7 @@ class RowText:
     paper: str
     kind: str
     bar: Bar | None
-    told: str
+    tip: str
 
 
 def coefficient_table(rows: Sequence[CoefficientRow]) -> list[tuple[str, list[RowText]]]:
@@ -79,7 +79,7 @@ def _row_text(row: CoefficientRow) -> RowText:
     if row.name in ("steady_gain", "total_lag", "offset_plus_delay"):
         kind = "combination"
     paper = rounded(row.paper, scale)
-    told = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
+    tip = f"{term_of(row.name)}: estimate {rounded(row.value, scale)}, 95 % interval {interval}, paper's {paper}"
     return RowText(
         term=term_of(row.name),
         symbol=row.symbol,
@@ -92,7 +92,7 @@ def _row_text(row: CoefficientRow) -> RowText:
         paper=paper,
         kind=kind,
         bar=_bar(row),
-        told=told,
+        tip=tip,
     )
 
 
@@ -190,7 +190,7 @@ class Cell:
     velocity: str
     position: str
     times: str
-    told: str
+    tip: str
 
 
 def ahead_rows(verdict: Verdict) -> tuple[tuple[float, ...], list[tuple[str, list[Cell]]]]:
@@ -206,10 +206,10 @@ def _cell(use: Use) -> Cell:
     place = f"{use.axis}, {use.horizon:g} s ahead: {word}."
     if use.velocity is None:
         return Cell(use.answer, sign, word, "", "", "", f"{place} {reason}")
-    told = f"{place} Errors {errors_text(use)}{better(use.times)}, over {use.n} predictions. {reason}".rstrip()
+    tip = f"{place} Errors {errors_text(use)}{better(use.times)}, over {use.n} predictions. {reason}".rstrip()
     short = [text.replace("deg", "°") for text in errors_text(use).split(" and ")]
     times = "" if use.times is None else f"{figure(use.times)} ×"
-    return Cell(use.answer, sign, word, short[0], short[1] if len(short) > 1 else "", times, told)
+    return Cell(use.answer, sign, word, short[0], short[1] if len(short) > 1 else "", times, tip)
 
 
 def mode_rows(model: Model) -> list[list[str]]:

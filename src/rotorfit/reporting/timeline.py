@@ -146,7 +146,7 @@ def _air(air: Air | None) -> str:
     """The mean wind in words; empty if it is unknown."""
     if air is None:
         return ""
-    if not air.told:
+    if not air.significant:
         return f"Mean wind of the last 40 s: below {_value(air.speed_ci95[1], air.speed_ci95)} m/s."
     speed = f"{_value(air.speed, air.speed_ci95)} m/s ({_interval(air.speed_ci95, air.speed)})"
     ends = tuple(math.degrees(end) for end in air.direction_ci95)
@@ -342,11 +342,11 @@ def _cells(model: Model | None) -> list[list[str]]:
         axis = model.axes.get(name)
         if axis and axis.predictor:
             values = {what: getattr(axis, what) for what in ("input", "damping", "delay")}
-            out.append([name, *(_told(value, axis.ci95.get(what)) for what, value in values.items())])
+            out.append([name, *(_with_interval(value, axis.ci95.get(what)) for what, value in values.items())])
     return out
 
 
-def _told(value: float | None, ends: Interval | None) -> str:
+def _with_interval(value: float | None, ends: Interval | None) -> str:
     return "—" if value is None else f"{_value(value, ends)} ({_interval(ends, value)})"
 
 

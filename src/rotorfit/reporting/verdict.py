@@ -298,7 +298,7 @@ def _light(
     colour = min((lamp.colour for lamp in lamps if lamp.colour != "grey"), key=GRAVITY.index)
     unit, factor = SPEED[axis]
     error = None if use.velocity is None else f"{figure(factor * use.velocity)} {unit}"
-    said = [] if use.velocity is None else _said(use, uses, scores, model.method)
+    said = [] if use.velocity is None else _sentences(use, uses, scores, model.method)
     if use.velocity is not None and speed is not None:
         said.append(f"tested at up to {_speed(axis, speed)}")
     return Light(axis, colour, _word(colour, reach(uses)), error, sentences([*said, *_answers(known)]), lamps)
@@ -421,7 +421,7 @@ def _answers(known: Axis) -> list[str]:
     return [f"the motion trails its command by {lag.value:.2f} s"] if lag is not None and None not in lag.ci95 else []
 
 
-def _said(use: Use, uses: Sequence[Use], scores: Sequence[HorizonErrors], method: str) -> list[str]:
+def _sentences(use: Use, uses: Sequence[Use], scores: Sequence[HorizonErrors], method: str) -> list[str]:
     """Prediction errors at the planning horizon and at the longest one scored, compared with the baselines."""
     last = max((each for each in uses if each.velocity is not None), key=lambda each: each.horizon)
     said = [

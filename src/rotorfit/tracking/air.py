@@ -101,17 +101,17 @@ def courses(
         known = {axis: estimates[axis] for axis in pair if axis in estimates and axis not in flight.velocity_only}
         if pair == PAIRS[0] and len(known) == 1 and abs(np.angle(np.exp(1j * flight.yaw[-1]))) > ALONG:
             continue  # alone it was fitted along the heading, and this filter's axes are those of the world
-        if known and (followed := _followed(flight, pair, known, damping)):
-            running, wind = followed
+        if known and (filtered := _filtered(flight, pair, known, damping)):
+            running, wind = filtered
             force = flight.command_time[running.k]
-            told = running.told(flight.command_time, flight.command)
-            out |= {axis: AxisNow(*told[pair.index(axis)].tolist()) for axis in known}
+            motion = running.motion(flight.command_time, flight.command)
+            out |= {axis: AxisNow(*motion[pair.index(axis)].tolist()) for axis in known}
             found.append(Course(tuple(known), running, force))
             air = air or wind
     return out, air, tuple(found)
 
 
-def _followed(
+def _filtered(
     flight: Flight, pair: Pair, known: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[MotionFilter, Air | None] | None:
     """The filter of a pair of axes at the last pose, and the mean wind; None if there are too few poses."""

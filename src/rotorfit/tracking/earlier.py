@@ -101,7 +101,7 @@ def check_earlier(earlier: Earlier, card: Card) -> None:
         raise CardError(f"{earlier.name}: {trouble}; convert it (rotorfit convert), or leave --after out")
 
 
-def told_before(earlier: Earlier, axis: str) -> dict[str, Known]:
+def known_before(earlier: Earlier, axis: str) -> dict[str, Known]:
     """The quantities of an axis that the earlier model tells, each with its interval of the vehicle."""
     known = earlier.model.axes[axis]
     values = {**{name: getattr(known, name) for name in COEFFICIENTS}, **known.extra}
@@ -121,7 +121,7 @@ def _closed(values: Mapping[str, float | None], ends: Mapping[str, Interval]) ->
 
 def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
     """The axis with the numbers of the earlier model, if that tells more coefficients than this flight so far."""
-    before = told_before(earlier, axis)
+    before = known_before(earlier, axis)
     own = sum(out.values.get(name) is not None for name in COEFFICIENTS)
     if sum(name in before for name in COEFFICIENTS) <= own:
         return out
@@ -138,7 +138,7 @@ def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
 
 def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
     """Each quantity that both models tell, compared; only those of `ALIKE` if their laws differ."""
-    before, now = told_before(earlier, axis), _closed(out.values, out.ci95)
+    before, now = known_before(earlier, axis), _closed(out.values, out.ci95)
     same_law = out.structure == earlier.model.axes[axis].structure
     return tuple(
         _unlike(f"{axis}.{name}", before[name], now[name])

@@ -139,7 +139,7 @@ class FlightSoFar:
         self.standing: Sequence[tuple[float, float]] = ()
         self.jumps: Sequence[float] = ()
         self.counts: Counter[str] = Counter()
-        self._told = [-np.inf, -np.inf]
+        self._sent = [-np.inf, -np.inf]
 
     def flight(self) -> Flight | None:
         """The flight so far; None until it has a segment: a command that is obeyed, and two poses under it."""
@@ -174,9 +174,9 @@ class FlightSoFar:
     def news(self) -> News:
         """What is new since the last call."""
         rows = self.commands, self.poses
-        new = rows[0].since(self._told[0]), rows[1].since(np.nextafter(self._told[1], np.inf))
+        new = rows[0].since(self._sent[0]), rows[1].since(np.nextafter(self._sent[1], np.inf))
         oldest, newest = ([float(each.time[k]) if each.time.size else -np.inf for each in rows] for k in (0, -1))
-        self._told = newest
+        self._sent = newest
         return News(*new, oldest, self.now, self.standing, self.jumps, dict(self.counts))
 
     def take(self, news: News) -> None:

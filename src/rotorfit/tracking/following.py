@@ -1,7 +1,7 @@
 """The estimates and the regimes of a growing flight, updated by a look once a second.
 
 A look takes an estimation step or a refit for each group of axes (`refits`), tests the last seconds against the rest of
-the regime (`changes`), and assembles the state in words and numbers.
+the regime (`changes`), and assembles the state in report and numbers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,14 +31,14 @@ from rotorfit.tracking.refits import (
     LONGEST,
     REFIT,
     REFIT_UNKNOWN,
-    Followed,
-    Said,
+    AxisReport,
+    GroupEstimate,
+    axis_report,
     doubt_of,
-    followed_of,
+    group_estimate,
     grown,
     refitted,
     renewed,
-    said,
     stepped,
     together,
 )
@@ -68,7 +68,7 @@ class Group:
     Attributes:
         axes: Names.
         since: Start of their regime [s].
-        followed: Their estimate; None before the first fit.
+        fitted: Their estimate; None before the first fit.
         excited: Excited time since the start of the regime [s].
         looked: Time up to which `excited` was counted [s].
         answers: Delay of the answers to commands [s], if only those are fitted because the axes obey another law at
@@ -77,7 +77,7 @@ class Group:
 
     axes: tuple[str, ...]
     since: float
-    followed: Followed | None = None
+    fitted: GroupEstimate | None = None
     excited: float = 0.0
     looked: float = 0.0
     answers: float | None = None
@@ -153,7 +153,7 @@ class Following:
         """
         self.next_look = next_look(self.next_look, now)
         before = self._as_refitted()
-        self._groups = {axes: self._followed(axes, flight, now) for axes in groups_of([flight], flight.axes)}
+        self._groups = {axes: self._looked(axes, flight, now) for axes in groups_of([flight], flight.axes)}
         if standing:
             self._seen = None
         alarm = None if standing else self._change(flight, now)
@@ -190,11 +190,11 @@ class Following:
             for (since, alarm), end, found in zip(self._bounds, ends, fits, strict=True)
         )
         for axes, group in self._groups.items():
-            part = _part(flight, group.since, now) if group.followed else None
+            part = _part(flight, group.since, now) if group.fitted else None
             if fits[-1] and group.since == self._bounds[-1][0]:
-                self._groups[axes] = replace(group, followed=followed_of(fits[-1], axes, now))
+                self._groups[axes] = replace(group, fitted=group_estimate(fits[-1], axes, now))
             elif part:  # axes that did not change are still fitted to more than the last regime
-                self._groups[axes] = replace(group, followed=refitted(part, axes, self._structure, now))
+                self._groups[axes] = replace(group, fitted=refitted(part, axes, self._structure, now))
         return replace(self._tracked(flight, now, ()), landed=True), regimes
 
     def _fit(self, flight: Flight, since: float, end: float) -> Fit | None:
@@ -202,7 +202,7 @@ class Following:
         part = _part(flight, since, end)
         return fit([part], structure=self._structure) if part and part.duration >= LEAST_TIME else None
 
-    def _followed(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
+    def _looked(self, axes: tuple[str, ...], flight: Flight, now: float) -> Group:
         """A group after this look."""
         since = max(self._since[axis] for axis in axes)
         group = self._groups.get(axes, Group(axes, since))
@@ -212,18 +212,18 @@ class Following:
         if part is None or part.duration < LEAST_TIME:
             return group
         excited = group.excited + _excited(flight, axes, max(group.looked, since), now)
-        group, before = replace(group, excited=excited, looked=now), group.followed
+        group, before = replace(group, excited=excited, looked=now), group.fitted
         if before and all(_quiet(flight, axis, now) > QUIET for axis in axes):
-            return replace(group, followed=renewed(before, part))  # no excitation: the last values hold
+            return replace(group, fitted=renewed(before, part))  # no excitation: the last values hold
         growth = REFIT if before and before.estimates else REFIT_UNKNOWN
         if before is None or grown(before.seen, excited, growth):
-            return replace(group, followed=refitted(part, axes, self._structure, excited))
-        return replace(group, followed=stepped(before, part, excited))
+            return replace(group, fitted=refitted(part, axes, self._structure, excited))
+        return replace(group, fitted=stepped(before, part, excited))
 
     def _change(self, flight: Flight, now: float) -> Alarm | None:
         """The alarm of this look, if there is one; it begins a new regime."""
-        followed = [group.followed for group in self._groups.values() if group.followed]
-        scored = {scores.names: scores for scores in scores_of_groups(followed, flight)}
+        fitted = [group.fitted for group in self._groups.values() if group.fitted]
+        scored = {scores.names: scores for scores in scores_of_groups(fitted, flight)}
         looked, count = looked_together(list(scored.values()))
         (seen, self._seen), early = (self._seen, None), False
         threshold = self._false_alarms * EVERY / 3600.0 / max(count, 1)
@@ -288,33 +288,33 @@ class Following:
         That is so if they show no change when fitted to their answers to commands alone; from then on they are.
         """
         for axes, group in self._groups.items():
-            if group.followed is None or group.answers is not None or set(axes) & {"z", "yaw"}:
+            if group.fitted is None or group.answers is not None or set(axes) & {"z", "yaw"}:
                 continue
             if not any(name.split(".")[0] in axes for name in names):
                 continue
-            late = [float(one.optimum.point.delay[one.place]) for one in group.followed.estimates.values()]
+            late = [float(one.optimum.point.delay[one.place]) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
             part = apart.part(flight, max(group.since, now - LONGEST), now)
             if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * min(now - group.since, LONGEST):
                 continue
-            followed = refitted(part, axes, self._structure, group.followed.seen)
-            if followed.estimates and not any(
-                one.p_value < threshold for scores in scores_of_groups([followed], flight) for one in looked_for(scores)
+            fitted = refitted(part, axes, self._structure, group.fitted.seen)
+            if fitted.estimates and not any(
+                one.p_value < threshold for scores in scores_of_groups([fitted], flight) for one in looked_for(scores)
             ):
-                self._groups[axes] = replace(apart, followed=followed)
+                self._groups[axes] = replace(apart, fitted=fitted)
                 return True
         return False
 
     def _tracked(self, flight: Flight, now: float, alarms: tuple[Alarm, ...]) -> Tracked:
         """The state in words and numbers."""
-        known = {axis: group.followed for axes, group in self._groups.items() for axis in axes}
+        known = {axis: group.fitted for axes, group in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
-        words = {axis: said(one, axis) for axis, one in known.items() if one}
-        damping = {axis: one.ci95["damping"] for axis, one in words.items() if "damping" in one.ci95}
+        report = {axis: axis_report(one, axis) for axis, one in known.items() if one}
+        damping = {axis: one.ci95["damping"] for axis, one in report.items() if "damping" in one.ci95}
         moving, air, self.courses = courses(flight, estimates, damping)
         self.doubt = {}
         axes = {
-            axis: self._axis(flight, axis, now, known.get(axis), words.get(axis), moving.get(axis))
+            axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
         }
         if self._earlier:
@@ -330,7 +330,7 @@ class Following:
 
     def _as_refitted(self) -> Model | None:
         """The model of the last refits: the same object until the next refit."""
-        parts = [group.followed for group in self._groups.values() if group.followed]
+        parts = [group.fitted for group in self._groups.values() if group.fitted]
         fits = tuple(part.fit for part in parts)
         if [id(one) for one in fits] != [id(one) for one in self._model[0]]:
             self._model = fits, together(parts)
@@ -341,22 +341,24 @@ class Following:
         flight: Flight,
         axis: str,
         now: float,
-        followed: Followed | None,
-        words: Said | None,
+        fitted: GroupEstimate | None,
+        report: AxisReport | None,
         motion: AxisNow | None,
     ) -> TrackedAxis:
         """What is known of one axis."""
-        knowledge, state = _knowledge(flight, axis, now, followed, words)
+        knowledge, state = _knowledge(flight, axis, now, fitted, report)
         if axis in self._changed:
             state = f"changed at {self._changed[axis]:.1f} s, {state}"
         out = TrackedAxis(knowledge, state)
-        if followed and words:
-            structure = followed.fit.model.axes[axis].structure
-            out = replace(out, values=words.values, ci95=words.ci95, ci95_flight=words.ci95_flight, structure=structure)
-        if motion is None or followed is None or words is None or not tells_wind(words.ci95_flight):
+        if fitted and report:
+            structure = fitted.fit.model.axes[axis].structure
+            out = replace(
+                out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
+            )
+        if motion is None or fitted is None or report is None or not tells_wind(report.ci95_flight):
             return out
         error = self.doubt[axis] = coefficient_error(
-            flight, axis, followed.estimates[axis], words.ci95, words.ci95_flight
+            flight, axis, fitted.estimates[axis], report.ci95, report.ci95_flight
         )
         return replace(
             out,
@@ -375,20 +377,20 @@ def next_look(due: float, now: float) -> float:
 
 
 def _knowledge(
-    flight: Flight, axis: str, now: float, followed: Followed | None, words: Said | None
+    flight: Flight, axis: str, now: float, fitted: GroupEstimate | None, report: AxisReport | None
 ) -> tuple[Knowledge, str]:
     """The state of knowledge of an axis, in one word and as a phrase."""
     if not commands_axis(flight, axis):
         return "not_excited", "not excited: no command moves it"
-    if followed is None or words is None:
+    if fitted is None or report is None:
         return "learning", "learning"
-    if axis not in followed.estimates:
-        silent = followed.fit.model.axes[axis].status["input"] == "not_excited"
+    if axis not in fitted.estimates:
+        silent = fitted.fit.model.axes[axis].status["input"] == "not_excited"
         return ("not_excited", "not excited") if silent else ("learning", "learning")
     quiet = _quiet(flight, axis, now)
     if quiet > QUIET:
         return "holding", f"holding (no excitation for {quiet:.0f} s)"
-    if all(words.values[name] is not None for name in ("input", "damping", "delay")):
+    if all(report.values[name] is not None for name in ("input", "damping", "delay")):
         return "known", "known"
     return "not_identifiable", "not identifiable"
 
@@ -420,20 +422,20 @@ def _part(flight: Flight, since: float, now: float) -> Flight | None:
     return part if part.segments and part.pose_time.size > 1 else None
 
 
-def scores_of_groups(followed: Sequence[Followed], flight: Flight) -> list[Scores]:
+def scores_of_groups(fitted: Sequence[GroupEstimate], flight: Flight) -> list[Scores]:
     """The scores of each likelihood of the given groups.
 
     Args:
-        followed: Their estimates.
+        fitted: Their estimates.
         flight: The flight so far.
     """
-    return scores_of([part for one in followed for part in _likelihoods(one)], let_go(flight))
+    return scores_of([part for one in fitted for part in _likelihoods(one)], let_go(flight))
 
 
-def _likelihoods(followed: Followed) -> list[tuple[Estimates, Doubts]]:
+def _likelihoods(fitted: GroupEstimate) -> list[tuple[Estimates, Doubts]]:
     """The likelihoods of a group, each with the doubts about its laws."""
     by_optimum: dict[int, list[tuple[str, Estimate]]] = {}
-    for axis, estimate in followed.estimates.items():
+    for axis, estimate in fitted.estimates.items():
         by_optimum.setdefault(id(estimate.optimum), []).append((axis, estimate))
-    doubts = {axis: doubt_of(followed.fit.model.axes[axis]) for axis in followed.estimates}
+    doubts = {axis: doubt_of(fitted.fit.model.axes[axis]) for axis in fitted.estimates}
     return [(each, doubts) for each in by_optimum.values() if each[0][1].records]

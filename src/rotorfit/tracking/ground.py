@@ -69,7 +69,7 @@ class Ground:
         if max(map(abs, values)) > ASKED:
             self._asked = time
 
-    def told(self, time: float, obeys: bool) -> None:
+    def report(self, time: float, obeys: bool) -> None:
         """Takes the vehicle's own report.
 
         Args:

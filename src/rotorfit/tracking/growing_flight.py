@@ -126,7 +126,7 @@ class GrowingFlight:
         """Takes the autopilot's report whether the vehicle obeys the recorded commands; False, as it is no row."""
         if self._obeys != bool(sample.values[0]):
             self._obeys = not self._obeys
-            self._ground.told(self.now, self._obeys)
+            self._ground.report(self.now, self._obeys)
         return False
 
     def _command(self, time: float, values: Sequence[float]) -> bool:

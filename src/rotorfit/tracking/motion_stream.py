@@ -73,10 +73,10 @@ class MotionStream:
         commands = self._commands.time, self._commands.values
         for one in self._running:
             pair = next(pair for pair in PAIRS if one.course.axes[0] in pair)
-            told, time = one.course.filter.told(*commands).tolist(), one.course.filter.time
+            motion, time = one.course.filter.motion(*commands).tolist(), one.course.filter.time
             for axis in one.course.axes:
                 if axis in self._doubt:
-                    axes[axis] = _axis(told[pair.index(axis)], self._doubt[axis])
+                    axes[axis] = _axis(motion[pair.index(axis)], self._doubt[axis])
         return Motion(time, axes) if axes else None
 
     def _follow(self, one: _Running, first: int) -> None:
@@ -89,7 +89,7 @@ class MotionStream:
         )
 
 
-def _axis(told: Sequence[float], doubt: float) -> AxisMotion:
-    wind, later = told[WIND], told[LATER]
-    wide, off = NORMAL * float(np.hypot(told[WIND_ERROR], doubt)), NORMAL * told[LATER_ERROR]
-    return AxisMotion(told[VELOCITY], wind, (wind - wide, wind + wide), told[GUSTS], later, (later - off, later + off))
+def _axis(now: Sequence[float], doubt: float) -> AxisMotion:
+    wind, later = now[WIND], now[LATER]
+    wide, off = NORMAL * float(np.hypot(now[WIND_ERROR], doubt)), NORMAL * now[LATER_ERROR]
+    return AxisMotion(now[VELOCITY], wind, (wind - wide, wind + wide), now[GUSTS], later, (later - off, later + off))

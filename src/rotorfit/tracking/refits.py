@@ -49,7 +49,7 @@ Half = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
-class Followed:
+class GroupEstimate:
     """The estimate of a group of axes that are fitted together.
 
     Attributes:
@@ -73,7 +73,7 @@ class Followed:
 
 
 @dataclass(frozen=True)
-class Said:
+class AxisReport:
     """What is reported of one axis.
 
     Attributes:
@@ -87,7 +87,7 @@ class Said:
     ci95_flight: Mapping[str, Interval]
 
 
-def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> Followed:
+def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) -> GroupEstimate:
     """The batch estimator on the flight so far.
 
     Args:
@@ -96,10 +96,10 @@ def refitted(flight: Flight, group: Sequence[str], structure: str, seen: float) 
         structure: Model structure, as `fit` takes it.
         seen: Excited time so far [s].
     """
-    return followed_of(fit([flight], axes=group, structure=structure), group, seen)
+    return group_estimate(fit([flight], axes=group, structure=structure), group, seen)
 
 
-def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
+def group_estimate(found: Fit, group: Sequence[str], seen: float) -> GroupEstimate:
     """The estimate that starts from a fit of one flight.
 
     Args:
@@ -109,7 +109,7 @@ def followed_of(found: Fit, group: Sequence[str], seen: float) -> Followed:
     """
     estimates = {axis: e for axis, e in found.estimates.items() if axis in group and found.model.axes[axis].predictor}
     half = {axis: _half_widths(found.model.axes[axis], estimate) for axis, estimate in estimates.items()}
-    return Followed(tuple(group), found, seen, estimates, half, stepped=seen)
+    return GroupEstimate(tuple(group), found, seen, estimates, half, stepped=seen)
 
 
 def _half_widths(axis: Axis, estimate: Estimate) -> dict[str, tuple[Half, Half, float]]:
@@ -130,7 +130,7 @@ def _ends(axis: Axis, name: str) -> tuple[Interval, Interval]:
     return ends, axis.ci95_flight.get(name, ends)
 
 
-def together(parts: Sequence[Followed]) -> Model | None:
+def together(parts: Sequence[GroupEstimate]) -> Model | None:
     """The last refits, combined into one model; None before the first.
 
     Args:
@@ -178,49 +178,49 @@ def grown(seen: float, excited: float, growth: float) -> bool:
     return excited - seen >= (growth - 1) * min(seen, LONGEST)
 
 
-def stepped(followed: Followed, flight: Flight, excited: float) -> Followed:
+def stepped(fitted: GroupEstimate, flight: Flight, excited: float) -> GroupEstimate:
     """The estimate after a step of Fisher scoring on the flight so far, if enough data are new; else as `renewed`.
 
     Args:
-        followed: The estimate before.
+        fitted: The estimate before.
         flight: The flight so far; segments that the estimate has seen keep their starts.
         excited: Excited time since the regime began [s].
     """
-    new = renewed(followed, flight)
-    if not new.estimates or (excited > EARLY and not grown(followed.stepped, excited, GROWN)):
+    new = renewed(fitted, flight)
+    if not new.estimates or (excited > EARLY and not grown(fitted.stepped, excited, GROWN)):
         return new
-    levels = (followed.steps + 1) % LEVELS_EVERY == 0
+    levels = (fitted.steps + 1) % LEVELS_EVERY == 0
     if len({id(one.optimum) for one in new.estimates.values()}) < len(new.estimates):  # x and y share a likelihood
         one = _moved(next(iter(new.estimates.values())), levels)
         moved = {axis: replace(each, optimum=one.optimum) for axis, each in new.estimates.items()}
     else:
         moved = {axis: _moved(one, levels) for axis, one in new.estimates.items()}
-    return replace(new, estimates=moved, steps=followed.steps + 1, stepped=excited)
+    return replace(new, estimates=moved, steps=fitted.steps + 1, stepped=excited)
 
 
-def renewed(followed: Followed, flight: Flight) -> Followed:
+def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
     """The unmoved estimate, applied to the flight so far: each axis to the same kind of parts as its fit.
 
     Args:
-        followed: The estimate before.
+        fitted: The estimate before.
         flight: The flight so far.
     """
-    known = _renewed_on(followed, flight)
-    whole = sum(part.duration for part in followed.fit.flights)
-    for axis, (test, time) in followed.fit.braking.items():
+    known = _renewed_on(fitted, flight)
+    whole = sum(part.duration for part in fitted.fit.flights)
+    for axis, (test, time) in fitted.fit.braking.items():
         if axis in known and time < whole:  # it brakes at rest: its law was fitted to answers to commands only
-            known[axis] = _renewed_on(followed, commanded_parts(flight, (axis,), test.delay))[axis]
-    return replace(followed, estimates=known)
+            known[axis] = _renewed_on(fitted, commanded_parts(flight, (axis,), test.delay))[axis]
+    return replace(fitted, estimates=known)
 
 
-def _renewed_on(followed: Followed, flight: Flight) -> dict[str, Estimate]:
+def _renewed_on(fitted: GroupEstimate, flight: Flight) -> dict[str, Estimate]:
     new: dict[int, Estimate] = {}
-    for one in followed.estimates.values():
+    for one in fitted.estimates.values():
         if id(one.optimum) not in new:
             new[id(one.optimum)] = _renewed(one, _records(flight, _seen_by(one)))
-    estimates = {axis: replace(new[id(one.optimum)], place=one.place) for axis, one in followed.estimates.items()}
+    estimates = {axis: replace(new[id(one.optimum)], place=one.place) for axis, one in fitted.estimates.items()}
     if len(estimates) == 2 and all(one.optimum.point.gain.size == 1 for one in estimates.values()):
-        pair = coupled_records(_records(flight, followed.group), list(estimates.values()))
+        pair = coupled_records(_records(flight, fitted.group), list(estimates.values()))
         estimates = dict(zip(estimates, pair, strict=True))
     return estimates
 
@@ -265,17 +265,17 @@ def _grown(point: Point, before: Sequence[Record], records: Sequence[Record]) ->
     return replace(point, start=start)
 
 
-def said(followed: Followed, axis: str) -> Said:
+def axis_report(fitted: GroupEstimate, axis: str) -> AxisReport:
     """What is reported of an axis now.
 
     Args:
-        followed: The estimate of its group.
+        fitted: The estimate of its group.
         axis: Its name.
     """
     nothing = dict.fromkeys(QUANTITIES)
-    if axis not in followed.estimates:
-        return Said(nothing, {}, {})
-    estimate, then = followed.estimates[axis], followed.half[axis]
+    if axis not in fitted.estimates:
+        return AxisReport(nothing, {}, {})
+    estimate, then = fitted.estimates[axis], fitted.half[axis]
     flight: dict[str, Interval] = {}
     vehicle: dict[str, Interval] = {}
     values: dict[str, float | None] = dict(nothing)
@@ -287,16 +287,16 @@ def said(followed: Followed, axis: str) -> Said:
         flight[name] = interval(one, 0.0, _times(own, share))
         vehicle[name] = interval(one, 0.0, _between(_times(own, share), own, others))
         values[name] = one.value
-    told = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
-    if read_backwards(vehicle, told):
-        return Said(nothing, {}, {})
+    status = statuses({name: vehicle.get(name, (0.0, 0.0)) for name in ("input", "damping", "delay")})
+    if read_backwards(vehicle, status):
+        return AxisReport(nothing, {}, {})
     for name in QUANTITIES:
-        if told.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
+        if status.get(name, "ok") != "ok" or None in vehicle.get(name, (None, None)):
             values[name] = None
-    return Said(values, vehicle, flight)
+    return AxisReport(values, vehicle, flight)
 
 
-def read_backwards(ends: Mapping[str, Interval], told: Mapping[str, str]) -> bool:
+def read_backwards(ends: Mapping[str, Interval], status: Mapping[str, str]) -> bool:
     """Whether the fit found the feedback that makes the commands, not the vehicle.
 
     If only its own feedback moves an axis, the commands follow the motion: the delay is negative and the input is not
@@ -304,10 +304,10 @@ def read_backwards(ends: Mapping[str, Interval], told: Mapping[str, str]) -> boo
 
     Args:
         ends: Quantity to its interval.
-        told: Coefficient to its status.
+        status: Coefficient to its status.
     """
     latest = ends.get("delay", (None, None))[1]
-    return latest is not None and latest < 0 and told["input"] != "ok"
+    return latest is not None and latest < 0 and status["input"] != "ok"
 
 
 def _shrunk(one: Estimand, estimate: Estimate, error: float) -> float:

@@ -143,11 +143,11 @@ class _Whitened:
         self._levels = np.repeat(point.levels[None], 1 + len(GUST_POWERS), axis=0)
         self._levels[1:, :, 0] += np.log(GUST_POWERS)[:, None]
         rows, innovations, variance = whiten_under(self._rec, self._columns, self._levels)
-        self._told = np.ones(self._rec.count.size)
+        self._valid = np.ones(self._rec.count.size)
         if estimates[0][0] in TRIMMED and let_go.size:
             last = np.searchsorted(let_go, self._rec.block_time, side="right") - 1
-            self._told[(last >= 0) & (self._rec.block_time < let_go[last] + BRAKES)] = 0.0
-        density = -0.5 * (innovations**2 + np.log(variance)) * self._told[:, None]
+            self._valid[(last >= 0) & (self._rec.block_time < let_go[last] + BRAKES)] = 0.0
+        density = -0.5 * (innovations**2 + np.log(variance)) * self._valid[:, None]
         self._density = density.reshape(len(self._levels), -1).T
         self.scores = self._scored(rows)
 
@@ -161,9 +161,9 @@ class _Whitened:
     def _scored(self, rows: Array) -> Scores:
         """Scores from whitened columns, shape (B, C, K)."""
         point, K = self._estimates[0][1].optimum.point, rows.shape[2]
-        told = np.ones(rows.shape[:2])
-        told[self._told == 0, : 1 + point.coefficients + 2 * K] = 0.0  # the shapes of jolts belong to no time
-        rows = (rows * told[:, :, None]).transpose(0, 2, 1).reshape(-1, rows.shape[1])
+        valid = np.ones(rows.shape[:2])
+        valid[self._valid == 0, : 1 + point.coefficients + 2 * K] = 0.0  # the shapes of jolts belong to no time
+        rows = (rows * valid[:, :, None]).transpose(0, 2, 1).reshape(-1, rows.shape[1])
         innovation, columns = rows[:, 0], rows[:, 1:]
         trim, start = point.coefficients, point.coefficients + K
         tested, names, scale, doubt, own = [], [], [], [], []

@@ -33,7 +33,7 @@ from rotorfit.tracking.looks import Looks, LooksHere
 from rotorfit.tracking.looks_beside import LooksBeside
 from rotorfit.tracking.motion_stream import MotionStream
 
-UNTOLD = 1000
+UNREAD = 1000
 """Largest number of states that wait for `Tracker.news`; the oldest is dropped."""
 
 MOST_FALSE_ALARMS = 60.0
@@ -89,7 +89,7 @@ class Tracker:
         begin = TrackedAxis()
         axes = {axis: until_known(begin, earlier, axis) if earlier else begin for axis in AXES}
         self._state = Tracked(0.0, axes)
-        self._untold: deque[Tracked] = deque(maxlen=UNTOLD)
+        self._unread: deque[Tracked] = deque(maxlen=UNREAD)
         self._stream = MotionStream(*self._growing.rows)
 
     def update(self, sample: Sample) -> None:
@@ -126,7 +126,7 @@ class Tracker:
 
     def _tell(self, state: Tracked) -> None:
         self._state = state
-        self._untold.append(state)
+        self._unread.append(state)
 
     def state(self) -> Tracked:
         """The state at the last completed look: at most a second of flight ago, plus the time that a look takes."""
@@ -140,14 +140,14 @@ class Tracker:
         return self._stream.motion()
 
     def news(self) -> list[Tracked]:
-        """All states since the last call, in order, with all alarms; at most the newest `UNTOLD`.
+        """All states since the last call, in order, with all alarms; at most the newest `UNREAD`.
 
         Raises:
             RuntimeError: Live, the process beside has failed; the message has its traceback.
             LinkError: Live, the process beside was killed.
         """
         self._take_in()
-        return [self._untold.popleft() for _ in range(len(self._untold))]
+        return [self._unread.popleft() for _ in range(len(self._unread))]
 
     def flight(self) -> Flight | None:
         """The flight so far, as far as it is remembered; None before it has a segment with commands and poses."""

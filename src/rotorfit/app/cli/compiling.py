@@ -15,7 +15,7 @@ LINE = "Compiling, once after an installation: this run takes longer than the ne
 
 
 @contextmanager
-def compiling_told() -> Iterator[None]:
+def compiling_announced() -> Iterator[None]:
     """Says on stderr, if that is a terminal, that code is being compiled if that takes long."""
     if not sys.stderr.isatty():
         yield
@@ -31,7 +31,7 @@ class _Compiling:
     """A listener for numba's events: compilations begin and end, nested if functions call functions."""
 
     def __init__(self) -> None:
-        self._depth, self._since, self._spent, self._told = 0, 0.0, 0.0, False
+        self._depth, self._since, self._spent, self._announced = 0, 0.0, 0.0, False
 
     def notify(self, event: Any) -> None:
         """Adds up the time; loading from the cache is not an event."""
@@ -39,8 +39,8 @@ class _Compiling:
         if event.is_start and not self._depth:
             self._since = now
         self._depth += 1 if event.is_start else -1
-        if not self._told and self._spent + now - self._since >= WORTH_A_LINE:
-            self._told = True
+        if not self._announced and self._spent + now - self._since >= WORTH_A_LINE:
+            self._announced = True
             click.echo(LINE, err=True)
         if not self._depth:
             self._spent += now - self._since

@@ -129,7 +129,7 @@ def fly(
         with tracked_beside(wanted.plan.card, track) as beside:
             result = flown_mission(wanted, land, lambda: status_line(lambda: _tracked(beside)), beside)
         if beside:
-            _told_late(beside)
+            _show_last(beside)
     if result.reason != "completed":
         raise LinkError(ended_early(result))
     try:
@@ -150,7 +150,7 @@ def _tracked(beside: "Beside | None") -> str:
     return f"{alarm}{beside.words or 'tracker begins'} | "
 
 
-def _told_late(beside: "Beside") -> None:
+def _show_last(beside: "Beside") -> None:
     """Shows the last alarms of the tracker beside a flight."""
     for text in beside.news():
         click.echo(text, err=True)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from rotorfit.app.cli.compiling import compiling_told
+from rotorfit.app.cli.compiling import compiling_announced
 from rotorfit.core.errors import RotorfitError
 from rotorfit.core.progress import Progress
 
@@ -115,6 +115,6 @@ def progress_bar() -> Iterator[Progress | None]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, compiling_told():
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar, compiling_announced():
         task = bar.add_task("reading", total=1.0)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text)

@@ -202,14 +202,14 @@ def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining"
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.terminal.tracking import gains_view
 
-    def told(message: "Message", _now: int) -> None:
+    def show_gains(message: "Message", _now: int) -> None:
         if jsonl:
             click.echo(json.dumps(message, allow_nan=False))
         else:
             line_cleared()
             show(gains_view(message))
 
-    return Regaining(Path(path) if path else None, told, say_kept, earlier.model if earlier else None)
+    return Regaining(Path(path) if path else None, show_gains, say_kept, earlier.model if earlier else None)
 
 
 def _replayed(
@@ -232,7 +232,7 @@ def _replayed(
         regaining.listeners.append(views.gains)
     with operator_abort() as abort:
 
-        def told(state: "Tracked") -> None:
+        def report(state: "Tracked") -> None:
             while pace and not abort() and (left := state.time / pace - (time.monotonic() - begun)) > 0:
                 time.sleep(min(left, 0.1))
             views.state(state, round(state.time * 1e9))
@@ -240,7 +240,7 @@ def _replayed(
             if regaining:
                 regaining.state(state, round(state.time * 1e9))
 
-        result = tracked(flight, structure, false_alarms, told, earlier, abort)
+        result = tracked(flight, structure, false_alarms, report, earlier, abort)
     if stopped := abort():
         line_cleared()
         click.echo(f"{log}: ended by {stopped} at {result.states[-1].time:.1f} s", err=True)
@@ -254,7 +254,7 @@ def _listened(
 ) -> tuple["Track", "Flight | None", str]:  # fmt: skip
     """Tracks a link; the track, the remembered part of the flight, and why the link was lost, or an empty string."""
     from rotorfit.app.live.outlets import Outlet, Recording, Remembering
-    from rotorfit.app.live.session import card_for_link, followed
+    from rotorfit.app.live.session import card_for_link, track_link
     from rotorfit.app.terminal.cockpit import line_cleared, shown_line
     from rotorfit.app.terminal.tracking import line_of
     from rotorfit.flying.links.opening import open_listener
@@ -289,14 +289,14 @@ def _listened(
             if regaining:
                 regaining.listeners += [outlet.gains for outlet in outlets]
 
-            def told(state: "Tracked", now: int) -> None:
+            def report(state: "Tracked", now: int) -> None:
                 show_state(state)
                 if regaining:
                     regaining.state(state, now)
 
             with shown_line(lambda: line_of(tracker.state())):
                 moving = [*views.moving, *([recording.motion] if recording else [])]
-                result = followed(tracker, listening, outlets, told, say, moving)
+                result = track_link(tracker, listening, outlets, report, say, moving)
     return result, tracker.flight(), listening.ended if listening.lost else ""
 
 
@@ -309,7 +309,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
 
     before: Tracked | None = None
 
-    def told(state: "Tracked") -> None:
+    def report(state: "Tracked") -> None:
         nonlocal before
         if jsonl:
             for line in lines_of(state):
@@ -319,7 +319,7 @@ def _shown(jsonl: bool) -> "Callable[[Tracked], None]":
             show(news(before, state))
         before = state
 
-    return told
+    return report
 
 
 def _end(result: "Track", files: Sequence[Path | None], page: Path | None) -> dict[str, Any]:

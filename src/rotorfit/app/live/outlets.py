@@ -89,19 +89,19 @@ class Recording:
         if self._recorder is None:
             return
         for alarm in state.alarms:
-            self._recorder.told(ALARM, now, alarm.to_mapping())
+            self._recorder.json_message(ALARM, now, alarm.to_mapping())
             self._recorder.event(now, f"ALARM {', '.join(alarm.axes)}: {alarm.cause}: {alarm.why}")
-        self._recorder.told(TRACKED, now, state.to_mapping())
+        self._recorder.json_message(TRACKED, now, state.to_mapping())
 
     def motion(self, motion: Motion, now: int) -> None:
         """Writes the motion after a pose."""
         if self._recorder is not None:
-            self._recorder.told(MOTION, now, motion.to_mapping())
+            self._recorder.json_message(MOTION, now, motion.to_mapping())
 
     def gains(self, message: Mapping[str, Any], now: int) -> None:
         """Writes new gains."""
         if self._recorder is not None:
-            self._recorder.told(GAINS, now, message)
+            self._recorder.json_message(GAINS, now, message)
 
     def close(self) -> None:
         """Ends the file.

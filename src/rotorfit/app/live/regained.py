@@ -26,7 +26,7 @@ class Regaining:
 
     Args:
         path: Path of the gains file, TOML or YAML; None for messages alone.
-        told: The first of the listeners.
+        listener: The first of the listeners.
         kept: Called with the path of the backup when the original file is first replaced.
         before: The model of an earlier flight; None if there is none.
 
@@ -42,11 +42,11 @@ class Regaining:
     def __init__(
         self,
         path: Path | None,
-        told: Callable[[Message, int], None],
+        listener: Callable[[Message, int], None],
         kept: Callable[[Path | None], None],
         before: Model | None = None,
     ) -> None:
-        self._path, self.listeners, self._kept, self.count = path, [told], kept, 0
+        self._path, self.listeners, self._kept, self.count = path, [listener], kept, 0
         self._gains: dict[str, Any] = {"design": "predictor", "rate": RATE, "latency": LATENCY, "axes": {}}
         if path:
             check_gains_name(path)
@@ -63,11 +63,11 @@ class Regaining:
                 self._retuning.changed(alarm.axes, alarm.cause)
         if state.model is None or state.landed:
             return
-        told = {
+        axes = {
             word: [axis for axis, one in state.axes.items() if one.knowledge == word]
             for word in ("known", "not_identifiable")
         }
-        if found := self._retuning.look(state.model, told["known"], told["not_identifiable"]):
+        if found := self._retuning.look(state.model, axes["known"], axes["not_identifiable"]):
             self._publish(found, state.model, state.time, now)
 
     @property
@@ -93,5 +93,5 @@ class Regaining:
         file = str(self._path) if self._path else None
         loop = {name: mapping[name] for name in ("design", "rate", "latency")}
         message = {"type": "gains", "time": time, "axes": new, "why": dict(found.why), **loop, "file": file}
-        for told in self.listeners:
-            told(message, now)
+        for listener in self.listeners:
+            listener(message, now)

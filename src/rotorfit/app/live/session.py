@@ -49,11 +49,11 @@ def card_for_link(text: str, card: str | None) -> Card:
     raise CardError(f"--link {text}: name the card of the vehicle with --card; it says on which topics to listen")
 
 
-def followed(
+def track_link(
     tracker: Tracker,
     listening: Listening,
     outlets: Sequence["Outlet"],
-    told: Callable[[Tracked, int], None],
+    report: Callable[[Tracked, int], None],
     news: Callable[[str], None],
     moving: Sequence["Moving"] = (),
 ) -> Track:
@@ -63,7 +63,7 @@ def followed(
         tracker: A tracker, new or resumed.
         listening: The link.
         outlets: Outlets of samples and states; they are closed at the end, whatever ends it.
-        told: Called with each new state and the link's clock [ns].
+        report: Called with each new state and the link's clock [ns].
         news: Called with a line whenever the link is lost or back.
         moving: Called with the motion after each pose that counts.
 
@@ -79,7 +79,7 @@ def followed(
         states.append(state)
         for outlet in outlets:
             outlet.state(state, now)
-        told(state, now)
+        report(state, now)
 
     try:
         for heard in listening:

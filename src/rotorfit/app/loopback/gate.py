@@ -62,7 +62,8 @@ class Gate:
         return await _guarded(self._app, scope, receive, send, kept if carried == "link" else "")
 
     def _refusal(self, scope: Scope, headers: Headers, carried: str | None) -> Response | None:
-        refuse = self._told if scope["path"] == "/" else refused  # the first is read by a person, the second by a page
+        # the first is read by a person, the second by a page
+        refuse = self._readable if scope["path"] == "/" else refused
         if [value.lower() for value in headers.getlist("host")] not in [[host] for host in self._hosts]:
             return refuse(403, f"this is not the address of `rotorfit {self._verb}`; open the one that it printed")
         if carried is None:
@@ -72,7 +73,7 @@ class Gate:
             return refuse(403, "requests of other web pages are refused")
         return None
 
-    def _told(self, status: int, line: str) -> Response:
+    def _readable(self, status: int, line: str) -> Response:
         """A refusal that a person can read."""
         return PlainTextResponse(f"rotorfit {self._verb}: {line}.\n", status)
 

@@ -69,11 +69,11 @@ def status_line(said: Callable[[], str] = lambda: "") -> Iterator[Callable[["Sta
     """
     last: list[Any] = [None]
 
-    def told(status: "Status") -> None:
+    def show(status: "Status") -> None:
         last[0] = status
 
     with shown_line(lambda: f"{said()}{status_text(last[0])}" if last[0] else "") as shows:
-        yield told if shows else None
+        yield show if shows else None
 
 
 @contextmanager

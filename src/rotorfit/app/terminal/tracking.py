@@ -14,7 +14,7 @@ from rotorfit.core.tracked import QUANTITIES, Air, Alarm, Track, Tracked, Tracke
 UNITS = {"input": "{}/s^2", "damping": "1/s", "delay": "s", "lag": "s", "steady_gain": "{}/s", "total_lag": "s"}
 """Quantity to its unit, with `{}` for that of the axis' pose; input and steady gain are per command of 1."""
 
-SAID = ("known", "not_identifiable")
+SHOWN_AT_ONCE = ("known", "not_identifiable")
 """States in which numbers are shown at once; in other states only if they are those of an earlier model."""
 
 
@@ -39,7 +39,7 @@ def _numbers(axis: TrackedAxis) -> str:
         for name, value in axis.values.items()
         if value is not None and name in ("input", "damping", "delay")
     ]
-    return f": {', '.join(known)}" if known and (axis.earlier or axis.knowledge in SAID) else ""
+    return f": {', '.join(known)}" if known and (axis.earlier or axis.knowledge in SHOWN_AT_ONCE) else ""
 
 
 def _apart(axis: TrackedAxis) -> str:
@@ -126,7 +126,7 @@ def track_view(result: Track) -> View:
 
 def _wind(air: Air) -> str:
     """The mean wind with its intervals; if the air may be still, only the largest possible speed."""
-    if not air.told:
+    if not air.significant:
         return f"Mean wind below {number_text(air.speed_ci95[1], air.speed_ci95)} m/s"
     speed = f"{number_text(air.speed, air.speed_ci95)} m/s ({interval_text(air.speed_ci95)})"
     begin, end = (math.degrees(angle) for angle in air.direction_ci95)

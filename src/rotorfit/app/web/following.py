@@ -15,12 +15,12 @@ from threading import Lock, Thread
 from typing import Any
 
 from rotorfit.app.live.feed import Feed
-from rotorfit.app.web.runner import BusyError
+from rotorfit.app.web.runner import BusyError, message_of
 from rotorfit.core.errors import RotorfitError
-from rotorfit.core.plain import line_of, plain_json
+from rotorfit.core.plain import line_of
 from rotorfit.core.writing import write_whole
 
-SAID = 20
+MOST_LINES = 20
 """Number of lines of the process' other output that are kept."""
 
 PATIENCE = 10.0
@@ -46,7 +46,7 @@ class Run:
     link: str
     process: subprocess.Popen[str]
     feed: Feed
-    said: deque[str] = field(default_factory=lambda: deque(maxlen=SAID))
+    said: deque[str] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
     running: bool = True
 
 
@@ -124,9 +124,9 @@ class Follower:
         with place, run.process as process:
             assert process.stdout is not None
             for line in process.stdout:
-                told = _told(line)
-                if told:
-                    run.feed.add(told)
+                message = message_of(line)
+                if message.get("type") in ("state", "alarm"):
+                    run.feed.add(message)
                 elif line.strip() and not line.startswith("{"):
                     run.said.append(line.strip())
             process.wait()
@@ -154,12 +154,3 @@ def _process(link: str, card: str, text: bool, record: Path) -> subprocess.Popen
         encoding="utf-8",
         errors="replace",
     )
-
-
-def _told(line: str) -> dict[str, Any]:
-    """The state or alarm in a line of output; empty for any other line."""
-    try:
-        told = plain_json(line)
-    except ValueError:
-        return {}
-    return told if isinstance(told, dict) and told.get("type") in ("state", "alarm") else {}

@@ -23,7 +23,7 @@ from rotorfit.app.web.following import Follower
 from rotorfit.app.web.runner import BusyError, Runner
 from rotorfit.app.web.shelf import Shelf
 from rotorfit.app.web.windowed import Series, packed, window_of
-from rotorfit.app.web.wire import UNTOLD, constants_mapping, flight_mapping, log_mapping, raw_of, session_mapping
+from rotorfit.app.web.wire import PREDICTOR, constants_mapping, flight_mapping, log_mapping, raw_of, session_mapping
 from rotorfit.app.web.workspace import LARGEST_LOG, FitEntry, StaleError, Upload, Workspace, WorkspaceError
 from rotorfit.core.errors import ExportError, LogError, RotorfitError
 from rotorfit.core.frames import AXES
@@ -53,9 +53,9 @@ class Studio:
         self.workspace = workspace
         self.shelf = Shelf(workspace)
         self.runner = Runner(workspace)
-        self.follower = Follower(workspace.incoming, self._followed)
+        self.follower = Follower(workspace.incoming, self._recorded)
         self._looking = Lock()
-        handlers: Any = {RotorfitError: _told, OSError: _told}
+        handlers: Any = {RotorfitError: _refusal, OSError: _refusal}
         self.app = gated(Starlette(routes=self._routes(), exception_handlers=handlers))
 
     def close(self) -> None:
@@ -98,7 +98,7 @@ class Studio:
                 "running": None if running is None else asdict(running),
             }
         else:
-            now = {**session_mapping(session, running), "told": self.workspace.told}
+            now = {**session_mapping(session, running), "told": self.workspace.notice}
         return {**now, "live": self.follower.to_mapping()}
 
     async def upload(self, request: Request) -> Response:
@@ -224,7 +224,7 @@ class Studio:
         """Starts to track a vehicle."""
         self.follower.start(*live_request(body, self.workspace.session))
 
-    def _followed(self, log_id: str, name: str, path: Path) -> None:
+    def _recorded(self, log_id: str, name: str, path: Path) -> None:
         """Keeps the recording of a tracked vehicle."""
         self._kept(Upload(log_id, name, path.name, path.stat().st_size, ""))
 
@@ -256,7 +256,7 @@ class Studio:
         try:
             made = export(path, wanted, name=name, predictor="predictor" in request.query_params)
         except ExportError as error:
-            raise ExportError(_said_by_the_page(str(error))) from None
+            raise ExportError(_in_words_of_the_page(str(error))) from None
         kept = {"content-disposition": f'attachment; filename="{name}{FORMATS[wanted].suffix}"'}
         return Response(made.text, media_type="text/plain; charset=utf-8", headers=kept)
 
@@ -272,9 +272,9 @@ class Studio:
         return self.workspace.session.card
 
 
-def _said_by_the_page(refusal: str) -> str:
+def _in_words_of_the_page(refusal: str) -> str:
     """A refusal of an export, with the page's name for an option of the command line."""
-    return refusal.replace("--predictor", f"'{UNTOLD}'").replace("export --to ", "export to ")
+    return refusal.replace("--predictor", f"'{PREDICTOR}'").replace("export --to ", "export to ")
 
 
 def _json(content: Any, status: int = 200) -> Response:
@@ -335,7 +335,7 @@ def _too_large(name: str, limit: int) -> Response:
     return refused(413, f"{name}: larger than {limit >> 20} MiB, which is all that fits; cut the log, or remove others")
 
 
-def _told(_: Request, error: Exception) -> Response:
+def _refusal(_: Request, error: Exception) -> Response:
     """A known error as one line."""
     if isinstance(error, OSError):
         return refused(507, f"{error.strerror or 'the disk refused'}; check the room on the disk of the workspace")

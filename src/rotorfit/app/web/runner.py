@@ -84,10 +84,10 @@ class Runner:
         assert process.stdout is not None
         assert process.stdin is not None
         for line in process.stdout:
-            told = _told(line)
-            said |= told
-            if is_number(told.get("fraction")):
-                self._running = Running(fit.id, float(told["fraction"]), str(told.get("text", "")), process.pid)
+            message = message_of(line)
+            said |= message
+            if is_number(message.get("fraction")):
+                self._running = Running(fit.id, float(message["fraction"]), str(message.get("text", "")), process.pid)
         code = process.wait()
         process.stdin.close()
         process.stdout.close()
@@ -114,10 +114,10 @@ class Runner:
         return "failed", f"this is a bug of rotorfit; please report it with its trace, {trace}"
 
 
-def _told(line: str) -> dict[str, Any]:
-    """The worker's message in a line of output; empty if a library printed the line."""
+def message_of(line: str) -> dict[str, Any]:
+    """The message of another process in a line of its output; empty if a library printed the line."""
     try:
-        told = plain_json(line)
+        message = plain_json(line)
     except ValueError:
         return {}
-    return told if isinstance(told, dict) else {}
+    return message if isinstance(message, dict) else {}

@@ -35,7 +35,7 @@ from rotorfit.version import __version__
 MOST_POINTS = 6000
 """Largest number of points of a line in a result; the report has more."""
 
-UNTOLD = "also axes that are not identifiable"
+PREDICTOR = "also axes that are not identifiable"
 """The page's words for `--predictor` of an export."""
 
 
@@ -68,7 +68,7 @@ def constants_mapping() -> dict[str, Any]:
         "structures": [AVERAGED, "auto", *STRUCTURES],
         "formats": [form.label for form in LOG_FORMATS.values()],
         "exports": {name: form.text for name, form in FORMATS.items()},
-        "untold": UNTOLD,
+        "untold": PREDICTOR,
         "methods": {name: f"{method.label} ({name})" for name, method in METHODS.items()},
         "largest_log": LARGEST_LOG,
         "most_logs": MOST_LOGS,

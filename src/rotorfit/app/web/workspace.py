@@ -146,7 +146,7 @@ class Workspace:
         folder: The folder; created if it is missing, for its owner only.
 
     Attributes:
-        told: One line about a session that had to be set aside; empty if there was none.
+        notice: One line about a session that had to be set aside; empty if there was none.
 
     Raises:
         WorkspaceError: Another studio uses the folder, a newer one wrote it, or it cannot hold a workspace.
@@ -154,7 +154,7 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
-        self.told = ""
+        self.notice = ""
         self._lock = RLock()
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -388,7 +388,7 @@ class Workspace:
         for name in ("logs", "fits", "session.json"):  # the session last: after a kill in between, this runs again
             with suppress(FileNotFoundError):
                 (self.folder / name).rename(place / name)
-        self.told = (
+        self.notice = (
             f"the session was damaged ({trouble}); it lies in {place}, with its logs and fits; this is a new one"
         )
         return Session()

@@ -246,7 +246,7 @@ class _Trials(NamedTuple):
         share: Shape (D, 2 N, 2 J).
         instrument: Shape (D, 2 N, 2 J).
         others: Shape (D, 2 N, Q).
-        told: Which of them the instrument determines, shape (D,).
+        determined: Which of them the instrument determines, shape (D,).
     """
 
     command: Spectrum
@@ -254,7 +254,7 @@ class _Trials(NamedTuple):
     share: Array
     instrument: Array
     others: Array
-    told: Mask
+    determined: Mask
 
 
 def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
@@ -286,9 +286,9 @@ def _trials(one: _Equations, delay: Array, late: Array) -> _Trials | None:
     length, D = np.linalg.norm(outside, axis=1), len(share)
     share = free(share)
     basis, triangle = np.linalg.qr(share if one.instrument is None else free(outside))
-    told = (np.abs(np.diagonal(triangle, axis1=1, axis2=2)) > 1e-6 * length).all(axis=1)
+    determined = (np.abs(np.diagonal(triangle, axis1=1, axis2=2)) > 1e-6 * length).all(axis=1)
     motion = free(_real(one.motion[None, :, None]))
-    every = command, motion, share, basis, others, told
+    every = command, motion, share, basis, others, determined
     return _Trials(*(np.broadcast_to(part, (D, *part.shape[1:])) for part in every))
 
 
@@ -300,11 +300,12 @@ def _best(equations: Sequence[_Equations], delay: Array, late: Array) -> Array:
         trials = _trials(one, delay, late)
         if trials is None:
             continue
-        motion, share, instrument = (part[trials.told] for part in (trials.motion, trials.share, trials.instrument))
+        which = trials.determined
+        motion, share, instrument = (part[which] for part in (trials.motion, trials.share, trials.instrument))
         across = instrument.transpose(0, 2, 1)
         rest = motion - share @ np.linalg.solve(across @ share, across @ motion)
         freedom = motion.shape[1] - trials.others.shape[2] - share.shape[2]
-        misfit[trials.told] += np.log(np.maximum(np.sum(rest[..., 0] ** 2, axis=1) / freedom, 1e-300)) * freedom
+        misfit[which] += np.log(np.maximum(np.sum(rest[..., 0] ** 2, axis=1) / freedom, 1e-300)) * freedom
     return tried[[int(np.argmin(misfit))]]
 
 
@@ -313,7 +314,7 @@ def _bands(equations: Sequence[_Equations], delay: Array, late: Array) -> tuple[
     out = []
     for one in equations:
         trials = _trials(one, delay, late)
-        if trials is not None and trials.told[0]:
+        if trials is not None and trials.determined[0]:
             command, motion, share, instrument, others, _ = (part[0] for part in trials)
             common = one.knots, one.frequency, one.duration, one.scale
             out.append(Band(*common, command, motion[:, 0], share, instrument, others))

@@ -30,7 +30,7 @@ from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import Estimand, estimands, half_widths, interval, moved
 from rotorfit.estimation.likelihood.extra_parameters import extra_status
 
-Said = tuple[float, float] | None
+FlightValue = tuple[float, float] | None
 """Estimate of a quantity from one flight and its standard error, on its scale; None where the flight gives none."""
 
 WIDEST_ERROR = {True: 1.0, False: 0.3}
@@ -115,16 +115,16 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
         ends = axis.ci95[part] if part in axis.ci95 else axis.combinations[part].ci95
         below, above = half_widths(one, ends)
         own = (_times(below, wider[part]), _times(above, wider[part]))
-        told = _told(one, errors[part], alone.get(part, ()))
+        evidence = _evidence(one, errors[part], alone.get(part, ()))
         factor = against.factor[part] if against else 1.0
         vague = NORMAL * errors[part] * factor > TOLERABLE[one.logarithmic]
         refuted = against is not None and vague and part in against.refuted
-        out[part] = _judged(one, own, told, wider[part], factor, refuted)
+        out[part] = _judged(one, own, evidence, wider[part], factor, refuted)
     return out, against.evidence if against else ()
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Evidence:
     """Evidence of the flights on a quantity.
 
     Attributes:
@@ -139,49 +139,49 @@ class _Told:
     error: float
     scale: float
     effects: RandomEffects
-    each: tuple[Said, ...]
+    each: tuple[FlightValue, ...]
 
 
-def _told(one: Estimand, error: float, alone: Sequence[Said]) -> _Told:
+def _evidence(one: Estimand, error: float, alone: Sequence[FlightValue]) -> _Evidence:
     """Evidence of the flights that estimate a quantity; of all as one where fewer than two do."""
-    known = np.array([said for said in alone if said]).reshape(-1, 2)
+    known = np.array([value for value in alone if value]).reshape(-1, 2)
     if len(known) < 2:
         known = np.array([[0.0, error]])
     together = float(1 / np.sqrt(np.sum(known[:, 1] ** -2.0)))
     scale = spread_scale(one.name) * together * float(np.sqrt(len(known)))
-    return _Told(len(known), together, scale, random_effects(known[:, 0], known[:, 1], scale), tuple(alone))
+    return _Evidence(len(known), together, scale, random_effects(known[:, 0], known[:, 1], scale), tuple(alone))
 
 
-def _judged(one: Estimand, own: Interval, told: _Told, wider: float, doubtful: float, refuted: bool) -> Judged:
+def _judged(one: Estimand, own: Interval, evidence: _Evidence, wider: float, doubtful: float, refuted: bool) -> Judged:
     """Both intervals; spread between flights and errors of the law widen the interval of the flights, in quadrature.
 
     The errors of the law do not average out over flights: with more of them the tests detect these errors more surely,
     and their factor grows as the standard error falls.
     """
-    effects = told.effects
+    effects = evidence.effects
     unfit = doubtful**2 - 1
-    ratio = float(np.sqrt((effects.sd / told.error) ** 2 + unfit))
-    following = float(np.sqrt((effects.next_sd / told.error) ** 2 + unfit))
+    ratio = float(np.sqrt((effects.sd / evidence.error) ** 2 + unfit))
+    following = float(np.sqrt((effects.next_sd / evidence.error) ** 2 + unfit))
     shift = effects.mean - effects.common
     vehicle = interval(one, shift, (_times(own[0], ratio), _times(own[1], ratio)))
     spread = Spread(
-        source="flights" if told.flights > 1 else "prior",
+        source="flights" if evidence.flights > 1 else "prior",
         sd=effects.spread,
-        prior_sd=told.scale,
+        prior_sd=evidence.scale,
         flights_sd=effects.reml,
-        flights=told.flights,
+        flights=evidence.flights,
         p_value=effects.p_value,
         next_flight=interval(one, shift, (_times(own[0], following), _times(own[1], following))),
         logarithmic=one.logarithmic,
-        each=told.each,
+        each=evidence.each,
     )
     return Judged(one, shift, interval(one, 0.0, own), vehicle, wider * ratio, spread, refuted)
 
 
-def _each(estimate: Estimate, names: Sequence[str]) -> dict[str, list[Said]]:
+def _each(estimate: Estimate, names: Sequence[str]) -> dict[str, list[FlightValue]]:
     """Estimate of each quantity from each flight alone, with its standard error, on its scale."""
     whole = estimands(estimate.optimum, estimate.place)
-    out: dict[str, list[Said]] = {name: [] for name in names}
+    out: dict[str, list[FlightValue]] = {name: [] for name in names}
     for one in each_flight(estimate):
         told = estimands(one.optimum, one.place) if one else {}
         wider = widening(weighted_innovations(one, [told[name] for name in names]), names) if one else {}

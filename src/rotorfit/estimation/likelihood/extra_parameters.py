@@ -29,7 +29,7 @@ LEAST_OWN = 1e-6
 """Share of the information about a further parameter that must remain when the other parameters are free."""
 
 
-def told_apart(optimum: Optimum, k: int) -> bool:
+def separable(optimum: Optimum, k: int) -> bool:
     """Whether each further parameter of axis k is identifiable separately from the other parameters.
 
     A saturation level and the gain are not where all commands have the same size.

@@ -30,7 +30,7 @@ LOOP_SIGMAS = 4.5
 LEAST_CHANCE = 1e-300
 """Lower limit of the probability, to keep its normal quantile finite."""
 
-FORETOLD = 1e-12
+UNPREDICTED = 1e-12
 """Unpredicted share of the power of the changes below which it counts as rounding."""
 
 
@@ -101,6 +101,6 @@ def _unforeseen(command: Array, surprise: Array) -> tuple[Array, Array] | None:
         return None
     known = np.linalg.qr(np.column_stack([np.ones(len(past)), past]))[0]
     new = change - known @ (known.T @ change)
-    if float(new @ new) <= FORETOLD * float(change @ change):
+    if float(new @ new) <= UNPREDICTED * float(change @ change):
         return None
     return new, before - known @ (known.T @ before)

@@ -215,7 +215,7 @@ def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:
         name: Name of the axis.
     """
     first, *others = axes
-    laws = tuple(told(law, family.plain, name) for law in family.laws)
+    laws = tuple(weighed_law(law, family.plain, name) for law in family.laws)
     share = _lag_share(family.laws[0].estimate)
     if not others:
         return replace(first, laws=laws, lag_prior=share)
@@ -260,7 +260,7 @@ def _union(intervals: Sequence[Interval]) -> Interval:
     )
 
 
-def told(law: Law, plain: Estimate, name: str) -> Weighed:
+def weighed_law(law: Law, plain: Estimate, name: str) -> Weighed:
     """A law of an axis as in the model file.
 
     Args:

@@ -21,7 +21,7 @@ from rotorfit.dynamics.protocol import predict_flight, start_errors
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, free_of
 from rotorfit.estimation.likelihood.blocks import Record, record
 from rotorfit.estimation.likelihood.combinations import delay_plus_lag
-from rotorfit.estimation.likelihood.extra_parameters import told_apart
+from rotorfit.estimation.likelihood.extra_parameters import separable
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, dynamics_of, start_point, thinned
@@ -100,7 +100,7 @@ class _Trial:
         log_likelihood: Log-likelihood less that of the default.
         bic: Information criterion less that of the default.
         held_out: Its prediction errors on held-out data.
-        told_apart: Whether its further parameters are identifiable with these commands.
+        separable: Whether its further parameters are identifiable with these commands.
         neglected: Longest delay that the data allow, if the structure has none [s]; else 0.
         estimate: Estimate from all data.
     """
@@ -109,7 +109,7 @@ class _Trial:
     log_likelihood: float
     bic: float
     held_out: HeldOut
-    told_apart: bool
+    separable: bool
     neglected: float
     estimate: Estimate
 
@@ -189,7 +189,7 @@ def _trial(
     held_out = _held_out(folds, after, axis)
     criterion = -2 * share * gained + size * float(np.log(samples))
     neglected = _longest_delay(before) if structure.size < FIRST_ORDER_DELAY.size else 0.0
-    return _Trial(structure, gained, criterion, held_out, told_apart(after.optimum, after.place), neglected, after)
+    return _Trial(structure, gained, criterion, held_out, separable(after.optimum, after.place), neglected, after)
 
 
 def _longest_delay(estimate: Estimate) -> float:
@@ -321,7 +321,7 @@ def _verdict(trial: _Trial, rival: _Trial, tries: int) -> _Verdict:
     """
     near, far = (change_of(trial.held_out, rival.held_out, horizon, tries) for horizon in (NEAR, FAR))
     name, cheaper = rival.structure.name, trial.bic < rival.bic
-    if not trial.told_apart:
+    if not trial.separable:
         return _Verdict(trial, rival, False, SAME)
     if near is None or far is None:
         return _on_little(trial, rival)

@@ -105,7 +105,7 @@ def on_the_recorders_clock(log: Log, card: Card) -> tuple[Log, tuple[Note, ...],
         moved = stamps.copy()
         moved[rows] += np.round(found.error * 1e9).astype(np.int64)
         log = replace(log, retimed={**log.retimed, (table.name, name): moved})
-        notes.append(Note(f"{what}_clock_corrected", _told(what, found), int(rows.size)))
+        notes.append(Note(f"{what}_clock_corrected", _sentence(what, found), int(rows.size)))
         if what in ("command", "pose"):
             unknown = float(np.hypot(unknown, found.half_width))
     return log, tuple(notes), unknown
@@ -214,7 +214,7 @@ def _bent_below(time: Array, late: Array) -> Array:
     return np.asarray(np.minimum(forward, backward))
 
 
-def _told(what: str, found: Correction) -> str:
+def _sentence(what: str, found: Correction) -> str:
     """What was done, in one sentence."""
     parts = [f"drifts by {1e6 * found.drift:+.0f} us/s"] if found.drift else []
     parts += [f"{'steps' if n == 0 else 'and'} by {1e3 * size:+.0f} ms" for n, size in enumerate(found.steps)]

@@ -30,7 +30,7 @@ class Obedience:
         self._obeys = True
         self._last: bool | None = None
 
-    def told(self, obeys: bool, received: int) -> list[Sample]:
+    def reported(self, obeys: bool, received: int) -> list[Sample]:
         """Takes a report of the vehicle, or an order to it.
 
         Args:

@@ -110,7 +110,7 @@ class MavlinkLink:
         self._start = wall_clock()
         self._autopilot: AutopilotProtocol | None = None
         self._target = (0, 0)
-        self._texts, self._said = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
+        self._texts, self._spoken = SpokenTexts(), deque[tuple[int, str]](maxlen=TEXTS)
         self._refused: tuple[int, str] | None = None  # when, and what
         self._goes_on: float | None = None  # as the autopilot is set
         self._heard = self._beaten = self._synced = 0
@@ -251,7 +251,7 @@ class MavlinkLink:
         elif kind == "PARAM_VALUE" and message.param_id == self._known.parameter and message.param_value > 0:
             self._goes_on = float(message.param_value)
         elif kind == "STATUSTEXT" and (text := self._texts.take(message)):
-            self._said.append((received, text))
+            self._spoken.append((received, text))
             self._tell(f"{self._known.name} says: {text}", received)
 
     def _tell(self, text: str, received: int) -> None:
@@ -332,7 +332,7 @@ class MavlinkLink:
 
     def _explained(self, refused: int, text: str) -> str:
         """A refusal, with the autopilot's own texts if there are any."""
-        words = dict.fromkeys(said for at, said in self._said if at > refused - PATIENCE)
+        words = dict.fromkeys(text for at, text in self._spoken if at > refused - PATIENCE)
         return f"{text}; it says: {'; '.join(words)}" if words else f"{text}; its own messages say why (ground station)"
 
     def _keep_alive(self) -> None:

@@ -127,7 +127,7 @@ class MavlinkListener(MavlinkLink):
     def _tell_obedience(self, received: int) -> None:
         """Updates whether the vehicle obeys the received commands: in the air, in the mode for external commands."""
         obeys = self._landed in (0, IN_AIR) and (self._in_our_mode or not self._forwarded)
-        self._inbox += self._window.told(obeys, received)
+        self._inbox += self._window.reported(obeys, received)
 
     def _is_target(self, message: Any) -> bool:
         return self._autopilot is not None and (message.get_srcSystem(), message.get_srcComponent()) == self._target

@@ -25,12 +25,12 @@ def open_link(text: str, card: Card, poses: str = "") -> Link:
         LinkError: There is no such link, a package is missing, or nobody answers.
     """
     name, address = _known(text)
-    with _told_to_install(name):
+    with _explained_if_missing(name):
         link: Link = import_module(LINKS[name].module).open_link(address, card)
     if not poses:
         return link
     try:
-        with _told_to_install(poses.partition(":")[0]):
+        with _explained_if_missing(poses.partition(":")[0]):
             return join(link, poses)
     except LinkError:
         link.act("close")
@@ -51,7 +51,7 @@ def open_listener(text: str, card: Card) -> Link:
     """
     check_listens(text)
     name, address = split(text)
-    with _told_to_install(name):
+    with _explained_if_missing(name):
         link: Link = import_module(LINKS[name].listens).open_listener(address, card)
         return link
 
@@ -100,7 +100,7 @@ def _known(text: str) -> tuple[str, str]:
 
 
 @contextmanager
-def _told_to_install(name: str) -> Iterator[None]:
+def _explained_if_missing(name: str) -> Iterator[None]:
     """Turns a missing package into a `LinkError` of one line that says how to install it."""
     try:
         yield

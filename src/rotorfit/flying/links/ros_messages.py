@@ -148,7 +148,7 @@ def command_samples(message: Any, fields: CommandFields, stamp_of: Callable[[Any
 
 def action_samples(action: str, obedience: Obedience) -> list[Sample]:
     """The effect of somebody's order to take off or land: after an order to land, commands are not obeyed."""
-    return obedience.told(action == "take_off", wall_clock())
+    return obedience.reported(action == "take_off", wall_clock())
 
 
 def window_samples(message: Any, topic: str, obedience: Obedience) -> list[Sample]:
