@@ -23,6 +23,7 @@ import numpy as np
 
 from designs import designs, flown
 from rotorfit.core.flight_data import Flight
+from rotorfit.core.frames import quaternion_from_yaw
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.log import Sample
 from rotorfit.tracking.air import courses
@@ -33,9 +34,8 @@ from rotorfit.tracking.tracker import Tracker
 
 def samples_of(flight: Flight, seconds: float) -> list[Sample]:
     """Poses and commands in the order of their stamps."""
-    half = 0.5 * flight.yaw
-    attitude = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
-    poses = zip(flight.pose_time, np.hstack([flight.position, attitude]).tolist(), strict=True)
+    rows = np.hstack([flight.position, quaternion_from_yaw(flight.yaw)])
+    poses = zip(flight.pose_time, rows.tolist(), strict=True)
     commands = zip(flight.command_time, flight.command.tolist(), strict=True)
     out = [Sample("pose", round(1e9 * t), round(1e9 * t), tuple(values)) for t, values in poses]
     out += [Sample("command", round(1e9 * t), round(1e9 * t), tuple(values)) for t, values in commands]

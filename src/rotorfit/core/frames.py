@@ -79,3 +79,9 @@ def yaw_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> Array:
     The quaternion need not be normalised. Source: the z-y-x Euler angles, yaw = atan2(R21, R11).
     """
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def quaternion_from_yaw(yaw: Array) -> Array:
+    """Attitude quaternions w, x, y, z, shape (N, 4), of a level body with headings of shape (N,) [rad]."""
+    half, zero = yaw / 2, np.zeros(yaw.size)
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rotorfit.core.errors import LogError
-from rotorfit.core.frames import AXES, Array
+from rotorfit.core.frames import AXES, Array, quaternion_from_yaw
 from rotorfit.core.log import Log, Table
 from rotorfit.simulation.published import PUBLISHED
 
@@ -158,8 +158,7 @@ class SimulatedFlight:
     @property
     def quaternion(self) -> Array:
         """The measured yaw as w, x, y, z, shape (N, 4); the tilt of the vehicle is not simulated."""
-        half, zero = self.pose[:, 3] / 2, np.zeros(self.pose_stamp.size)
-        return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1)
+        return quaternion_from_yaw(self.pose[:, 3])
 
 
 def noise_free(truth: Truth) -> Truth:

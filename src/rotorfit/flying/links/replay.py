@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError, LinkError, LinkOverError
-from rotorfit.core.frames import Array, Indices, yaw_from_quaternion
+from rotorfit.core.frames import Array, Indices, quaternion_from_yaw, yaw_from_quaternion
 from rotorfit.core.log import Log, Sample
 from rotorfit.diagnosis.card_choice import another_card, card_of
 from rotorfit.files.logs import read
@@ -59,10 +59,8 @@ def open_listener(address: str, card: Card) -> "ReplayLink":
     """
     log = read(address)
     flight = flight_from_log(log, card)
-    half = flight.yaw / 2
-    attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     parts: tuple[tuple[Literal["pose", "command"], Array, Array], ...] = (
-        ("pose", flight.pose_time, np.hstack([flight.position, attitude])),
+        ("pose", flight.pose_time, np.hstack([flight.position, quaternion_from_yaw(flight.yaw)])),
         ("command", flight.command_time, flight.command),
     )
     samples = [
@@ -110,8 +108,7 @@ def _poses(log: Log, card: Card) -> list[Sample]:
     count = min([len(stamps), *(len(values) for values in series.values())])
     position = np.stack([series[axis][:count] for axis in "xyz"], axis=1)
     if "yaw" in series:
-        half = series["yaw"][:count] / 2
-        attitude = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+        attitude = quaternion_from_yaw(series["yaw"][:count])
     else:
         attitude = np.stack([series[f"q{part}"][:count] for part in "wxyz"], axis=1)
     if card.frame == "NED":
@@ -134,5 +131,4 @@ def _arrivals(log: Log, card: Card, stamps: Indices) -> Indices:
 def _enu_from_ned(attitude: Array) -> Array:
     """Heading only: pi/2 - yaw, as the cards define NED."""
     w, x, y, z = attitude.T
-    half = (np.pi / 2 - yaw_from_quaternion(w, x, y, z)) / 2
-    return np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    return quaternion_from_yaw(np.pi / 2 - yaw_from_quaternion(w, x, y, z))
