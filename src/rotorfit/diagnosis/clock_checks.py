@@ -15,6 +15,7 @@ from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.log import Log
 from rotorfit.diagnosis.recording import Recording
+from rotorfit.flights.clocks.arrival import JITTER_SHARE, LEAST_JITTER
 from rotorfit.flights.clocks.two_clocks import ANSWER_HALF
 from rotorfit.flights.columns import split_source
 from rotorfit.flights.other_tables import sample_rows
@@ -113,13 +114,6 @@ POSE_HOLE = 0.25
 
 LONG_HOLE = 0.5
 """A single gap of this length is reported [s]: the vehicle has responded to a command before it is seen again."""
-
-JITTER_SHARE = 0.5
-"""Ratio of the spread of the steps between stamps (5th to 95th percentile) to their median above which it is jitter. A
-scheduler on a busy computer gives 0.1 to 0.3; messages that arrive in bursts over Wi-Fi exceed 1."""
-
-LEAST_JITTER = 0.004
-"""Spread that is never reported [s]: at 1 m/s it is 4 mm."""
 
 DRIFT_GROWTH = 0.010
 """Relevant drift of two clocks over a flight [s]: about the standard error of a delay."""

@@ -35,7 +35,7 @@ LEAST_POSES = 100
 """Least number of poses under commands."""
 
 SIGNIFICANT = 5.0
-"""Standard errors above which a response has a sign."""
+"""Standard errors above which a response has a sign and a direction."""
 
 EXPLAINED = 0.3
 """Share of the variance of the velocity that commands must explain: the commands of a loop that only holds position
@@ -45,7 +45,7 @@ CLEARLY = 1.5
 """Least ratio of the significance of one axis to that of any other for a command to belong to it."""
 
 TURNING = np.radians(20.0)
-"""Standard deviation of yaw above which the frames differ."""
+"""Standard deviation of yaw above which frames are distinguishable: below, a rotated frame is a wrong zero of yaw."""
 
 BETTER = 0.9
 """Largest residual variance of the world frame, as a share of the heading frame's, for it to be chosen."""

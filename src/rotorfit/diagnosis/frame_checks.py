@@ -22,7 +22,7 @@ from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import UNIT_SCALE, Array
 from rotorfit.core.results import Motion
-from rotorfit.diagnosis.command_response import CommandResponse, answers_of
+from rotorfit.diagnosis.command_response import SIGNIFICANT, TURNING, CommandResponse, answers_of
 from rotorfit.diagnosis.motion_checks import LAGS, lagged_command
 from rotorfit.diagnosis.recording import Recording
 
@@ -37,9 +37,6 @@ BLOCKS = 10
 LEAST_POSES = 100
 """Least number of poses under commands: ten per stretch."""
 
-SIGNIFICANT = 5.0
-"""Standard errors above which a command's effect has a direction."""
-
 LEAST_EXPLAINED = 0.3
 """Share of the variance of the horizontal acceleration below which no direction is accepted."""
 
@@ -51,9 +48,6 @@ STRAIGHT = 0.85
 paper, a rotated direction is nearly equivalent to a delay: there standard errors alone prove nothing."""
 
 DEGREE = float(np.pi / 180)
-
-TURNING = np.radians(20.0)
-"""Standard deviation of yaw above which frames are distinguishable: below, a rotated frame is a wrong zero of yaw."""
 
 SLIGHT = np.radians(3.0)
 """Standard deviation of yaw as read above which degrees taken for radians matter: below, the wrong heading changes the

@@ -23,7 +23,7 @@ import numpy as np
 from rotorfit.core.flight_plan import Plan
 from rotorfit.core.frames import AXES, Array, Indices
 from rotorfit.planning.belief import DELAY
-from rotorfit.planning.plan_control import Tracker, tracker_of
+from rotorfit.planning.plan_control import Tracker, tracker_of, turned
 
 UNMODELLED = 0.1
 """Lag of attitude loop and measurement that the believed delay may leave out [s]."""
@@ -162,8 +162,8 @@ def led(loop: Approach, guess: Guess, t: float) -> tuple[Guess, Array]:
     yaw, gamma = guess.pose[3], loop.tracker.gamma
     ahead, speed = _ahead(loop, guess, loop.lags)
     position, velocity, acceleration = _reference(loop, t)
-    asked = loop.stiffness * _turned(position - ahead, -yaw) + loop.damping * _turned(velocity - speed, -yaw)
-    asked += _turned(acceleration - guess.push, -yaw) + gamma[1::2] * _turned(velocity, -yaw)
+    asked = loop.stiffness * turned(position - ahead, -yaw) + loop.damping * turned(velocity - speed, -yaw)
+    asked += turned(acceleration - guess.push, -yaw) + gamma[1::2] * turned(velocity, -yaw)
     scale = loop.tracker.full_scale
     command = np.minimum(np.maximum(asked / gamma[::2], -scale), scale)
     pose, speed = _ahead(loop, guess, np.ones(4, np.int64))
@@ -194,12 +194,12 @@ def _ahead(loop: Approach, guess: Guess, periods: Indices) -> tuple[Array, Array
     row = np.clip(loop.lags - k - 1, 0, len(guess.sent) - 1)
     force = gain * np.take_along_axis(guess.sent, row, axis=0) * acts
     horizon = np.asarray(periods * h, np.float64)
-    v0, c0 = _turned(guess.velocity, -yaw), _turned(guess.push, -yaw)
+    v0, c0 = turned(guess.velocity, -yaw), turned(guess.push, -yaw)
     speed = np.exp(-b * horizon) * v0 + _slowed(b, horizon) * c0
     speed += np.sum(force * (_slowed(b, left) - _slowed(b, left - h)), axis=0)
     moved = _slowed(b, horizon) * v0 + _way(b, horizon) * c0
     moved += np.sum(force * (_way(b, left) - _way(b, left - h)), axis=0)
-    return guess.pose + _turned(moved, yaw), _turned(speed, yaw)
+    return guess.pose + turned(moved, yaw), turned(speed, yaw)
 
 
 def _slowed(b: Array, t: Array) -> Array:
@@ -210,9 +210,3 @@ def _slowed(b: Array, t: Array) -> Array:
 def _way(b: Array, t: Array) -> Array:
     """Distance after a time under a constant acceleration of 1, from rest."""
     return np.asarray((t - _slowed(b, t)) / b)
-
-
-def _turned(four: Array, angle: float) -> Array:
-    """x and y rotated counter-clockwise by an angle [rad]; z and yaw unchanged."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])

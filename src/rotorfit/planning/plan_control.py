@@ -169,11 +169,11 @@ def demanded(tracker: Tracker, state: Tracking, instant: Instant) -> Array:
         return np.zeros(4)
     here, start = state.pose[3], state.origin[3]
     position, velocity, acceleration = instant.reference
-    error = _turned(state.origin - state.pose, -here) + _turned(position, start - here)
-    wanted = _turned(velocity, start - here)
-    missing = wanted - _turned(state.velocity, -here)
+    error = turned(state.origin - state.pose, -here) + turned(position, start - here)
+    wanted = turned(velocity, start - here)
+    missing = wanted - turned(state.velocity, -here)
     asked = np.multiply(feedback.stiffness, error) + np.multiply(feedback.damping, missing)
-    asked += _turned(acceleration, start - here) + tracker.gamma[1::2] * wanted
+    asked += turned(acceleration, start - here) + tracker.gamma[1::2] * wanted
     return np.array([value if axis in feedback.axes else 0.0 for axis, value in zip(AXES, asked, strict=True)])
 
 
@@ -182,7 +182,7 @@ def step(tracker: Tracker, state: Tracking, t: float, pose: Array) -> tuple[Trac
     return steered(tracker, observed(tracker, state, t, pose), t)
 
 
-def _turned(four: Array, angle: float) -> Array:
-    """x and y rotated counter-clockwise by an angle; z and yaw unchanged."""
+def turned(four: Array, angle: float) -> Array:
+    """x and y rotated counter-clockwise by an angle [rad]; z and yaw unchanged."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * four[0] - s * four[1], s * four[0] + c * four[1], four[2], four[3]])
