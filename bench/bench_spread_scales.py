@@ -27,8 +27,7 @@ import numpy as np
 from bench_real_coverage import VEHICLES, Known, Vehicle, fitted, known_of, row_of
 from bench_real_coverage import Pair as Judged
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Model
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL, Model
 from rotorfit.estimation.judgement.random_effects import GRID, mixed_half_width, posterior
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.estimation.judgement.random_effects import mixed_half_width, random_effects
 
 

@@ -12,7 +12,7 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Clocks, Flight
 from rotorfit.core.frames import world_from_heading
 from rotorfit.core.log import Log, Table
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.diagnosis.doctor import findings_of_flight
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read as read_log

@@ -14,8 +14,8 @@ import numpy as np
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.quantiles import NORMAL, student_quantile
-from rotorfit.core.results import Fit
+from rotorfit.core.model import NORMAL
+from rotorfit.core.results import Fit, student_quantile
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise

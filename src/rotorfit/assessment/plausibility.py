@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import GRAVITY, Meaning, Quantity, limit_text, meaning_of
-from rotorfit.core.model import Interval, Model
+from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.physics import compared, mapped, people
-from rotorfit.core.quantiles import NORMAL
 from rotorfit.simulation.published import PublishedSet, sets_for, vehicle_of
 
 LIMIT_MARGIN = 1.2

@@ -16,9 +16,9 @@ import numpy as np
 
 from rotorfit.core.finding import Finding
 from rotorfit.core.frames import Array
-from rotorfit.core.model import COEFFICIENTS
-from rotorfit.core.quantiles import NORMAL, student_quantile
+from rotorfit.core.model import COEFFICIENTS, NORMAL
 from rotorfit.core.residuals import Correlogram, Innovations, ResidualTests
+from rotorfit.core.results import student_quantile
 from rotorfit.dynamics.long_run import frequencies, variance_of_mean
 from rotorfit.estimation.regression.paper import newey_west
 

@@ -36,8 +36,7 @@ from rotorfit.control.robustness import believed_possible, doubt, share_beyond
 from rotorfit.control.tuning import DELAY_SHARE, DRAWS, LATENCY, RATE, AxisTuning, Tuning, tune
 from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model, Plain, Predictor, Weighed, first_order, weighed
 
 LOST = 2.0
 """Peak of the sensitivity above which the margins are lost. Source: as of `tuning.PEAK`, the upper end of its range."""

@@ -42,6 +42,9 @@ STRUCTURE = "first_order_delay"
 
 Interval = tuple[float | None, float | None]
 
+NORMAL = 1.959963984540054
+"""Half width of a 95 % interval in standard errors: the 97.5 % point of the normal distribution."""
+
 
 @dataclass(frozen=True)
 class Combination:

@@ -24,7 +24,6 @@ from rotorfit.core.display import (
 )
 from rotorfit.core.errors import FlightError
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.quantiles import student_quantile
 
 if TYPE_CHECKING:
     import polars as pl
@@ -157,6 +156,13 @@ class StartErrors:
     position: Array
 
     __repr__ = short_repr
+
+
+def student_quantile(freedom: float) -> float:
+    """97.5 % point of Student's t distribution."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
 
 
 @dataclass(frozen=True)

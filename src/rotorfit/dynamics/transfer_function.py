@@ -17,8 +17,7 @@ from rotorfit.core.errors import ModelError
 from rotorfit.core.frames import Array
 from rotorfit.core.frequency_response import Spectrum
 from rotorfit.core.laws import LAG, ZERO, Structure, structure_named
-from rotorfit.core.model import COEFFICIENTS, Interval, Model, Predictor, Weighed, predictor_of, weighed
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Interval, Model, Predictor, Weighed, predictor_of, weighed
 
 STEP = 1e-5
 """Relative step of the finite differences by a parameter."""

@@ -8,8 +8,7 @@ import numpy as np
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.core.model import Axis, Combination, Interval, Model
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL, Axis, Combination, Interval, Model
 from rotorfit.estimation.identifiability import WIDEST_DELAY
 
 _WITH_DELAY = ("total_lag", "delay_plus_lag")

@@ -10,9 +10,8 @@ from rotorfit.core.errors import CardError, FlightError, ModelError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
-from rotorfit.core.model import STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
+from rotorfit.core.model import NORMAL, STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
 from rotorfit.core.progress import Progress
-from rotorfit.core.quantiles import NORMAL
 from rotorfit.core.results import Fit, Outliers, PaperFit
 from rotorfit.estimation.clock_uncertainty import check_clocks, with_clock_error, with_delay_error
 from rotorfit.estimation.grouping import commands_axis, groups_of, serving_flights, without_held_axes

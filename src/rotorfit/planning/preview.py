@@ -16,8 +16,7 @@ import numpy as np
 
 from rotorfit.core.flight_plan import Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
-from rotorfit.core.model import COEFFICIENTS
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL
 from rotorfit.core.writing import write_whole
 from rotorfit.planning.belief import belief_from_mapping
 from rotorfit.planning.envelope import Envelope, predicted_path

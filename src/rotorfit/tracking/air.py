@@ -14,8 +14,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
 from rotorfit.core.limits import meaning_of
-from rotorfit.core.model import Interval
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL, Interval
 from rotorfit.core.tracked import Air
 from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
 from rotorfit.estimation.likelihood.axis_estimate import Estimate

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array, Mask
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import Cause
 from rotorfit.tracking.changes import Contrast
 from rotorfit.tracking.scores import Scores

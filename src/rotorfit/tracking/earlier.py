@@ -23,8 +23,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import CardError
 from rotorfit.core.frames import AXES
 from rotorfit.core.limits import disagreement
-from rotorfit.core.model import COEFFICIENTS, Interval, Model
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import QUANTITIES, Alarm, TrackedAxis
 from rotorfit.files.models import load

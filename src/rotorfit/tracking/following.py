@@ -13,8 +13,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
-from rotorfit.core.model import Interval, Model
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.core.tracked import AxisMotion, Motion
 from rotorfit.dynamics.motion_filter import GUSTS, LATER, LATER_ERROR, VELOCITY, WIND, WIND_ERROR
 from rotorfit.tracking.air import PAIRS, Course

@@ -17,8 +17,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import LawTest, ResponseComparison
 from rotorfit.core.laws import Structure, structure_named
-from rotorfit.core.model import COEFFICIENTS, Axis, Model
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Model
 from rotorfit.core.results import Motion
 from rotorfit.dynamics.kinematics import motion_from_flight
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_response

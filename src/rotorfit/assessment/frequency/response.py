@@ -20,7 +20,7 @@ from rotorfit.assessment.frequency.tones import Tones
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse, Instrument
-from rotorfit.core.results import Motion
+from rotorfit.core.results import Motion, student_quantile
 from rotorfit.diagnosis.position_loop import restoring_law
 
 ALL_TONES = 0.9
@@ -92,8 +92,6 @@ def _common(every: list[Tones], windows: tuple[Window, ...]) -> Array:
 
 def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument, why: str) -> FrequencyResponse:
     """The response at those knots where it is known well enough."""
-    from scipy.special import stdtrit
-
     if not bands:
         nothing = np.zeros(0)
         return FrequencyResponse(
@@ -108,7 +106,7 @@ def response_of_bands(axis: str, bands: tuple[Band, ...], instrument: Instrument
         )
     frequency, response = (np.concatenate([getattr(band, name) for band in bands]) for name in ("knots", "response"))
     stderr = np.concatenate([_stderr(band) for band in bands])
-    quantile = np.concatenate([np.full(band.knots.size, stdtrit(band.freedom, 0.975)) for band in bands])
+    quantile = np.concatenate([np.full(band.knots.size, student_quantile(band.freedom)) for band in bands])
     coherence = np.concatenate([_coherence(band) for band in bands])
     clear = stderr.max(axis=1) < VAGUE * np.abs(response)
     if not clear.any():

@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorfit.core.laws import structure_named
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Evidence, Interval, Model, Spread
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
 from rotorfit.estimation.judgement.cross_check import between_filters
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorfit.core.frames import Array
-from rotorfit.core.quantiles import NORMAL, student_quantile
+from rotorfit.core.model import NORMAL
+from rotorfit.core.results import student_quantile
 
 TAIL = 3.0
 """Degrees of freedom of the half t: heavy tails, but a finite variance."""

@@ -14,7 +14,7 @@ import numpy as np
 from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import DELAY_RANGE, start_levels
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, estimate_axis, estimate_plane, free_of
 from rotorfit.estimation.likelihood.blocks import HALF_STEP, Record, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise

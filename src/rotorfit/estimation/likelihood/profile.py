@@ -7,6 +7,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.model import Interval
+from rotorfit.core.results import student_quantile
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, level_share
@@ -57,11 +58,9 @@ def quantile(optimum: Optimum, direction: Array) -> float:
 
     Source: M. G. Kenward, J. H. Roger, Biometrics 53 (1997), pp. 983-997, the factor 2 of the adjusted covariance.
     """
-    from scipy.special import stdtrit
-
     share = min(level_share(optimum.score, optimum.free, direction), MOST_SHARE)
     widened = float(np.sqrt((1 + 2 * share) / (1 + share)))
-    return float(stdtrit(degrees_of_freedom(optimum.score, optimum.free, direction), 0.975)) * widened
+    return student_quantile(degrees_of_freedom(optimum.score, optimum.free, direction)) * widened
 
 
 MOST_SHARE = 1.0

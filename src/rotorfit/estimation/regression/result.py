@@ -7,8 +7,7 @@ import numpy as np
 
 from rotorfit.core.frames import Array
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import COEFFICIENTS, Axis, Combination, Interval, Predictor, unknown_axis
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Interval, Predictor, unknown_axis
 from rotorfit.estimation.identifiability import WIDEST_DELAY, WIDEST_INPUT
 
 FASTEST = 100.0

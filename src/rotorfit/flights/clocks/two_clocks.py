@@ -11,7 +11,7 @@ from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import AGREES, ANSWER, Clocks
 from rotorfit.core.frames import AXES
 from rotorfit.core.log import Log, Table
-from rotorfit.core.quantiles import NORMAL
+from rotorfit.core.model import NORMAL
 from rotorfit.flights.clocks.lag_search import GriddedMotion
 from rotorfit.flights.clocks.motion_signals import answers, attitude_clock, moved, onboard, seen_by, velocity_clock
 from rotorfit.flights.clocks.offset import Offset, clock_offset
