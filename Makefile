@@ -33,7 +33,7 @@ help:
 	@echo "make test       lint, types, layers, tests"
 	@echo "make coverage   the same, and counts which lines and branches the tests run; a third longer"
 	@echo "make test-fast  the daily loop: what takes no simulated or recorded flight, under a minute"
-	@echo "make test-slow  the tests that simulate hundreds of flights"
+	@echo "make test-slow  hundreds of simulated flights, and what a quicker test proves already"
 	@echo "make test-live  flights over ROS 1, MAVLink and UDP against fake vehicles; as root installs Debian's rospy"
 	@echo "make bench      timings"
 	@echo "make clean      remove what make has made"

@@ -23,6 +23,7 @@ def test_the_notebook_is_that_of_the_script() -> None:
     assert json.loads(notebook(SCRIPT))["nbformat"] == 4
 
 
+@pytest.mark.slow
 def test_the_notebook_reads_fits_proves_plots_and_simulates_in_fifteen_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

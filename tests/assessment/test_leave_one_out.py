@@ -72,6 +72,7 @@ def test_the_spread_holds_the_coefficients_of_the_fits_and_their_jackknife_error
     assert set(spread) >= {("x", "input"), ("x", "delay"), ("x", "steady_gain"), ("x", "total_lag")}
 
 
+@pytest.mark.slow
 def test_the_jackknife_error_is_near_the_stated_one_where_flights_differ_by_noise_alone() -> None:
     """Eight flights: the error of an error from eight values is a quarter of it."""
     many = [flown(Truth(), steps(("z",), seed=seed), 15.0, seed) for seed in range(8)]
