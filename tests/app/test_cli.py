@@ -304,6 +304,7 @@ def test_models_are_told_from_logs_by_content(folder: Path, tmp_path: Path) -> N
     assert [flight["span"][0] for flight in found["models"][0]["flights"]] == [0.0, 10.0]
 
 
+@pytest.mark.slow
 def test_a_comparison_agrees_with_each_models_own_validation(folder: Path) -> None:
     models, log = (folder / "ml.json", folder / "paper.json"), folder / "second.bag"
     found = json_of("compare", *models, log)
@@ -344,6 +345,7 @@ def test_every_pair_of_models_and_baselines_is_tested(folder: Path) -> None:
     assert re.search(r"2 vs 1 +\+[\d.]+ \([-+][\d.]+ to \+[\d.]+\) +(worse|none shown)", text)
 
 
+@pytest.mark.slow
 def test_a_model_beside_itself_is_not_told_apart(folder: Path) -> None:
     found = json_of("compare", folder / "ml.json", folder / "ml.json", folder / "second.bag")
 
@@ -388,10 +390,8 @@ def test_a_model_whose_answer_is_wrong_gets_findings_from_validate(folder: Path,
     wrong = tmp_path / "wrong.json"
     wrong.write_text(json.dumps(raw))
 
-    found = json_of("validate", wrong, folder / "second.bag")["findings"]
-    assert {"residuals_follow_command"} <= {finding["code"] for finding in found if finding["axis"] == "x"}
-    text = done("validate", wrong, folder / "second.bag")
-    assert "warning residuals_follow_command: " in text
+    found = done("validate", wrong, folder / "second.bag")
+    assert re.search(r"warning residuals_follow_command: .*\bx\b", found)
     page = tmp_path / "report.html"
     done("report", wrong, folder / "second.bag", "-o", page)
     assert "residuals follow command" in page.read_text()
@@ -400,15 +400,7 @@ def test_a_model_whose_answer_is_wrong_gets_findings_from_validate(folder: Path,
 # Report
 
 
-def test_a_report_is_written_and_may_be_written_again(folder: Path, tmp_path: Path) -> None:
-    output = tmp_path / "report.html"
-    for _ in range(2):
-        found = json_of("report", folder / "ml.json", folder / "second.bag", "-o", output)
-
-    assert found == {"report": str(output), "figures": [], "notes": []}
-    assert output.read_bytes()[:15].lower() == b"<!doctype html>"
-
-
+@pytest.mark.slow
 def test_figures_are_written_where_they_were_asked_for(folder: Path, tmp_path: Path) -> None:
     output, figures = tmp_path / "report.html", tmp_path / "figures"
 
@@ -418,16 +410,20 @@ def test_figures_are_written_where_they_were_asked_for(folder: Path, tmp_path: P
     assert sorted(found["figures"]) == sorted(str(path) for path in figures.iterdir())
 
 
-def test_a_training_log_that_has_changed_is_left_out_with_a_note(folder: Path, tmp_path: Path) -> None:
-    log, model = tmp_path / "flight.bag", tmp_path / "model.json"
+def test_a_report_may_be_written_again_without_a_training_log_that_has_changed_or_is_missing(
+    folder: Path, tmp_path: Path
+) -> None:
+    log, model, page = tmp_path / "flight.bag", tmp_path / "model.json", tmp_path / "report.html"
     log.write_bytes((folder / "first.bag").read_bytes())
     done("fit", log, "--axes", "x", *LAW, "-o", model)
     log.write_bytes((folder / "second.bag").read_bytes())
 
-    found = json_of("report", model, folder / "second.bag", "-o", tmp_path / "report.html")
+    found = json_of("report", model, folder / "second.bag", "-o", page)
     log.unlink()
-    missing = json_of("report", model, folder / "second.bag", "-o", tmp_path / "report.html")
+    missing = json_of("report", model, folder / "second.bag", "-o", page)
 
+    assert (found["report"], found["figures"]) == (str(page), [])
+    assert page.read_bytes()[:15].lower() == b"<!doctype html>"
     assert found["notes"] == [f"training flight left out: {log} is not the file that the model was fitted to"]
     assert missing["notes"] == [f"training flight left out: {log}: no such file; check the path"]
 
@@ -565,6 +561,7 @@ def test_progress_is_shown_on_a_terminal_beside_clean_json(folder: Path) -> None
 # Real flights
 
 
+@pytest.mark.slow
 def test_a_real_flight_is_fitted_and_proved_from_the_command_line(real_flights: Path, tmp_path: Path) -> None:
     log, model = real_flights / "bebop2-wsu" / "Training_CT_TestDay_X.mat", tmp_path / "model.json"
 

@@ -59,7 +59,7 @@ def test_the_file_is_that_of_tune_and_says_when(tmp_path: Path) -> None:
     assert law_of(read_gains(path), "x") == tune(only()).axes["x"].law
 
 
-@pytest.mark.parametrize("name", ["gains.toml", "gains.yaml"])
+@pytest.mark.parametrize("name", ["gains.toml", pytest.param("gains.yaml", marks=pytest.mark.slow)])
 def test_gains_in_the_file_are_flown_and_axes_that_are_not_retuned_stay(name: str, tmp_path: Path) -> None:
     path, model = tmp_path / name, model_of({axis: VEHICLE[axis] for axis in ("x", "z")})
     save_gains(tune(model, "linearising", rate=25.0), model, path)

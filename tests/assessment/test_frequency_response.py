@@ -175,7 +175,7 @@ def test_a_negative_input_turns_the_gain_and_not_the_delay() -> None:
     np.testing.assert_allclose(one.delay, other.delay, atol=1e-9)
 
 
-@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("closed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_bands_hold_the_truth_and_the_law_that_was_flown_is_not_refuted(closed: bool) -> None:
     """Four flights here; the slow test has more."""
     hits, ps = counted(range(4), closed, ("z", "yaw"))

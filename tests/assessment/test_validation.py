@@ -196,7 +196,7 @@ def test_nothing_outside_the_span_changes_a_score() -> None:
 
 def test_the_trim_of_the_training_flights_is_not_carried_to_another() -> None:
     truth = replace(Truth(), trim=(0.3, -0.2, 0.2, 0.1))
-    model = fit([flown(truth, steps(seed=1), 40.0, 1)], structure="first_order_delay").model
+    model = fit([flown(truth, steps(seed=1), 25.0, 1)], structure="first_order_delay").model
     without = replace(model, axes={name: replace(axis, trim=(0.0,)) for name, axis in model.axes.items()})
 
     flight = flown(Truth(), steps(seed=2), 20.0, 2)
@@ -233,7 +233,7 @@ def test_an_unstable_model_of_the_paper_gives_finite_scores() -> None:
 
 
 def test_residuals_of_the_fitted_flight_are_white_and_of_unit_variance() -> None:
-    flight = flown(Truth(), steps(seed=1), 40.0, 1)
+    flight = flown(Truth(), steps(seed=1), 25.0, 1)
     found = residuals(fit([flight], structure="first_order_delay").model, flight)
 
     assert set(found) == set(AXES)
@@ -245,7 +245,7 @@ def test_residuals_of_the_fitted_flight_are_white_and_of_unit_variance() -> None
 
 
 def test_residuals_of_a_wrong_model_are_not() -> None:
-    flight = flown(Truth(), steps(seed=1), 40.0, 1)
+    flight = flown(Truth(), steps(seed=1), 25.0, 1)
     model = fit([flight], structure="first_order_delay").model
     point = model.axes["z"].predictor
     assert point is not None
@@ -257,7 +257,7 @@ def test_residuals_of_a_wrong_model_are_not() -> None:
 
 def test_residuals_of_one_axis_of_a_turning_vehicle_are_white_too() -> None:
     """Only x is known; y drifts. The mean heading is no frame for a vehicle that turns through radians."""
-    flight = flown(Truth(), steps(("x", "yaw"), seed=1), 40.0, 1)
+    flight = flown(Truth(), steps(("x", "yaw"), seed=1), 25.0, 1)
     model = fit([flight], structure="first_order_delay").model
     assert np.ptp(flight.yaw) > 1.5
     assert model.axes["y"].predictor is None

@@ -47,7 +47,15 @@ def test_the_law_of_the_vehicle_is_among_those_that_hold_and_its_numbers_inside(
     assert missed(axis, TRUTH[name]) == []
 
 
-@pytest.mark.parametrize(("axis", "seed"), [("z", 0), ("z", 6), ("yaw", 3), ("yaw", 6)])
+@pytest.mark.parametrize(
+    ("axis", "seed"),
+    [
+        ("z", 0),
+        ("yaw", 3),
+        pytest.param("z", 6, marks=pytest.mark.slow),
+        pytest.param("yaw", 6, marks=pytest.mark.slow),
+    ],
+)
 def test_a_zero_that_cancels_a_pole_takes_no_number_from_a_vehicle_without_either(axis: str, seed: int) -> None:
     """Any lag will do with the zero that belongs to it: much spread of each, and next to nothing of the pair."""
     flight = flown(Truth(), steps((axis,), seed=seed), 40.0, seed)

@@ -48,6 +48,7 @@ def test_open_loop_multisines_of_a_vehicle_with_an_attitude_loop_are_no_feedback
     assert not [one for one in findings_of_fit(found) if one.code == "feedback"]
 
 
+@pytest.mark.slow
 def test_most_loops_that_hold_a_place_are_found_and_no_open_loop_is_taken_for_one() -> None:
     told: dict[bool, list[bool]] = {True: [], False: []}
     for seed, closed, _, _ in clean_flights(range(8)):

@@ -214,7 +214,7 @@ def test_of_a_servo_faster_than_its_poses_the_steady_gain_and_the_total_lag_are_
     )
     open_ends = 0
     for seed in (1, 2):
-        axis = fit([flown(slow, steps(("z",), 0.4, seed=seed), 50.0, seed)], axes=("z",)).model.axes["z"]
+        axis = fit_as_flown([flown(slow, steps(("z",), 0.4, seed=seed), 50.0, seed)], axes=("z",)).model.axes["z"]
         assert axis.status["damping"] == "not_identifiable"
         assert axis.damping is None
         assert axis.stderr["damping"] is None
@@ -230,7 +230,8 @@ def test_of_a_servo_faster_than_its_poses_the_steady_gain_and_the_total_lag_are_
 
 def test_a_coefficient_that_is_not_identifiable_is_null_and_keeps_its_interval() -> None:
     """Two slow sines of half the paper's amplitude on z hardly tell delay from damping."""
-    axis = fit([flown(Truth(), partial(two_sines, axes=("z",), amplitude=0.5), 60.0, 3)], axes=("z",)).model.axes["z"]
+    flight = flown(Truth(), partial(two_sines, axes=("z",), amplitude=0.5), 60.0, 3)
+    axis = fit_as_flown([flight], axes=("z",)).model.axes["z"]
 
     unknown = [name for name in COEFFICIENTS if axis.status[name] == "not_identifiable"]
     assert "damping" in unknown

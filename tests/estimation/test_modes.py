@@ -177,7 +177,7 @@ def in_loop(wind: float, excitation: Excitation, seed: int) -> tuple[Flight, Tru
     return flown(truth, excitation, 100.0, seed, controller=Controller()), truth
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("wind", [LIGHT, STRONG])
 def test_in_a_feedback_loop_that_is_excited_from_outside_the_vehicle_is_found(wind: float, seed: int) -> None:
     flight, truth = in_loop(wind, steps(("x", "z"), 0.1, seed=seed), seed)
@@ -191,7 +191,15 @@ def test_in_a_feedback_loop_that_is_excited_from_outside_the_vehicle_is_found(wi
 
 @pytest.mark.parametrize(
     ("wind", "amplitude", "seed"),
-    [(LIGHT, 0.0, 2), (LIGHT, 0.0, 4), (STRONG, 0.0, 1), (STRONG, 0.02, 1), (STRONG, 0.02, 4), (STRONG, 0.02, 6)],
+    [
+        (LIGHT, 0.0, 2),
+        (STRONG, 0.0, 1),
+        (STRONG, 0.02, 4),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((LIGHT, 0.0, 4), (STRONG, 0.02, 1), (STRONG, 0.02, 6))
+        ),
+    ],
 )
 def test_in_a_feedback_loop_without_much_excitation_the_controller_is_not_published_for_the_vehicle(
     wind: float, amplitude: float, seed: int
@@ -236,7 +244,7 @@ def test_the_block_rate_of_the_search_is_that_of_the_records() -> None:
     assert records[0].count.size / flight.duration == pytest.approx(BLOCK_RATE, rel=0.05)
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_axes_of_one_search_that_are_right_in_different_optima_are_put_together(seed: int) -> None:
     """Far apart delays of x and y in a turning flight: no start was right for both."""
     truth = replace(

@@ -53,7 +53,9 @@ def test_reml_is_that_of_the_published_example() -> None:
     assert told.mean == pytest.approx(-0.7145, abs=0.02)
 
 
-@pytest.mark.parametrize("flights", [1, 2, 3, 6])
+@pytest.mark.parametrize(
+    "flights", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(6, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("ratio", [0.0, 0.5, 2.0])
 def test_intervals_hold_for_few_flights(flights: int, ratio: float) -> None:
     """The spread drawn about its prior's scale, or none, or several times as much."""

@@ -64,7 +64,7 @@ def told(found: Fit) -> dict[str, Finding]:
     return {one.code: one for one in findings_of_fit(found)}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("structure", ["first_order_delay", "first_order_delay_lag"])
 def test_a_vehicle_that_brakes_at_zero_is_a_finding_with_its_evidence(structure: str, seed: int) -> None:
     found = told(fitted(flown(1.5, seed), structure))

@@ -18,7 +18,9 @@ def family() -> list[Case]:
     return list(cases(max(WORST) + 1, 0))
 
 
-@pytest.mark.parametrize("number", WORST)
+@pytest.mark.parametrize(
+    "number", [*WORST[:2], *(pytest.param(number, marks=pytest.mark.slow) for number in WORST[2:])]
+)
 def test_a_start_that_is_far_is_reached_with_little_overshoot(number: int, family: list[Case], tmp_path: Path) -> None:
     reason, distance, beyond, took = approached(family[number], tmp_path / "log.mcap")
 

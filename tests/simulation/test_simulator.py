@@ -311,7 +311,9 @@ def test_a_noise_free_flight_gives_back_the_linear_truth_of_a_bebop() -> None:
         assert found.delay == pytest.approx(delay, abs=0.003)
 
 
-@pytest.mark.parametrize("name", ["crazyflie", "m100", "tello"])
+@pytest.mark.parametrize(
+    "name", ["crazyflie", pytest.param("m100", marks=pytest.mark.slow), pytest.param("tello", marks=pytest.mark.slow)]
+)
 def test_slow_motion_of_a_velocity_servo_gives_back_its_first_order_equivalent(name: str) -> None:
     vehicle, radio = builtin_vehicles()[name], Radio(0.02)
     t = np.arange(0, 200, 0.05)
