@@ -220,8 +220,10 @@ def test_two_vehicles_in_one_fit_are_told_on_the_command_line_with_the_table(tmp
         commands = steps(("z",), seed=30 + number)
         write_bag(simulate_flight(truth, commands, 25.0, 30 + number), tmp_path / f"{number}.bag")
 
-    logs = [str(tmp_path / f"{number}.bag") for number in range(2)]
-    result = CliRunner().invoke(main, ["fit", *logs, "--axes", "z", "--uncertainty", "-o", str(tmp_path / "m.json")])
+    logs, model = [str(tmp_path / f"{number}.bag") for number in range(2)], str(tmp_path / "m.json")
+    result = CliRunner().invoke(
+        main, ["fit", *logs, "--axes", "z", "--structure", "first_order_delay", "--uncertainty", "-o", model]
+    )
     assert result.exit_code == 0, result.output
     assert "warning flights_disagree: the 2 flights that determine z differ" in result.output
     assert "insens. %" in result.output

@@ -40,7 +40,7 @@ def test_the_first_gains_come_when_a_second_fit_says_the_same() -> None:
 
 def test_fits_that_move_by_their_noise_never_make_it_chatter() -> None:
     rng, (g, b, tau), retuning = np.random.default_rng(1), VEHICLE["x"], Retuning(flown=flown())
-    noise = rng.standard_normal((25, 3)) * (0.05 * g, 0.05 * b, 0.005)
+    noise = rng.standard_normal((12, 3)) * (0.05 * g, 0.05 * b, 0.005)
 
     assert looks(retuning, *(of_x((g + i, b + j, tau + k)) for i, j, k in noise.tolist())) == []
 
