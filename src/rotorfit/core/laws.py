@@ -1,4 +1,4 @@
-"""Levels of disturbance and noise: their names for each kind of measurement, their search ranges, their start values.
+"""Levels of disturbance and noise: their names for each kind of measurement, search ranges, start values; usual trims.
 
 Structures: the laws that an axis may obey, and the parameters that each adds to gain, damping and delay.
 
@@ -48,6 +48,10 @@ VELOCITY_RANGE = np.log(np.array([1e-9, 1.0]))
 
 START_VELOCITY = np.log(1e-3)
 """Its start value."""
+
+
+USUAL_TRIM = (0.05, 0.05, 0.03, 0.02)
+"""Standard deviation of the trims of x, y, z, yaw [m/s^2; rad/s^2 for yaw]: a tilt of 0.3 degrees is 0.05 m/s^2."""
 
 
 @functools.cache

@@ -13,6 +13,7 @@ from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
+from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
 from rotorfit.core.model import COEFFICIENTS, Model, first_order
 from rotorfit.simulation.paper_vehicle import Truth
@@ -38,9 +39,6 @@ PUBLISHED_SHARE = 0.20
 
 UNKNOWN_SHARE = (0.5, 0.7)
 """Relative standard deviations of input and damping where nothing is known; a model's are never taken to be larger."""
-
-TRIM = (0.05, 0.05, 0.03, 0.02)
-"""Standard deviation of the trim [m/s^2; rad/s^2 for yaw]: a tilt of 0.3 degrees is 0.05 m/s^2."""
 
 QUIET = "those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)"
 """Note where no flight has revealed noise and wind."""
@@ -110,7 +108,7 @@ def _assembled(parts: Sequence[tuple[Array, Array, str]], source: str) -> Belief
     """A belief from input, damping and delay of each axis, their covariance and a note."""
     truth = with_coefficients(Truth(), np.concatenate([mean for mean, _, _ in parts]))
     notes = tuple(note for _, _, note in parts if note)
-    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), TRIM, {}, source, notes)
+    return Belief(truth, _blocks([covariance for _, covariance, _ in parts]), USUAL_TRIM, {}, source, notes)
 
 
 def _expected(card: Card, axis: str) -> tuple[Array, Array, str]:
@@ -178,7 +176,7 @@ def belief_from_published(name: str) -> Belief:
     truth = replace(Truth(), gamma=tuple(map(float, numbers)), delay=(delay,) * 4)
     share = np.tile([PUBLISHED_SHARE, PUBLISHED_SHARE, DELAY[1] / delay], 4)
     covariance = np.diag((share * coefficients_of(truth)) ** 2)
-    return _checked(Belief(truth, covariance, TRIM, {}, f"published set {name}: {known[name].source}"))
+    return _checked(Belief(truth, covariance, USUAL_TRIM, {}, f"published set {name}: {known[name].source}"))
 
 
 def belief_from_model(model: Model, where: str) -> Belief:
@@ -213,7 +211,7 @@ def belief_from_model(model: Model, where: str) -> Belief:
             wind[a], time[a] = _wind(levels[axis], values[a, 1])
             noise[a] = np.sqrt(levels[axis][1])
         if trims := [trim for trim in one.trim if trim is not None]:
-            sigma[a] = max(float(np.sqrt(np.mean(np.square(trims)))), TRIM[a] / 2)
+            sigma[a] = max(float(np.sqrt(np.mean(np.square(trims)))), USUAL_TRIM[a] / 2)
     covariance = _known_covariance(model, values.ravel(), covariance)
     truth = replace(
         with_coefficients(rest.truth, values.ravel()),

@@ -46,7 +46,7 @@ def axis_of_estimate(estimate: Estimate, places: Sequence[int | None]) -> Axis:
     records, optimum, k = estimate.records, estimate.optimum, estimate.place
     nothing = replace(
         unknown_axis("not_excited" if not estimate.excited else "diverged"),
-        noise=noise_of(optimum, k),
+        noise=noise_of(optimum, k, records[0].axes[k]),
         modes=_modes(estimate),
         trim=tuple(None if place is None else float(optimum.point.trim[place, k]) for place in places),
         structure=structure_at(optimum, k).name,

@@ -11,8 +11,9 @@ from rotorfit.core.model import Axis, Predictor
 from rotorfit.estimation.likelihood.axis_estimate import free_of
 from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
-from rotorfit.estimation.likelihood.optima import start_point, trim_variance
+from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import DAMPING_RANGE
+from rotorfit.estimation.likelihood.trims import new_trim_variance, trims_of
 
 
 def settle_levels(
@@ -64,13 +65,19 @@ def with_levels(flights: Sequence[Flight], axes: Mapping[str, Axis]) -> dict[str
     for group, _, optimum in settle_levels(flights, points) if points else []:
         for k, axis in enumerate(group):
             if axis in points:
-                out[axis] = replace(out[axis], noise=noise_of(optimum, k))
+                out[axis] = replace(out[axis], noise=noise_of(optimum, k, axis))
     return out
 
 
-def noise_of(optimum: Optimum, k: int) -> dict[str, float]:
-    """Disturbance levels of axis k by name, not as logarithms, and the variance of the trims as `trim_variance`."""
-    levels = np.exp(optimum.point.levels[k])
+def noise_of(optimum: Optimum, k: int, axis: str) -> dict[str, float]:
+    """Disturbance levels by name, not as logarithms, and the variance of a new flight's trim as `trim_variance`.
+
+    Args:
+        optimum: The optimum.
+        k: Place of the axis in it.
+        axis: Name of the axis.
+    """
+    levels, (trim, variance) = np.exp(optimum.point.levels[k]), trims_of(optimum)
     return {name: float(v) for name, v in zip(LEVELS_OF[optimum.point.measured], levels, strict=True)} | {
-        "trim_variance": float(trim_variance(optimum)[k])
+        "trim_variance": new_trim_variance(trim[:, k], variance[:, k], axis)
     }

@@ -17,8 +17,8 @@ from rotorfit.core.laws import FIRST_ORDER_DELAY, start_levels
 from rotorfit.dynamics.protocol import AxisDynamics, hold_velocity, horizon_errors, predict_flight
 from rotorfit.estimation.likelihood.blocks import BLOCK_RATE, Record, measured_by
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
-from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.parameters import Point
+from rotorfit.estimation.likelihood.trims import LEAST, trims_of
 
 STARTS = ((0.15, 1.0), (0.02, 4.0), (0.05, 0.5), (0.25, 0.5), (0.35, 2.0), (0.5, 1.0))
 """Delay [s] and damping [1/s] of the starts."""
@@ -281,17 +281,14 @@ def thinned(flight: Flight) -> Flight:
     )
 
 
-def trim_variance(optimum: Optimum) -> Array:
-    """Mean square of the flights' trims plus their variance: the prior variance of a new flight's trim, shape (K,)."""
-    K, F = optimum.point.gain.size, len(optimum.point.trim)
-    first = optimum.point.coefficients
-    variance = np.diag(inverted(optimum.score.information, optimum.free))[first : first + F * K].reshape(F, K)
-    return np.mean(optimum.point.trim**2 + variance, axis=0) + 1e-12  # type: ignore[no-any-return]
-
-
 def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, AxisDynamics]:
-    """The dynamics of an optimum for predictions, by axis."""
-    point, variance = optimum.point, trim_variance(optimum)
+    """The dynamics of an optimum for the predictions by which it is judged, by axis.
+
+    Each trim has the mean square that it has under a flat prior: what is judged is the motion, so a trim may be as
+    large as the optimum can make it. The published model knows more about the trims of new flights (`trims`).
+    """
+    point, (trim, spread) = optimum.point, trims_of(optimum)
+    variance = np.mean(trim**2 + spread, axis=0) + LEAST
     return {
         axis: AxisDynamics(
             input=float(point.gain[k]),
