@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flights import flown, steps
+from other_laws import flown_by
 from rotorfit.assessment.constancy import LEVEL, Constancy, changed_coefficients, constancy
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.results import Fit
@@ -57,6 +58,15 @@ def test_halves_of_several_flights_are_tested_together() -> None:
     _, found = checked(flight(2), flight(3))
 
     assert (len(found.parts), found.degrees) == (4, 9)
+
+
+def test_halves_of_a_gusty_flight_keep_the_prior_of_the_lag() -> None:
+    result = fit([flown_by("first_order_delay_lag", seed=2, wind=0.6, noise=0.005)], axes=("z",))
+    found = constancy(result.flights, result.estimates["z"], "z")
+
+    assert result.model.axes["z"].structure == "first_order_delay_lag"
+    assert found is not None  # without it neither half tells the input from damping and lag
+    assert len(found.parts) == 2
 
 
 def test_flights_too_short_for_halves_and_the_papers_method_are_not_checked() -> None:

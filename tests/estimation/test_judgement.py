@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flights import fit_as_flown, flown, steps
-from other_laws import flown_by
+from other_laws import TRUTH, flown_by
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
 from rotorfit.core.model import COEFFICIENTS, Axis
@@ -80,6 +80,20 @@ def test_flights_of_different_vehicles_widen_the_interval_by_what_they_differ() 
     assert width(spread.next_flight) > width(axis.ci95["input"])
     assert spread.p_value is not None
     assert spread.p_value < 1e-6
+
+
+def test_flights_in_gusts_tell_the_input_apart_since_each_keeps_the_prior_of_the_lag() -> None:
+    flights = [flown_by("first_order_delay_lag", duration=20.0, seed=s, wind=1.0, noise=0.005) for s in (1, 2, 3)]
+    axis = fit(flights, axes=("z",)).model.axes["z"]
+
+    assert axis.structure == "first_order_delay_lag"
+    for name in ("input", "lag"):
+        spread = axis.spread[name]
+        assert spread.source == "flights"
+        assert spread.flights == 3
+        for each in spread.each:
+            assert each is not None
+            assert abs(each[0] - np.log(TRUTH["first_order_delay_lag"][name])) < 3 * each[1]
 
 
 def test_flights_that_agree_share_one_narrow_interval() -> None:

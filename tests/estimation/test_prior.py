@@ -162,6 +162,18 @@ def test_a_prior_is_always_told_and_a_conflict_is_a_warning() -> None:
     assert "combined standard errors apart" in torn[1].evidence
 
 
+def test_what_the_card_moved_under_the_default_laws_does_not_hold_what_their_own_prior_of_the_lag_did() -> None:
+    gusty = flown(replace(Truth(), wind_sigma=(1.0,) * 4), steps(("z",), seed=1), 20.0, 1)
+    believing_flight = believing(gusty, {"z": {"delay": {"mean": 0.15, "sd": 0.05}}})
+    model = with_influence(fit([believing_flight], axes=("z",), prior=True)).model
+
+    assert "lag" in model.axes["z"].extra
+    assert model.prior is not None
+    use = model.prior["z.delay"]
+    assert use.share < 0.05
+    assert abs(use.moved) < 0.1
+
+
 def test_a_prior_that_is_not_asked_for_is_not_used() -> None:
     result = fit(
         [believing(short(), {"z": {"input": {"mean": 9.0, "sd": 0.01}}})], axes=("z",), structure="first_order_delay"

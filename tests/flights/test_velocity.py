@@ -23,7 +23,7 @@ from rotorfit.dynamics.velocity_fusion import whiten_fused
 from rotorfit.dynamics.whitening import whiten_axis, whiten_plane
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.blocks import Record, record
-from rotorfit.estimation.likelihood.latency import latency_of
+from rotorfit.estimation.likelihood.latency import delay_error, latency_of
 from rotorfit.estimation.likelihood.likelihood import response, restriction, score
 from rotorfit.estimation.likelihood.optima import start_point
 from rotorfit.estimation.likelihood.parameters import Point
@@ -251,6 +251,21 @@ def test_velocities_without_noise_give_the_coefficients_back_and_a_delay_with_th
     assert point.input == pytest.approx(STILL.gamma[0], rel=2e-4)
     assert point.damping == pytest.approx(STILL.gamma[1], rel=2e-3)
     assert point.delay == pytest.approx(STILL.delay[0] + 0.06, abs=2e-4)
+
+
+def test_a_delay_that_the_cards_prior_gives_takes_no_error_from_the_latency_of_the_velocity() -> None:
+    sim = flown(replace(Truth(), mocap_noise=(0.02, 0.02, 0.02, 0.01)), ("z",), seed=1, duration=20.0)
+    flight = flight_from_log(with_odometry(sim, rate=50.0, noise=0.005), onboard_card((), independent=True))
+    raw = {**flight.card.raw, "prior": {"z": {"delay": {"mean": 0.15, "sd": 1e-4}}}}
+    result = fit(
+        [replace(flight, card=card_from_mapping(raw, "mine"))], axes=("z",), structure="first_order_delay", prior=True
+    )
+    (used,) = result.flights
+    assert used.velocity is not None
+    assert used.velocity.late_error is not None
+
+    assert used.velocity.late_error[2] > 5e-3
+    assert delay_error([used], result.estimates["z"]) < 2e-4
 
 
 def test_a_constant_bias_of_the_velocity_goes_into_the_trim() -> None:

@@ -21,6 +21,7 @@ from rotorfit.estimation.likelihood.blocks import record
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.estimation.likelihood.optima import between, start_point
+from rotorfit.estimation.likelihood.prior import prior_of_law
 
 LEVEL = 1e-4
 """Level of the chi-square test: with four axes, 1 flight in 2500 by chance. It allows for intervals that are too
@@ -155,7 +156,7 @@ def _fitted(flight: Flight, estimate: Estimate, axis: str) -> Part | None:
     )
     free = np.arange(point.flat().size) < point.n
     free[: whole.coefficients] = estimate.optimum.free[: whole.coefficients]
-    optimum = maximise([rec], point, free)
+    optimum = maximise([rec], point, free, prior=prior_of_law(estimate.optimum.prior, K))
     at = [k, K + k, 2 * K + k]
     theta = optimum.point.flat()[at]
     variance = inverted(optimum.score.information, optimum.free)[np.ix_(at, at)]

@@ -12,6 +12,7 @@ from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.results import Fit
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.prior import prior_of_law
 
 CONFLICT = 3.0
 """Difference between prior and data, in combined standard errors, above which they conflict."""
@@ -26,7 +27,8 @@ def with_influence(fit: Fit) -> Fit:
         prior, K = optimum.prior, optimum.point.gain.size
         if prior is None or fit.model.axes[axis].predictor is None:
             continue
-        data = maximise(estimate.records, optimum.point, optimum.free, restricted=optimum.restricted)
+        law = prior_of_law(prior, K)  # whatever the card says
+        data = maximise(estimate.records, optimum.point, optimum.free, restricted=optimum.restricted, prior=law)
         alone, both = data.point.flat(), optimum.point.flat()
         data_error, error = (_errors(o.score.information, o.free) for o in (data, optimum))
         for i, name in enumerate(COEFFICIENTS):

@@ -7,6 +7,7 @@ import numpy as np
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.estimation.likelihood.likelihood import segments
+from rotorfit.estimation.likelihood.prior import prior_of_law
 
 TOLERANCE = 0.02
 """Expected gain in log-likelihood below which the climb of one flight ends: a fifth of a standard error."""
@@ -18,7 +19,8 @@ MOST_PASSES = 30
 def each_flight(estimate: Estimate) -> list[Estimate | None]:
     """Estimates from every flight alone, each climbed from the estimate from all flights together.
 
-    Coefficients of an axis whose command does not change in a flight are held at those of all flights. No prior enters.
+    Coefficients of an axis whose command does not change in a flight are held at those of all flights. The
+    prior of the lag belongs to the law and remains; that of the card would count once per flight and is left out.
 
     Returns:
         One estimate per flight; None where the flight does not change the command of the axis or the climb has not
@@ -38,5 +40,6 @@ def _alone(estimate: Estimate, j: int) -> Estimate | None:
     first = whole.point.coefficients
     free = np.ones(point.flat().size, bool)
     free[:first] = whole.free[:first] & np.tile(moves, first // len(moves))
-    optimum = maximise([rec], point, free, tolerance=TOLERANCE, most=MOST_PASSES)
+    prior = prior_of_law(whole.prior, len(moves))
+    optimum = maximise([rec], point, free, tolerance=TOLERANCE, most=MOST_PASSES, prior=prior)
     return replace(estimate, records=[rec], optimum=optimum) if optimum.gain < 1.0 else None

@@ -184,7 +184,7 @@ def _at_best(records: Sequence[Record], estimate: Estimate) -> Optimum:
     """The maximum on other records, from the point of the estimate, with its levels held."""
     free = estimate.optimum.free.copy()
     free[estimate.optimum.point.n :] = False
-    return maximise(records, estimate.optimum.point, free)
+    return maximise(records, estimate.optimum.point, free, prior=estimate.optimum.prior)
 
 
 def delay_error(flights: Sequence[Flight], estimate: Estimate) -> float:

@@ -76,6 +76,16 @@ def lag_prior(structures: Sequence[Structure], known: GaussianPrior | None = Non
     return GaussianPrior(mean, precision)
 
 
+def prior_of_law(prior: GaussianPrior | None, axes: int) -> GaussianPrior | None:
+    """The part of a prior that belongs to the laws of this many axes, that of the lag; None if there is none.
+
+    A part of the data estimated apart keeps it, as it would alone; the card's prior would make all parts agree.
+    """
+    if prior is None or not prior.precision[3 * axes :].any():
+        return None
+    return replace(prior, precision=np.concatenate([np.zeros(3 * axes), prior.precision[3 * axes :]]))
+
+
 def with_prior(likelihood: LikelihoodScore, point: Point, prior: GaussianPrior | None) -> LikelihoodScore:
     """The score with the prior included in objective, gradient and information."""
     if prior is None:
