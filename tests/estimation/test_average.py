@@ -13,6 +13,7 @@ from rotorfit.core.model import Axis, Model, first_order
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood.richer_laws import under_law
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import Truth
 
@@ -98,6 +99,17 @@ def test_in_gusts_the_prior_of_the_lag_keeps_the_input_finite() -> None:
     assert high is not None
     assert low <= TRUTH[LAGGED]["input"] <= high
     assert high < 3 * low
+
+
+def test_an_input_whose_sign_no_lagged_law_has_is_fitted_nevertheless() -> None:
+    """Of an input near zero, noise decides the sign, and perhaps otherwise under another law."""
+    flight = flown(Truth(), steps(("z",), seed=3, every=4.0), 20.0, 3)
+    plain = fit([flight], axes=("z",), structure=PLAIN).estimates["z"]
+    point = plain.optimum.point
+    backwards = replace(plain, optimum=replace(plain.optimum, point=replace(point, gain=-point.gain)))
+
+    found = under_law(backwards, "z", structure_named(LAGGED)).optimum.point
+    assert found.gain[0] == pytest.approx(point.gain[0], rel=0.05)
 
 
 def test_an_axis_faster_than_the_log_has_no_damping() -> None:

@@ -69,7 +69,8 @@ def law_starts(
 
     Args:
         records: The flights.
-        point: Any point of the axes; of its coefficients of axis k only the sign of the gain matters.
+        point: Any point of the axes; of its coefficients of axis k only the sign of the gain matters, and where no node
+            of the grid has it, not even that.
         k: Index of the axis.
         structure: Linear law with a lag.
         prior: Prior of the parameters of the laws.
@@ -84,8 +85,10 @@ def law_starts(
         (projected(coarse, _at(point, k, structure, node), k, prior) for node in _grid(structure)),
         key=lambda one: -one[0],
     )
+    every = [there for _, there in nodes]
+    alike = [there for there in every if np.sign(there.gain[k]) == sign]
     climbed: list[tuple[float, Point]] = []
-    for node in _spread([there for _, there in nodes if np.sign(there.gain[k]) == sign or not sign], k, CLIMBED):
+    for node in _spread(alike or every, k, CLIMBED):
         top = maximise(coarse, node, levels_held, tolerance=0.3, most=SHORT, prior=prior)
         climbed.append((top.score.objective, replace(swapped(top.point, k) or top.point, start=start)))
     climbed.sort(key=lambda one: -one[0])
