@@ -144,12 +144,15 @@ def test_where_too_little_is_held_out_for_a_test_only_very_strong_evidence_count
 def test_a_flight_is_cut_from_the_command_that_acts() -> None:
     from rotorfit.estimation.likelihood.optima import between
 
-    flight = flown_by("first_order_delay", duration=20.0)
+    flown_to = flown_by("first_order_delay", duration=20.0)
+    flight = replace(flown_to, reference=2.0 * flown_to.command)
     part = between(flight, 10.0, 15.0)
 
     assert part.command_time[0] <= 10.0 < part.command_time[1]
     assert part.pose_time[0] >= part.command_time[0]
     assert part.pose_time[-1] <= 15.0
+    assert part.reference is not None
+    np.testing.assert_array_equal(part.reference, 2.0 * part.command)
     assert replace(part, command_time=flight.command_time) != flight
 
 

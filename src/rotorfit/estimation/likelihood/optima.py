@@ -256,6 +256,7 @@ def between(flight: Flight, low: float, high: float) -> Flight:
         pose_time=flight.pose_time[poses],
         position=flight.position[poses],
         yaw=flight.yaw[poses],
+        reference=None if flight.reference is None else flight.reference[commands],
         velocity=flight.velocity and flight.velocity.between(low, high),
         segments=tuple(
             Segment(max(part.start, low), min(part.end, high))
