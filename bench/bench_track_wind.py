@@ -21,7 +21,7 @@ from changing_flights import ChangingFlight, Scenario, changing_flight
 from rotorfit.core.frames import AXES, heading_from_world
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
-from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, motion_now
+from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, courses
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
 
@@ -66,7 +66,7 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
         estimates = {}
         for group in following._groups.values():
             estimates |= group.fitted.estimates if group.fitted else {}
-        known = motion_now(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"})
+        known = courses(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"}, {})[0]
         for k, axis in enumerate("xy"):
             low, high = state.axes[axis].wind_ci95
             row[f"{axis} error"] = state.axes[axis].wind - true[k]

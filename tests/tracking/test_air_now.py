@@ -9,7 +9,7 @@ from flights import STILL, flown, steps
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import world_from_heading
 from rotorfit.files.cards import card_from_mapping
-from rotorfit.tracking.air import courses, motion_now
+from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
 from tracked_flights import LAW, known
@@ -21,7 +21,7 @@ def test_a_constant_acceleration_is_told_as_wind() -> None:
     pushed = replace(STILL, trim=(0.3, -0.2, 0.1, 0.0))
     flight = flown(pushed, steps(("x", "y", "z"), seed=8), 14.0, seed=8)
     estimates = {**refitted(flight, ("x", "y"), LAW, 14.0).estimates, **refitted(flight, ("z",), LAW, 14.0).estimates}
-    motion = motion_now(flight, estimates)
+    motion = courses(flight, estimates, {})[0]
 
     assert motion["x"].wind == pytest.approx(0.3, abs=0.02)
     assert motion["y"].wind == pytest.approx(-0.2, abs=0.02)
@@ -38,8 +38,9 @@ def test_x_alone_has_a_motion_along_the_worlds_x_only() -> None:
         position=np.column_stack([world_from_heading(flight.position[:, :2], turn), flight.position[:, 2]]),
     )
 
-    assert motion_now(flight, refitted(flight, ("x",), LAW, 14.0).estimates)["x"].wind == pytest.approx(0.0, abs=0.02)
-    assert not motion_now(turned, refitted(turned, ("x",), LAW, 14.0).estimates)
+    along = courses(flight, refitted(flight, ("x",), LAW, 14.0).estimates, {})[0]
+    assert along["x"].wind == pytest.approx(0.0, abs=0.02)
+    assert not courses(turned, refitted(turned, ("x",), LAW, 14.0).estimates, {})[0]
 
 
 def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:
@@ -75,7 +76,7 @@ def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
     for now in np.arange(8.0, 28.0, 2.0):
         part = until(flight, float(now))
         begin = {axis: replace(one, records=one.records) for axis, one in estimates.items()}
-        motion = motion_now(part, begin)["z"]
+        motion = courses(part, begin, {})[0]["z"]
         z, t, step = flight.position[:, 2], flight.pose_time, 0.15
         measured = (np.interp(now + step, t, z) - np.interp(now - step, t, z)) / (2 * step)
         later = (np.interp(now + 1 + step, t, z) - np.interp(now + 1 - step, t, z)) / (2 * step)

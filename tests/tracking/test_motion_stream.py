@@ -9,7 +9,7 @@ from tracking_samples import samples_of
 from flights import CARD
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES
-from rotorfit.tracking.air import courses, motion_now
+from rotorfit.tracking.air import courses
 from rotorfit.tracking.flight_so_far import Rows
 from rotorfit.tracking.motion_stream import MotionStream
 from rotorfit.tracking.refits import GroupEstimate, refitted
@@ -52,7 +52,7 @@ def streamed(flight: Flight, followed: dict[str, GroupEstimate], begin: float, f
 @pytest.mark.parametrize("forget", [np.inf, 3.0])
 def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, GroupEstimate], forget: float) -> None:
     flight = known()[0]
-    batch = motion_now(flight, {axis: one.estimates[axis] for axis, one in followed.items()})
+    batch = courses(flight, {axis: one.estimates[axis] for axis, one in followed.items()}, {})[0]
     stream = streamed(flight, followed, 8.0, forget).motion()
 
     assert stream is not None

@@ -7,7 +7,7 @@ import pytest
 
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.likelihood import inverted
-from rotorfit.tracking.air import motion_now
+from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind
@@ -32,7 +32,7 @@ def anew(now: float, estimate: Estimate) -> float:
         values = optimum.point.flat()
         values[: len(C)] += share * direction
         moved = replace(estimate, optimum=replace(optimum, point=optimum.point.with_flat(values)))
-        winds.append(motion_now(part, {"z": moved})["z"].wind)
+        winds.append(courses(part, {"z": moved}, {})[0]["z"].wind)
     return float(np.linalg.norm(np.array(winds[:-1]) - winds[-1]) / share)
 
 

@@ -70,16 +70,6 @@ class Course:
     in_force: Array
 
 
-def motion_now(flight: Flight, estimates: Mapping[str, Estimate]) -> dict[str, AxisNow]:
-    """The motion of each estimated axis at the last pose; an axis is missing if the last segment is too short.
-
-    Args:
-        flight: The flight so far.
-        estimates: Axis name to its estimate.
-    """
-    return courses(flight, estimates, {})[0]
-
-
 def courses(
     flight: Flight, estimates: Mapping[str, Estimate], damping: Mapping[str, Interval]
 ) -> tuple[dict[str, AxisNow], Air | None, tuple[Course, ...]]:
@@ -92,7 +82,8 @@ def courses(
             mean wind.
 
     Returns:
-        Axis name to its motion, as `motion_now` gives it; the mean wind, or None; a filter for each pair of axes.
+        Axis name to its motion, without the axes of which the last segment is too short; the mean wind, or None; a
+        filter for each pair of axes.
     """
     out: dict[str, AxisNow] = {}
     air, found = None, []
