@@ -89,6 +89,21 @@ def test_velocity_alone_and_heading_alone_tell(card: dict) -> None:
     within(clocks_of(as_one(flown(), Skew(0.3, 5e-5)), **card), Skew(0.3, 5e-5), most=0.006)
 
 
+def test_a_velocity_in_a_table_of_its_own_tells_by_its_own_stamps() -> None:
+    vehicle, room = in_two_files(flown(), Skew(0.3, 5e-5))
+    columns = dict(vehicle.tables["odometry"].columns)
+    climb = {"t": columns["t"][1::2], "v_z": columns.pop("v_z")[1::2]}
+    tables = {**vehicle.tables, "odometry": Table("odometry", columns), "climb": Table("climb", climb)}
+    apart = join_logs([replace(vehicle, tables=tables), room])
+    card = card_of()
+    raw = {**card.raw, "velocity": {**card.raw["velocity"], "z": "climb:v_z"}}
+    clocks = flight_from_log(apart, card_from_mapping(raw, "two tables")).clocks
+
+    assert clocks is not None
+    within(clocks, Skew(0.3, 5e-5))
+    assert clocks.explained["velocity z"] > 0.9
+
+
 def test_slow_sines_tell_too() -> None:
     flight = simulate_flight(Truth(), two_sines, LENGTH, 5)
 

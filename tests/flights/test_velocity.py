@@ -17,6 +17,7 @@ from rotorfit.core.errors import CardError, FlightError
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, heading_from_world
 from rotorfit.core.laws import start_levels
+from rotorfit.core.log import Log, Table
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.protocol import predict_flight
 from rotorfit.dynamics.velocity_fusion import whiten_fused
@@ -101,6 +102,30 @@ def test_velocity_is_read_along_the_axes_of_the_world(frame: str) -> None:
     at = np.searchsorted(sim.pose_stamp / 1e9 - sim.command_stamp[0] / 1e9, flight.velocity.time - 1e-6)
     np.testing.assert_allclose(flight.velocity.value[:, :3], sim.velocity[at, :3], atol=2e-4)
     assert np.isnan(flight.velocity.value[:, 3]).all()  # the yaw has a pose, and nobody called its rate independent
+
+
+def in_two_tables(log: Log) -> Log:
+    """The climb rate in a table of its own, of every third sample."""
+    columns = dict(log.tables["/odom"].columns)
+    climb = {"header.stamp": columns["header.stamp"][1::3], "rate": columns.pop("twist.linear.z")[1::3]}
+    return replace(log, tables={**log.tables, "/odom": Table("/odom", columns), "/climb": Table("/climb", climb)})
+
+
+@pytest.mark.parametrize("clocked", [True, False])
+def test_a_velocity_from_two_tables_is_joined_by_the_stamps(clocked: bool) -> None:
+    sim = flown(axes=("x", "z"), duration=10.0)
+    raw = dict(onboard_card().raw)
+    velocity = {**raw["velocity"], "z": "/climb:rate"}
+    if not clocked:
+        del velocity["time"]
+        raw["command"] = {**raw["command"], "time": "/cmd_vel:header.stamp"}
+    log = in_two_tables(with_odometry(sim, rate=60.0, latency=0.0, **EXACT))
+    flight = flight_from_log(log, card_from_mapping({**raw, "velocity": velocity}, "two"))
+
+    assert flight.velocity is not None
+    at = np.searchsorted(sim.pose_stamp / 1e9 - sim.command_stamp[0] / 1e9, flight.velocity.time - 1e-6)
+    np.testing.assert_allclose(flight.velocity.value[:, [0, 2]], sim.velocity[at][:, [0, 2]], atol=0.02)
+    assert "joined_velocity" in {note.code for note in flight.notes}
 
 
 def test_positions_that_were_not_measured_are_the_velocity_summed_up(alone: tuple[Flight, Fit]) -> None:

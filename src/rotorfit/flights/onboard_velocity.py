@@ -1,17 +1,19 @@
 """Onboard velocity: an additional measurement, or the only one of an axis."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from rotorfit.core.card import Card
+from rotorfit.core.card import Card, Channel
 from rotorfit.core.errors import FlightError
 from rotorfit.core.flight_data import Note, Velocity
 from rotorfit.core.frames import AXES, Array, world_from_heading
 from rotorfit.core.log import Log
-from rotorfit.flights.other_tables import state_samples
-from rotorfit.flights.stamps import coarse, fresh, grain
-from rotorfit.flights.streams import NEVER, Stream, in_order, keep_samples, numbers, read_series
+from rotorfit.flights.columns import split_source
+from rotorfit.flights.other_tables import interpolate, sound_samples, state_samples
+from rotorfit.flights.stamps import Stamps, coarse, fresh, grain
+from rotorfit.flights.streams import NEVER, Stream, in_order, joined_note, keep_samples, numbers, read_series
 
 
 def velocities_of(log: Log, card: Card) -> Stream | None:
@@ -38,10 +40,7 @@ def velocities_of(log: Log, card: Card) -> Stream | None:
     if card.velocity_time is not None:
         stamps, series, notes = read_series(log, card.velocity_time, channels, "velocity")
     else:
-        parts = {axis: state_samples(log, card, channel, "velocity") for axis, channel in channels.items()}
-        shared = min(len(clock) for clock, _ in parts.values())
-        stamps = next(iter(parts.values()))[0][:shared]
-        series = {axis: values[:shared] for axis, (_, values) in parts.items()}
+        stamps, series, notes = _on_one_clock(log, card, channels)
     values = np.stack([series.get(axis, np.zeros(len(stamps))) for axis in AXES], axis=1)
     stream = Stream("velocity", stamps, values, np.full(len(stamps), NEVER), notes)
     stream = in_order(numbers(stream, log), log)
@@ -54,6 +53,21 @@ def velocities_of(log: Log, card: Card) -> Stream | None:
     if card.frame == "NED" and card.velocity_frame == "world":
         values = np.stack([values[:, 1], values[:, 0], -values[:, 2], -values[:, 3]], axis=1)
     return replace(stream, values=values)
+
+
+def _on_one_clock(
+    log: Log, card: Card, channels: Mapping[str, Channel]
+) -> tuple[Stamps, dict[str, Array], tuple[Note, ...]]:
+    """Stamps and series of the first channel's table; those in other tables are interpolated onto its stamps."""
+    parts = {axis: state_samples(log, card, channel, "velocity") for axis, channel in channels.items()}
+    tables = {axis: split_source(channel.source)[0] for axis, channel in channels.items()}
+    others = [axis for axis, table in tables.items() if table != next(iter(tables.values()))]
+    own = {axis: part for axis, part in parts.items() if axis not in others}
+    shared = min(len(clock) for clock, _ in own.values())
+    stamps = next(iter(own.values()))[0][:shared]
+    series = {axis: values[:shared] for axis, (_, values) in own.items()}
+    series |= {axis: interpolate(*sound_samples(*parts[axis]), stamps) for axis in others}
+    return stamps, series, (joined_note("velocity", others, len(stamps)),) if others else ()
 
 
 def in_the_world(velocities: Stream, card: Card, origin: int, pose_time: Array, yaw: Array) -> Velocity:

@@ -115,7 +115,11 @@ def sampled(log: Log, time: Channel, channel: Channel) -> tuple[Stamps, Array]:
     if abs(len(clock) - len(values)) > 1:
         raise CardError(f"{log.path}: {channel.source} has {len(values)} values and its clock {len(clock)}")
     shared = min(len(clock), len(values))
-    clock, values = clock[:shared], values[:shared]
+    return sound_samples(clock[:shared], values[:shared])
+
+
+def sound_samples(clock: Stamps, values: Array) -> tuple[Stamps, Array]:
+    """The samples in increasing order, without missing stamps and NaN."""
     good = (clock != MISSING_STAMP) & np.isfinite(values)
     clock, values = clock[good], values[good]
     ordered = increasing(clock)

@@ -1,6 +1,6 @@
 """Streams: the commands and poses of a log, each on its own clock and in order; every repair noted."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -176,10 +176,16 @@ def read_series(
         if "yaw" in found:
             found["yaw"] = found["yaw"][0], np.unwrap(found["yaw"][1])
         series |= {axis: interpolate(clock, values, stamps) for axis, (clock, values) in found.items()}
-    names = ", ".join(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
+    names = list(dict.fromkeys("quaternion" if name.startswith("q") else name for name in others))
+    return stamps, series, (*notes, joined_note(what, names, len(stamps)))
+
+
+def joined_note(what: str, names: Sequence[str], count: int) -> Note:
+    """That some series of a stream come from another table than its time."""
     how = "held" if what == "command" else "drawn between samples"
-    text = f"{names} of {len(stamps)} {what}s come from another table than its time: {how}"
-    return stamps, series, (*notes, Note(f"joined_{what}", text, len(stamps)))
+    kind = "velocities" if what == "velocity" else f"{what}s"
+    text = f"{', '.join(names)} of {count} {kind} come from another table than its time: {how}"
+    return Note(f"joined_{what}", text, count)
 
 
 def _own(

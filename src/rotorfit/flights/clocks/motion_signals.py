@@ -10,6 +10,7 @@ from rotorfit.core.frames import AXES, Array, heading_from_world, yaw_from_quate
 from rotorfit.core.log import Log
 from rotorfit.flights.clocks.lag_search import GriddedMotion, Witness
 from rotorfit.flights.columns import column, split_source
+from rotorfit.flights.other_tables import is_beside, own_clock
 from rotorfit.flights.stamps import MISSING_STAMP, Stamps, fresh, increasing, stamps_of
 from rotorfit.flights.streams import Stream
 
@@ -80,15 +81,21 @@ def onboard(log: Log, card: Card, origin: int) -> list[Witness]:
     found = []
     channels = {axis: channel for axis, channel in card.velocity.items() if isinstance(channel.source, str)}
     if channels:
-        stamps, values = _series(log, velocity_clock(card), channels)
+        clock, tables = velocity_clock(card), dict[str, dict[str, Channel]]()
+        for axis, channel in channels.items():
+            tables.setdefault(split_source(channel.source)[0], {})[axis] = channel
         names = {axis: f"velocity {axis}" if axis != "yaw" else "yaw rate" for axis in AXES}
         sensors = {"x": "level velocity", "y": "level velocity", "z": "vertical velocity", "yaw": "yaw rate"}
-        found += [
-            replace(_witness(names[axis], stamps, values[axis], along[axis], origin), sensor=sensors[axis])
-            for axis in channels
-        ]
+        for some in tables.values():
+            first = next(iter(some.values()))
+            own = own_clock(log, clock, first) if is_beside(clock, first) else stamps_of(log, clock)
+            stamps, values = _series(log, own, some)
+            found += [
+                replace(_witness(names[axis], stamps, values[axis], along[axis], origin), sensor=sensors[axis])
+                for axis in some
+            ]
     if card.attitude:
-        stamps, values = _series(log, attitude_clock(card), card.attitude)
+        stamps, values = _series(log, stamps_of(log, attitude_clock(card)), card.attitude)
         yaw = values["yaw"] if "yaw" in values else yaw_from_quaternion(*(values[f"q{part}"] for part in "wxyz"))
         there = np.isfinite(yaw)
         one = _witness("heading", stamps[there], np.unwrap(yaw[there]), (_YAW,), origin)
@@ -174,9 +181,8 @@ def _beside(card: Card, channel: Channel) -> Channel:
     return replace(card.command_time, source=f"{table}:{clock[1]}" if table else clock[1])
 
 
-def _series(log: Log, time: Channel, channels: Mapping[str, Channel]) -> tuple[Stamps, dict[str, Array]]:
+def _series(log: Log, stamps: Stamps, channels: Mapping[str, Channel]) -> tuple[Stamps, dict[str, Array]]:
     """Stamps and values of the rows that are in order and fresh, NaN where a value is missing."""
-    stamps = stamps_of(log, time)
     values = {name: column(log, channel, len(stamps)) for name, channel in channels.items()}
     shared = min(len(stamps), *(len(one) for one in values.values()))
     table = np.column_stack([one[:shared] for one in values.values()])
