@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from scipy.stats import binom
 
 from flights import flown, steps, truth_of
+from onboard import onboard_card, with_odometry
 from rotorfit.app.cli import main
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array
@@ -20,6 +21,7 @@ from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood.axis_estimate import Estimate, estimate_axis
 from rotorfit.estimation.likelihood.outliers import GRAIN, jumped, outlier_findings, without_outliers
+from rotorfit.flights.assemble import flight_from_log
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight, write_bag
 
 SWAP = (0.05, 0.3)
@@ -52,6 +54,21 @@ def fitted(method: str, bad: bool) -> Fit:
 
 def of_z(flights: Sequence[Flight]) -> dict[str, Estimate]:
     return {"z": estimate_axis(flights, "z", True)}
+
+
+@pytest.mark.parametrize("method", ["robust", "paper"])
+def test_a_velocity_beside_the_pose_is_left_out_with_a_note(method: str) -> None:
+    sim = simulate_flight(Truth(), steps(("z",), seed=7), 10.0, 7)
+    for alone in ((), ("x", "y")):
+        flight = flight_from_log(with_odometry(sim), onboard_card(alone, independent=True))
+        used = fit([flight], method, axes=("z",)).flights[0]
+
+        assert flight.velocity is not None
+        assert used.velocity is None or not used.velocity.of(("z",))
+        assert used.velocity_only == alone
+        (note,) = [note for note in used.notes if note.code == "velocity_unused"]
+        assert "z" in note.text
+    assert "velocity_unused" not in {note.code for note in fitted("robust", False).flights[0].notes}
 
 
 def test_on_a_clean_flight_the_answer_is_that_of_ml() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from rotorfit.core.card import Prior
 from rotorfit.core.errors import CardError, FlightError, ModelError
-from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_data import Flight, Note
 from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED, DELAY_RANGE, FIRST_ORDER_DELAY, structure_named
 from rotorfit.core.model import NORMAL, STRUCTURE, Axis, Model, Plain, Predictor, Source, first_order, unknown_axis
@@ -27,7 +27,7 @@ from rotorfit.estimation.likelihood.coefficients import (
     holds_zero,
 )
 from rotorfit.estimation.likelihood.extra_parameters import separable, structure_at
-from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, delay_error
+from rotorfit.estimation.likelihood.latency import GROUPS, align_velocity, both_axes, delay_error
 from rotorfit.estimation.likelihood.law_average import averaged, families
 from rotorfit.estimation.likelihood.law_selection import AUTO, Choice, select_laws, unidentifiable_candidate
 from rotorfit.estimation.likelihood.noise_levels import with_levels
@@ -267,7 +267,7 @@ def _check(flights: Sequence[Flight], method: str, structure: str, prior: bool) 
 
 
 def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> list[Flight]:
-    """The flights without velocities that were measured in addition to poses: only `ml` can use them.
+    """The flights without velocities that were measured in addition to poses, with a note: only `ml` can use them.
 
     Raises:
         FlightError: The method needs positions, and one of the axes has only a velocity.
@@ -279,7 +279,21 @@ def _of_poses(flights: Sequence[Flight], method: str, axes: Sequence[str]) -> li
                 f"{flight.path}: the method {method} needs positions, but {', '.join(lost)} "
                 f"{'has' if len(lost) == 1 else 'have'} only a velocity: use --method ml, or other --axes"
             )
-    return [f if f.velocity_only else replace(f, velocity=None) for f in flights]
+    return [_without_velocity(f, axes) for f in flights]
+
+
+def _without_velocity(flight: Flight, axes: Sequence[str]) -> Flight:
+    """The flight without the velocities of axes that have a pose, with a note where one of them will be fitted."""
+    velocity, both = flight.velocity, both_axes(flight)
+    if velocity is None or not both:
+        return flight
+    value = velocity.value.copy()
+    value[:, [AXES.index(axis) for axis in both]] = np.nan
+    used = replace(velocity, value=value) if velocity.alone else None
+    if not set(both) & set(axes):
+        return replace(flight, velocity=used)
+    text = f"the vehicle's own velocity of {', '.join(both)} is not used: only the method ml uses it beside a pose"
+    return replace(flight, velocity=used, notes=(*flight.notes, Note("velocity_unused", text, velocity.time.size)))
 
 
 def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
