@@ -14,7 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from flying import SECOND, WallPaced, plan_of, room_link
-from rotorfit.flying.beside import tracked_beside
+from rotorfit.app.live.beside import asked_of, tracked_beside
 from rotorfit.flying.flight_loop import fly
 from rotorfit.flying.recorder import record
 
@@ -22,7 +22,7 @@ from rotorfit.flying.recorder import record
 def flight(path: Path, seconds: float, wanted: bool) -> str:
     link, plan = WallPaced(room_link()), replace(plan_of(seconds), rate=100.0)
     link.receive(link.now + SECOND // 10)  # compiled before the clock matters
-    with tracked_beside(plan.card, wanted) as beside:
+    with tracked_beside(asked_of(plan.card) if wanted else None) as beside:
         link.zero = time.monotonic_ns() - link.link.now
         flown = fly(plan, link, record(path, {}, beside), land=False)
     late = flown.jitter

@@ -5,19 +5,28 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
 from flying import Watched, plan_of, room_link
+from rotorfit.app.cli import main
+from rotorfit.app.live.beside import FAR, asked_of, tracked_beside
+from rotorfit.exports.gains import read_gains
 from rotorfit.files.logs import read
-from rotorfit.flying.beside import ROOM, Beside, title_of, tracked_beside
+from rotorfit.files.plans import save_plan
+from rotorfit.flying.beside import ROOM, Beside, title_of
 from rotorfit.flying.flight_loop import fly
 from rotorfit.flying.recorder import record
+
+
+def rotorfit(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def test_it_follows_the_flight_and_what_is_sent_is_the_same_without_it(tmp_path: Path) -> None:
     plan, sent = replace(plan_of(8.0), rate=50.0), []
     for wanted in (False, True):
         link = Watched(room_link())
-        with tracked_beside(plan.card, wanted) as beside:
+        with tracked_beside(asked_of(plan.card) if wanted else None) as beside:
             fly(plan, link, record(tmp_path / f"{wanted}.mcap", {}, beside), land=False)
         sent.append(link.sent)
 
@@ -28,7 +37,7 @@ def test_it_follows_the_flight_and_what_is_sent_is_the_same_without_it(tmp_path:
 
 
 def test_alarms_become_events_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    beside = Beside(plan_of().card)
+    beside = Beside(FAR, asked_of(plan_of().card))
     monkeypatch.setattr(beside, "news", iter([iter(["ALARM x: payload: because"]), *[iter([])] * 99]).__next__)
     recorder = record(tmp_path / "flight.mcap", {}, beside)
     recorder.command(5, (0.1, 0.0, 0.0, 0.0))
@@ -44,7 +53,7 @@ def test_the_title_of_an_alarm_ends_before_its_reasons() -> None:
 
 
 def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
-    beside = Beside(plan_of().card)
+    beside = Beside(FAR, asked_of(plan_of().card))
     beside._process.kill()
     beside._process.wait()
     begun = time.monotonic()
@@ -54,3 +63,34 @@ def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
     assert time.monotonic() - begun < 5.0
     assert beside.lost > 0
     beside.close()
+
+
+def test_fly_publishes_gains_with_track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rotorfit.flying.beside.PATIENCE", 300.0)  # simulated flights take no time
+    plan, output, gains = tmp_path / "plan.toml", tmp_path / "flight.mcap", tmp_path / "gains.toml"
+    save_plan(plan_of(24.0), plan)
+    result = rotorfit("fly", plan, "--link", "sim", "--seed", 3, "-o", output, "--track", "--tune", gains)
+
+    assert result.exit_code == 0, result.output
+    assert f", in {gains}." in result.stderr
+    axes = read_gains(gains)["axes"]
+    assert axes
+    told = [one.text for one in read(output).events] + result.stderr.splitlines()
+    for axis in axes:
+        assert any(text.startswith(f"GAINS {axis}: bandwidth ") for text in told)
+
+
+def test_what_the_tracker_could_not_use_is_refused_before_the_flight(tmp_path: Path) -> None:
+    plan, taken = tmp_path / "plan.toml", tmp_path / "taken.toml"
+    save_plan(plan_of(8.0), plan)
+    taken.write_text("what = 'something else'\n")
+    for words, said in (
+        (("--after", plan), "--after and --tune are for --track"),
+        (("--track", "--after", plan), "not a model file"),
+        (("--track", "--tune", taken), "taken.toml"),
+    ):
+        result = rotorfit("fly", plan, "--link", "sim", "-o", tmp_path / "flight.mcap", *words)
+        assert result.exit_code != 0
+        assert said in result.stderr
+        assert not (tmp_path / "flight.mcap").exists()
+    assert taken.read_text() == "what = 'something else'\n"

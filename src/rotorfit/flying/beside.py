@@ -1,7 +1,7 @@
 """A tracker beside a flight of ours, in a process of its own, fed with what the flight loop sends and receives.
 
 The loop writes to a non-blocking socket; samples that the other process cannot take in time are dropped and counted.
-Alarms come back and are recorded as events. Nothing of this reaches the vehicle.
+Alarms and gains come back and are recorded as events. Nothing of this reaches the vehicle.
 """
 
 import json
@@ -13,12 +13,8 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
-
-from rotorfit.core.log import Sample
-from rotorfit.core.tracked import Tracked
-from rotorfit.files.cards import card_from_mapping
 
 RECORD = struct.Struct("<Bqq7d")
 """Stream number, stamp [ns], arrival [ns], and seven values, as many as a pose has."""
@@ -30,9 +26,6 @@ WIDTH = {"pose": 7, "command": 4}
 ROOM = 1 << 20
 """Bytes that may wait for the other process: a minute of samples, while it starts."""
 
-NICE = 10
-"""Niceness of the other process."""
-
 PATIENCE = 30.0
 """How long the other process may take to end before it is killed [s]."""
 
@@ -41,25 +34,27 @@ class Beside:
     """The near end: takes samples without ever waiting.
 
     Args:
-        card: Raw card of the commands that are flown.
+        program: Module that is the far end.
+        asked: What it is told first; as plain types.
 
     Attributes:
         words: The state of each axis, in words; empty before the first look.
         alarm: Axes and cause of the last alarm; empty before any.
+        summary: What the other process said at its end.
         lost: Number of samples that the other process could not take in time.
     """
 
-    def __init__(self, card: Mapping[str, Any]) -> None:
-        self.words, self.alarm, self.lost = "", "", 0
+    def __init__(self, program: str, asked: Mapping[str, Any]) -> None:
+        self.words, self.alarm, self.summary, self.lost = "", "", "", 0
         near, far = socket.socketpair()
-        words = [sys.executable, "-m", "rotorfit.flying.beside"]
+        words = [sys.executable, "-m", program]
         quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             words, stdin=far.fileno(), stdout=subprocess.PIPE, env={**os.environ, **quiet}, start_new_session=True
         )
         far.close()
         self._near, self._rest = near, bytearray()
-        near.sendall(json.dumps(card).encode() + b"\n")
+        near.sendall(json.dumps(asked).encode() + b"\n")
         near.setblocking(False)
         self._news: deque[str] = deque()
         self._thread = threading.Thread(target=self._run, name="rotorfit-beside", daemon=True)
@@ -85,12 +80,12 @@ class Beside:
             return
 
     def news(self) -> Iterator[str]:
-        """The alarms since the last call."""
+        """The alarms and gains since the last call."""
         while self._news:
             yield self._news.popleft()
 
     def close(self) -> None:
-        """Ends the other process after its last look; its last alarms are then in `news`."""
+        """Ends the other process after its last look; its last words are then in `news`."""
         self._near.settimeout(PATIENCE)
         with suppress(OSError):
             self._near.sendall(self._rest)
@@ -107,57 +102,11 @@ class Beside:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             told = json.loads(line)
-            self.words = told["words"]
-            self._news.extend(told["alarms"])
+            self.words, self.summary = told["words"], told["summary"]
+            self._news.extend([*told["alarms"], *told["gains"]])
             self.alarm = title_of(told["alarms"][-1]) if told["alarms"] else self.alarm
-
-
-@contextmanager
-def tracked_beside(card: Mapping[str, Any], wanted: bool) -> Iterator[Beside | None]:
-    """A tracker beside a flight, if `wanted`, else None; it is closed on exit."""
-    if not wanted:
-        yield None
-        return
-    beside = Beside(card)
-    try:
-        yield beside
-    finally:
-        beside.close()
 
 
 def title_of(alarm: str) -> str:
     """An alarm without its reasons, which may have colons of their own: `ALARM z: payload`."""
     return ": ".join(alarm.split(": ")[:2])
-
-
-def words_of(state: Tracked) -> str:
-    """The state of each axis, in a few words."""
-    return ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
-
-
-def main() -> None:
-    """The far end: reads samples from standard input, writes words and alarms to standard output."""
-    from rotorfit.tracking.tracker import Tracker
-
-    os.nice(NICE)
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what a library prints is no answer
-    stream = sys.stdin.buffer
-    tracker = Tracker(card_from_mapping(json.loads(stream.readline()), "of the flight"))
-    last = tracker.state()
-
-    def tell(state: Tracked) -> None:
-        alarms = [f"ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
-        print(json.dumps({"words": words_of(state), "alarms": alarms}), file=answers, flush=True)
-
-    while len(data := stream.read(RECORD.size)) == RECORD.size:
-        number, stamp, received, *values = RECORD.unpack(data)
-        name = STREAMS[number]
-        tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
-        if tracker.state() is not last:
-            last = tracker.state()
-            tell(last)
-
-
-if __name__ == "__main__":
-    main()

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorfit.app.cli.options import (
+    AFTER,
     JSON,
+    TUNE,
     card_option,
     file_at,
     print_json,
@@ -18,6 +20,8 @@ from rotorfit.app.cli.options import (
 from rotorfit.flying.links import LINKS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rotorfit.app.terminal.tables import View
     from rotorfit.flying.beside import Beside
 
@@ -106,27 +110,33 @@ def plan(output: Path | None, picture: Path | None, as_json: bool, **asked: Any)
 @click.option("--take-off", is_flag=True, help="Begin on the floor.")
 @click.option("--seed", type=int, default=0, help="Random seed of a simulated vehicle.")
 @click.option("--track", is_flag=True, help="Track the model meanwhile, in a separate process; alarms are recorded.")
+@AFTER
+@TUNE
 @click.option("--yes", is_flag=True, help="Do not ask before a real vehicle moves.")
 @JSON
 def fly(
     plan_path: str, link: str, poses: str, output: Path, card: str | None, land: bool, take_off: bool, seed: int,
-    track: bool, yes: bool, as_json: bool,
+    track: bool, after: Path | None, gains: str | None, yes: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Fly a plan under guard and record it; Ctrl-C or the space bar ends it in hover."""
+    from rotorfit.app.live.beside import asked_of, tracked_beside
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import ended_early, flown_view, next_command, preflight_view, status_line
     from rotorfit.core.errors import LinkError
-    from rotorfit.flying.beside import tracked_beside
     from rotorfit.flying.mission import flown_mapping, flown_mission, mission
     from rotorfit.flying.preflight import refuse
 
+    if not track and (after or gains is not None):
+        raise click.UsageError("--after and --tune are for --track")
     with mission(plan_path, link, output, card, take_off, seed, poses) as wanted:
+        if track:
+            _check_tracking(wanted.plan.card, after, gains)
         if not as_json:
             _shown_first(preflight_view(wanted.plan, link, wanted.ready, wanted.link.fail_safe))
         refuse(wanted.ready)
         if wanted.link.live and not yes:
             click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
-        with tracked_beside(wanted.plan.card, track) as beside:
+        with tracked_beside(asked_of(wanted.plan.card, after, gains) if track else None) as beside:
             result = flown_mission(wanted, land, lambda: status_line(lambda: _tracked(beside)), beside)
         if beside:
             _show_last(beside)
@@ -142,6 +152,25 @@ def fly(
         return click.echo(f"Nobody reads the output any more. Flown: {result.text}; the log: {output}", err=True)
 
 
+def _check_tracking(card: "Mapping[str, Any]", after: Path | None, gains: str | None) -> None:
+    """Refuses files that the tracker beside the flight could not use, before anything moves.
+
+    Raises:
+        ModelError: The model or the gains cannot be read.
+        CardError: The commands of the model have another meaning.
+        LogError: The path of the gains is taken by something else.
+    """
+    from rotorfit.app.live.regained import regaining_of
+    from rotorfit.files.cards import card_from_mapping
+    from rotorfit.tracking.earlier import check_earlier, earlier_of
+
+    earlier = earlier_of(after) if after else None
+    if earlier:
+        check_earlier(earlier, card_from_mapping(card, "the plan's card"))
+    if gains is not None:
+        regaining_of(gains, lambda _message, _now: None, say_kept, earlier)
+
+
 def _tracked(beside: "Beside | None") -> str:
     """The text of the tracker beside a flight, shown before the status."""
     if beside is None:
@@ -151,11 +180,13 @@ def _tracked(beside: "Beside | None") -> str:
 
 
 def _show_last(beside: "Beside") -> None:
-    """Shows the last alarms of the tracker beside a flight."""
+    """Shows the last alarms and gains of the tracker beside a flight."""
     for text in beside.news():
         click.echo(text, err=True)
     left = f"; {beside.lost} samples came too fast for it" if beside.lost else ""
     click.echo(f"tracked: {beside.words or 'nothing yet'}{left}", err=True)
+    if beside.summary:
+        click.echo(beside.summary, err=True)
 
 
 def _shown_first(view: "View") -> None:

@@ -88,6 +88,37 @@ SPAN = click.option(
 )
 
 
+def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> str | None:
+    """Checks the name of a gains file, so that a log or plan is not taken for one; empty for messages alone."""
+    if name:
+        from rotorfit.exports.gains import check_gains_name
+
+        try:
+            check_gains_name(Path(name))
+        except RotorfitError as error:
+            place = next(str(one.metavar) for one in ctx.command.params if isinstance(one, click.Argument))
+            raise click.BadParameter(f"{error}, or put --tune behind the {place.strip('[]')}", ctx) from None
+    return name
+
+
+AFTER = click.option(
+    "--after",
+    type=file_at(dir_okay=False),
+    metavar="model.json",
+    help="Model of an earlier flight: reported until this flight identifies the vehicle, then compared.",
+)
+
+TUNE = click.option(
+    "--tune",
+    "gains",
+    is_flag=False,
+    flag_value="",
+    callback=gains_name,
+    metavar="[gains.toml]",
+    help="Publish new gains when those in the file no longer suit the vehicle; sends no commands.",
+)
+
+
 def say_kept(kept: Path | None, lost: Sequence[str] = ()) -> None:
     """Says on stderr where a replaced file is kept, and which axes only that one knew."""
     if kept:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorfit.app.cli.options import card_option, file_at, say_kept, structure_of
+from rotorfit.app.cli.options import AFTER, TUNE, card_option, file_at, say_kept, structure_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,20 +22,6 @@ if TYPE_CHECKING:
 
 PORT = click.IntRange(0, 65535)
 PORT.name = "port number"  # the name in error messages
-
-
-def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> str | None:
-    """Checks the name of a gains file, so that a LOG is not taken for one; empty for messages alone."""
-    from rotorfit.core.errors import ModelError
-
-    if name:
-        from rotorfit.exports.gains import check_gains_name
-
-        try:
-            check_gains_name(Path(name))
-        except ModelError as error:
-            raise click.BadParameter(f"{error}, or put --tune behind the LOG", ctx) from None
-    return name
 
 
 @click.command()
@@ -55,21 +41,8 @@ def gains_name(ctx: click.Context, _parameter: click.Parameter, name: str | None
     metavar="S",
     help="How long to wait for a silent vehicle [s].",
 )
-@click.option(
-    "--after",
-    type=file_at(dir_okay=False),
-    metavar="model.json",
-    help="Model of an earlier flight: reported until this flight identifies the vehicle, then compared.",
-)
-@click.option(
-    "--tune",
-    "gains",
-    is_flag=False,
-    flag_value="",
-    callback=gains_name,
-    metavar="[gains.toml]",
-    help="Publish new gains when those in the file no longer suit the vehicle; sends no commands.",
-)
+@AFTER
+@TUNE
 @click.option("--record", type=file_at(), metavar="F.mcap", help="Record the received samples, states and alarms.")
 @click.option(
     "--state", "memory", type=file_at(), metavar="FILE", help="Store the tracker's state in a file, and resume from it."
@@ -197,7 +170,7 @@ def track(
 
 def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining":
     """Publishes new gains, each as a line of JSON or in words."""
-    from rotorfit.app.live.regained import Regaining
+    from rotorfit.app.live.regained import regaining_of
     from rotorfit.app.terminal import show
     from rotorfit.app.terminal.cockpit import line_cleared
     from rotorfit.app.terminal.tracking import gains_view
@@ -209,7 +182,7 @@ def _regaining(path: str, jsonl: bool, earlier: "Earlier | None") -> "Regaining"
             line_cleared()
             show(gains_view(message))
 
-    return Regaining(Path(path) if path else None, show_gains, say_kept, earlier.model if earlier else None)
+    return regaining_of(path, show_gains, say_kept, earlier)
 
 
 def _replayed(

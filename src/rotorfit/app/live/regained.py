@@ -12,11 +12,26 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
 from rotorfit.core.tracked import Tracked
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
+from rotorfit.tracking.earlier import Earlier
 
 OF_THE_VEHICLE = ("payload", "thrust", "limits", "delay", "other")
 """Causes of alarms that mean a change of the vehicle itself."""
 
 Message = Mapping[str, Any]
+
+
+def regaining_of(
+    path: str, told: Callable[[Message, int], None], kept: Callable[[Path | None], None], earlier: Earlier | None
+) -> "Regaining":
+    """Publishes new gains beside a tracker.
+
+    Args:
+        path: Path of the gains file; empty for messages alone.
+        told: As for `Regaining`, likewise `kept`.
+        kept: Called with the path of the backup.
+        earlier: The model of an earlier flight; None if there is none.
+    """
+    return Regaining(Path(path) if path else None, told, kept, earlier.model if earlier else None)
 
 
 class Regaining:

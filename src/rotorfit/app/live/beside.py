@@ -1,0 +1,102 @@
+"""The far end of a tracker beside a flight of ours: states in words, alarms, and new gains if wanted."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rotorfit.core.log import Sample
+from rotorfit.core.tracked import Tracked
+from rotorfit.files.cards import card_from_mapping
+from rotorfit.flying.beside import RECORD, STREAMS, WIDTH, Beside
+
+FAR = "rotorfit.app.live.beside"
+"""This module, as a program."""
+
+NICE = 10
+"""Niceness of the program."""
+
+
+def asked_of(card: Mapping[str, Any], after: Path | None = None, gains: str | None = None) -> dict[str, Any]:
+    """What the program is told first.
+
+    Args:
+        card: Raw card of the commands that are flown.
+        after: Model file of an earlier flight.
+        gains: Path of the gains file, or empty for words alone; None to publish no gains.
+    """
+    return {"card": dict(card), "after": after and str(after), "gains": gains}
+
+
+@contextmanager
+def tracked_beside(asked: Mapping[str, Any] | None) -> Iterator[Beside | None]:
+    """A tracker beside a flight that does what is `asked`, if anything, else None; it is closed on exit."""
+    if asked is None:
+        yield None
+        return
+    beside = Beside(FAR, asked)
+    try:
+        yield beside
+    finally:
+        beside.close()
+
+
+def words_of(state: Tracked) -> str:
+    """The state of each axis, in a few words."""
+    return ", ".join(f"{name} {axis.state.partition(' (')[0]}" for name, axis in state.axes.items())
+
+
+def gains_of(message: Mapping[str, Any]) -> list[str]:
+    """New gains, in words for each axis."""
+    return [
+        f"GAINS {axis}: bandwidth {one['bandwidth']:.3g} rad/s: {message['why'][axis]}"
+        for axis, one in message["axes"].items()
+    ]
+
+
+def main() -> None:
+    """Reads samples from standard input, writes words, alarms and gains to standard output."""
+    from rotorfit.tracking.earlier import earlier_of
+    from rotorfit.tracking.tracker import Tracker
+
+    os.nice(NICE)
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a library prints is no answer
+    stream = sys.stdin.buffer
+    asked = json.loads(stream.readline())
+    earlier = earlier_of(asked["after"]) if asked["after"] else None
+    tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier)
+    last, gains = tracker.state(), list[str]()
+    regaining = None
+    if asked["gains"] is not None:
+        from rotorfit.app.live.regained import regaining_of
+
+        regaining = regaining_of(
+            asked["gains"],
+            lambda message, _now: gains.extend(gains_of(message)),
+            lambda kept: gains.extend([f"the earlier gains are kept as {kept}"] if kept else []),
+            earlier,
+        )
+
+    def tell(state: Tracked) -> None:
+        alarms = [f"ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
+        told = {"words": words_of(state), "alarms": alarms, "gains": list(gains)}
+        gains.clear()
+        print(json.dumps({**told, "summary": regaining.summary if regaining else ""}), file=answers, flush=True)
+
+    while len(data := stream.read(RECORD.size)) == RECORD.size:
+        number, stamp, received, *values = RECORD.unpack(data)
+        name = STREAMS[number]
+        tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
+        if tracker.state() is not last:
+            last = tracker.state()
+            if regaining:
+                regaining.state(last, received)
+            tell(last)
+
+
+if __name__ == "__main__":
+    main()
