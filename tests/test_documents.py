@@ -227,12 +227,6 @@ def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round()
     assert sorted(described) == sorted(told)
 
 
-def test_every_finding_has_a_row_that_says_where_it_was_seen() -> None:
-    described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
-    seen = re.findall(r"^\| `(\w+)` \|", section(FINDINGS, "Where each finding was seen"), re.MULTILINE)
-    assert sorted(seen) == sorted(described)
-
-
 CLOSED = {"commands_outside_window", "commands_on_ground", "idle_commands"}
 """Notes of what `kept` leaves out of the commands."""
 
