@@ -6,6 +6,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import click
@@ -65,14 +66,17 @@ def commands(text: str) -> list[list[str]]:
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
+@cache
+def calls_in(module: Path) -> list[ast.Call]:
+    """All calls of a module."""
+    nodes = ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+    return [node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+
+
 def codes_in(path: str, name: str) -> set[str]:
     """First arguments, written out, of all calls of a name in the modules of a folder, or in one of them."""
     place = ROOT / "src" / "rotorfit" / path
-    trees = [
-        ast.parse(each.read_text(encoding="utf-8")) for each in (place.rglob("*.py") if place.is_dir() else [place])
-    ]
-    nodes = (node for tree in trees for node in ast.walk(tree))
-    calls = (node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name))
+    calls = (call for module in (place.rglob("*.py") if place.is_dir() else [place]) for call in calls_in(module))
     firsts = (call.args[0] for call in calls if call.func.id == name and call.args)  # type: ignore[attr-defined]
     return {first.value for first in firsts if isinstance(first, ast.Constant) and isinstance(first.value, str)}
 
@@ -117,7 +121,7 @@ def page_of(name: str) -> str:
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
     """A folder with a user's two logs after the shell blocks of the README were run in it, and what they printed."""
     folder = tmp_path_factory.mktemp("user")
-    for name, duration, seed in (("flight1.csv", 25.0, 11), ("flight2.csv", 15.0, 12)):
+    for name, duration, seed in (("flight1.csv", 25.0, 11), ("flight2.csv", 10.0, 12)):
         write_csv(simulate_flight(Truth(), two_sines, duration, seed, controller=Controller(0.3, 0.5)), folder / name)
     printed = {}
     with pytest.MonkeyPatch.context() as patch:

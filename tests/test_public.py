@@ -175,7 +175,7 @@ LAW = "first_order_delay"
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
     logs = []
-    for name, duration, seed in (("train", 25.0, 3), ("proof", 12.0, 4)):
+    for name, duration, seed in (("train", 20.0, 3), ("proof", 8.0, 4)):
         folder = tmp_path_factory.mktemp(name)
         log, _, card = Csv(simulate_flight(Truth(), steps(), duration, seed)).write(folder)
         logs.append(log)
@@ -411,7 +411,7 @@ def test_a_track_is_that_of_the_command_line_from_a_path_a_log_or_a_flight(room:
 
     assert said[:-1] == [json.loads(json.dumps(state.to_mapping())) for state in track.states]
     assert rf.track(rf.read(room.proof), room.card, structure=LAW).states == again.states == track.states
-    assert told[-1] == (1.0, "tracked to 12 s")
+    assert told[-1] == (1.0, "tracked to 8 s")
     assert [share for share, _ in told] == sorted(share for share, _ in told)
 
 
@@ -427,7 +427,7 @@ def test_a_track_shows_itself_as_table_figure_and_text(track: rf.Track) -> None:
     assert end["state"][0] == last.state
     assert (end["wind_low"][0], end["wind_high"][0]) == last.wind_ci95
     assert frame["lag"].null_count() == frame.height
-    assert repr(track) == "Track(12.0 s, 1 regime, 0 alarms)"
+    assert repr(track) == "Track(8.0 s, 1 regime, 0 alarms)"
     assert "<table>" in track._repr_html_()
     panels = track.plot()
     assert [axes.get_title(loc="left") for axes in panels[:2]] == ["x: input", "y: input"]

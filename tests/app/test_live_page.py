@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 from test_studio_browser import CHROMIUM, FLAGS
 
 from rotorfit.app.live.page_server import LivePage
@@ -14,18 +14,24 @@ from rotorfit.core.tracked import QUANTITIES, Tracked, TrackedAxis
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the live page is not tested in a browser")
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
 @pytest.fixture
-def live() -> Iterator[tuple[LivePage, Page]]:
+def live(browser: Browser) -> Iterator[tuple[LivePage, Page]]:
     """A page of a vehicle called sim,wind=1, and a browser that has opened it."""
     said: list[str] = []
     server = LivePage(0, "sim,wind=1", said.append)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 860})
-        page.goto(said[0].split()[-1])
-        yield server, page
-        server.close()
-        browser.close()
+    page = browser.new_page(viewport={"width": 1280, "height": 860})
+    page.goto(said[0].split()[-1])
+    yield server, page
+    server.close()
+    page.close()
 
 
 def told(second: int, width: float) -> Tracked:

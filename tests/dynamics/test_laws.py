@@ -249,5 +249,5 @@ def test_a_flight_that_does_not_move_an_axis_says_nothing_about_it() -> None:
 def test_the_same_flights_give_the_same_model_to_the_last_digit() -> None:
     flight, _ = noisy()
 
-    one, other = (to_mapping(fitted(flight, axes=("x", "z"), structure="averaged")) for _ in range(2))
+    one, other = (to_mapping(fitted(flight, axes=("z",), structure="averaged")) for _ in range(2))
     assert one == other

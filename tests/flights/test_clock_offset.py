@@ -26,7 +26,7 @@ from twin_logs import Sensor, Skew, as_one, card_of, in_two_files
 
 pytestmark = pytest.mark.flights
 
-LENGTH = 60.0
+LENGTH = 40.0
 CUT = card_from_mapping(
     {
         "command": {"time": "v:t", "x": "v:vf_ref", "y": "v:vl_ref", "z": "v:ve_ref", "yaw": "v:w_ref"},
@@ -252,7 +252,9 @@ def test_the_finding_says_what_was_moved_and_by_what() -> None:
 # Only the answer to the commands tells
 
 
-@pytest.mark.parametrize(("excitation", "offset"), [(two_sines, -0.4), (steps(seed=4), 250.0)])
+@pytest.mark.parametrize(
+    ("excitation", "offset"), [pytest.param(two_sines, -0.4, marks=pytest.mark.slow), (steps(seed=4), 250.0)]
+)
 def test_without_a_second_source_the_delay_is_not_identifiable(excitation: object, offset: float) -> None:
     flight = simulate_flight(Truth(), excitation, LENGTH, 3)  # type: ignore[arg-type]
     log = as_one(flight, Skew(offset))

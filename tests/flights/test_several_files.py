@@ -35,7 +35,7 @@ LAW = "first_order_delay"
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], str]:
     """A flight in three CSV files, and its card."""
     folder = tmp_path_factory.mktemp("files")
-    flight = simulate_flight(Truth(), steps(seed=1), 20.0, 1)
+    flight = simulate_flight(Truth(), steps(seed=1), 15.0, 1)
     paths = written(folder, in_two_files(flight, Skew(0.25)))
     card = folder / "card.toml"
     card.write_text(
@@ -178,7 +178,6 @@ def test_fit_and_report_show_a_flight_whose_clocks_hold_the_delay(files: tuple[l
     model, page = str(tmp_path / "model.json"), str(tmp_path / "report.html")
     for words in (
         ["fit", commands, mocap, "--card", card, "--axes", "yaw", "--structure", LAW, "-o", model],
-        ["validate", model, commands, mocap],
         ["report", model, f"{commands}+{mocap}", "-o", page],
     ):
         result = CliRunner().invoke(main, words)

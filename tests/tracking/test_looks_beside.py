@@ -12,7 +12,7 @@ from tracked_flights import LAW
 
 pytestmark = pytest.mark.flights
 
-LAST = 11.0
+LAST = 9.0
 """So much of the flight is given to trackers here [s]."""
 
 
