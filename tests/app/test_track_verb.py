@@ -128,7 +128,7 @@ def test_after_an_earlier_flight_its_numbers_come_first_and_gains_when_they_have
 ) -> None:
     before, gains = tmp_path / "before.json", tmp_path / "gains.toml"
     lines(*log, "--structure", LAW, "-o", str(before))
-    slow = Csv(simulate_flight(Truth(delay=(0.25,) * 4), steps(("x", "y", "z")), 22.0, seed=8)).write(tmp_path)
+    slow = Csv(simulate_flight(Truth(delay=(0.25,) * 4), steps(("x",)), 16.0, seed=8)).write(tmp_path)
     told = lines(*slow, "--structure", LAW, "--after", str(before), "--tune", str(gains))
 
     first = told[0]["axes"]["x"]
@@ -178,7 +178,7 @@ def test_a_mistake_is_one_line_and_nothing_is_tracked(words: list[str], said: st
 
 def test_ctrl_c_ends_a_log_with_all_that_was_seen_written(log: tuple[str, ...], tmp_path: Path) -> None:
     model, page = tmp_path / "model.json", tmp_path / "track.html"
-    words = ["track", *log, "--structure", LAW, "--pace", "1", "-o", str(model), "--report", str(page)]
+    words = ["track", *log, "--structure", LAW, "--pace", "3", "-o", str(model), "--report", str(page)]
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-um", "rotorfit", *words], stdout=pipe, stderr=pipe, text=True) as process:
         assert process.stdout is not None
@@ -204,9 +204,9 @@ def test_a_card_that_is_not_the_recordings_own_is_told(tmp_path: Path) -> None:
 
     for source in ([str(record)], ["--link", f"replay:{record}", "--pace", "1000"]):
         told = CliRunner().invoke(main, ["track", *source, "--card", str(card), "--structure", LAW])
-        silent = CliRunner().invoke(main, ["track", *source, "--structure", LAW])
 
         assert told.exit_code == 0, told.output
         assert "read with the card Another" in told.stderr
         assert "not with the one that the log carries" in told.stderr
-        assert "the one that the log carries" not in silent.stderr
+    silent = CliRunner().invoke(main, ["track", str(record), "--structure", LAW])
+    assert "the one that the log carries" not in silent.stderr

@@ -83,7 +83,7 @@ def test_the_flights_of_the_paper_raise_no_finding_before_the_fit_and_none_of_se
     before = [found for log, f in zip(logs, flights, strict=True) for found in findings_of_flight(log, f)]
 
     assert {finding.code for finding in before} == {"stale_poses"}
-    fitted = fit(flights)
+    fitted = fit(flights, structure="first_order_delay")
     assert [f for f in findings_of_fit(fitted, before) if f.severity == "error"] == []
 
 
@@ -207,12 +207,12 @@ def test_saturated_commands(tmp_path: Path) -> None:
 
 
 def test_slow_commands_before_the_fit_and_with_it(tmp_path: Path) -> None:
-    words = Csv(flown(slow, 60.0)).write(tmp_path)
+    words = Csv(flown(slow, 40.0)).write(tmp_path)
 
     before = said("info", *words)["slow_commands", "x"]
     assert before["severity"] == "warning"
     assert numbers(before["evidence"])[0] < 5
-    log = Csv(flown(partial(slow, axis=2), 60.0))
+    log = Csv(flown(partial(slow, axis=2), 40.0))
     with_fit = said("fit", *log.write(tmp_path), "--axes", "z", *LAW)["slow_commands", "z"]
     assert "of z is not identifiable" in with_fit["effect"]
     assert numbers(with_fit["evidence"])[0] < 5
@@ -329,13 +329,13 @@ def test_wind_dominates(tmp_path: Path) -> None:
 
 def test_velocity_follows_command(tmp_path: Path) -> None:
     truth = replace(TRUTH, gamma=(*GAMMA_B[:4], 20.0, 20.0, *GAMMA_B[6:]))
-    found = said("info", *Csv(flown(partial(two_sines, axes=("z",), amplitude=3.0), 60.0, truth)).write(tmp_path))
+    found = said("info", *Csv(flown(partial(two_sines, axes=("z",), amplitude=3.0), 40.0, truth)).write(tmp_path))
 
     assert numbers(found["velocity_follows_command", "z"]["evidence"])[:2] == pytest.approx([200, 1.0], abs=41)
 
 
 def test_latched_command(tmp_path: Path) -> None:
-    log = Csv(flown(steps(("x", "y"), seed=2), 60.0))
+    log = Csv(flown(steps(("x", "y"), seed=2), 40.0))
     log.command[log.command_time > 40] = [0.2, 0.1, 0.0, 0.0]
 
     found = said("info", *log.write(tmp_path))["latched_command", None]
@@ -443,7 +443,7 @@ def test_command_frame(tmp_path: Path) -> None:
 
 
 def test_commands_of_the_heading_that_the_card_takes_for_the_worlds(tmp_path: Path) -> None:
-    log = Csv(flown(TURNING, 60.0))
+    log = Csv(flown(TURNING, 40.0))
 
     card = CARD.replace("[command]", '[command]\nframe = "world"')
     told = said("info", *log.write(tmp_path, card))["command_frame", None]
@@ -451,7 +451,7 @@ def test_commands_of_the_heading_that_the_card_takes_for_the_worlds(tmp_path: Pa
 
 
 def test_mirrored_pose(tmp_path: Path) -> None:
-    log = Csv(flown(TURNING, 60.0))
+    log = Csv(flown(TURNING, 40.0))
     log.pose[:, 3] *= -1
 
     told = said("info", *log.write(tmp_path))["mirrored_pose", None]
@@ -464,10 +464,10 @@ def test_mirrored_pose(tmp_path: Path) -> None:
 
 def test_axes_turned(tmp_path: Path) -> None:
     """A pose in NED that is read as ENU, and then commands that are forward, right, down, clockwise."""
-    log = Csv(flown(TURNING, 60.0))
+    log = Csv(flown(TURNING, 40.0))
     log.pose[:, 2] += 5 - np.min(log.pose[:, 2])
     over = np.array([1, -1, -1, -1])
-    as_ned = Csv(flown(TURNING, 60.0))
+    as_ned = Csv(flown(TURNING, 40.0))
     as_ned.pose = log.pose[:, [1, 0, 2, 3]] * [1, 1, -1, -1] + [0, 0, 0, np.pi / 2]
 
     told = said("info", *as_ned.write(tmp_path))["axes_turned", None]
@@ -496,7 +496,7 @@ def test_degrees_of_a_slow_turn_are_told_by_where_the_commands_lead(tmp_path: Pa
     def turning(t: Array) -> Array:
         return steps(("x", "y"), seed=4)(t) + np.array([0, 0, 0, 0.04])
 
-    log = Csv(flown(turning, 60.0))
+    log = Csv(flown(turning, 40.0))
     log.pose[:, 3] = np.degrees(log.pose[:, 3])
 
     told = said("info", *log.write(tmp_path))["unit_mistake", None]
@@ -508,7 +508,7 @@ def test_degrees_of_a_slow_turn_are_told_by_where_the_commands_lead(tmp_path: Pa
 
 def test_degrees_of_a_heading_that_is_only_held_are_told_by_where_the_commands_lead(tmp_path: Path) -> None:
     """Read as radians it wanders by ten degrees: the gains of x and y come out 5 % too small."""
-    log = Csv(flown(steps(("x", "y"), seed=4), 60.0, TRUTH, Controller()))
+    log = Csv(flown(steps(("x", "y"), seed=4), 40.0, TRUTH, Controller()))
     log.pose[:, 3] = np.degrees(log.pose[:, 3])
 
     assert 0.05 < np.std(log.pose[:, 3]) < 0.35
@@ -516,7 +516,7 @@ def test_degrees_of_a_heading_that_is_only_held_are_told_by_where_the_commands_l
 
 
 def test_radians_that_the_card_takes_for_degrees(tmp_path: Path) -> None:
-    words = Csv(flown(TURNING, 60.0)).write(
+    words = Csv(flown(TURNING, 40.0)).write(
         tmp_path, CARD.replace('yaw = "yaw"', 'yaw = { from = "yaw", unit = "deg" }')
     )
 
@@ -548,7 +548,7 @@ def test_sign_flipped_says_what_to_write_given_what_the_card_says(tmp_path: Path
 
 def test_feedback(tmp_path: Path) -> None:
     truth = replace(TRUTH, wind_sigma=(0.02, 0.02, 0.2, 0.008))
-    log = Csv(flown(steps(("z",), 0.1, seed=2), 60.0, truth, Controller(2.0, 2.0)))
+    log = Csv(flown(steps(("z",), 0.1, seed=2), 40.0, truth, Controller(2.0, 2.0)))
 
     found = said("fit", *log.write(tmp_path), "--axes", "z")["feedback", "z"]
     assert found["severity"] == "info"
