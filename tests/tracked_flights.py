@@ -28,10 +28,15 @@ QUIET_FROM = 14.0
 
 
 @functools.cache
-def known() -> tuple[Flight, Track]:
+def known_flight() -> Flight:
     """A vehicle that stays as it is."""
-    flight = flown(TRUTH, steps(seed=5), LENGTH, seed=5)
-    return flight, tracked(flight, LAW)
+    return flown(TRUTH, steps(seed=5), LENGTH, seed=5)
+
+
+@functools.cache
+def known() -> tuple[Flight, Track]:
+    """The same flight with its track."""
+    return known_flight(), tracked(known_flight(), LAW)
 
 
 @functools.cache

@@ -335,7 +335,7 @@ def test_velocity_follows_command(tmp_path: Path) -> None:
 
 
 def test_latched_command(tmp_path: Path) -> None:
-    log = Csv(flown(steps(("x", "y"), seed=2), 40.0))
+    log = Csv(flown(steps(("x", "y"), seed=2), 60.0))
     log.command[log.command_time > 40] = [0.2, 0.1, 0.0, 0.0]
 
     found = said("info", *log.write(tmp_path))["latched_command", None]

@@ -12,7 +12,7 @@ from rotorfit.files.cards import card_from_mapping
 from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -70,7 +70,7 @@ def tilted(flight: Flight) -> Flight:
 
 def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
     """On a flight that is known: at ten moments, against the path itself."""
-    flight, _ = known()
+    flight = known_flight()
     estimates = refitted(flight, ("z",), LAW, 30.0).estimates
     now_off, ahead_off = [], []
     for now in np.arange(8.0, 28.0, 2.0):

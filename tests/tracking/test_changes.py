@@ -8,7 +8,7 @@ import pytest
 from rotorfit.tracking.changes import looked_for, looks, since_when
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.scores import Scores, scores_of
-from tracked_flights import LAW, alarms, known, of_a_pilot
+from tracked_flights import LAW, alarms, known_flight, of_a_pilot
 
 pytestmark = pytest.mark.flights
 
@@ -18,7 +18,7 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def scores() -> Scores:
     """Those of z, 30 s."""
-    followed = refitted(known()[0], ("z",), LAW, 30.0)
+    followed = refitted(known_flight(), ("z",), LAW, 30.0)
     return scores_of([(list(followed.estimates.items()), {})])[0]
 
 

@@ -17,7 +17,7 @@ from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared,
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked, until
 from rotorfit.tracking.tracker import Tracker
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -79,7 +79,7 @@ def test_what_the_flight_tells_takes_its_place() -> None:
 
 
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
-    flight = until(known()[0], 16.0)
+    flight = until(known_flight(), 16.0)
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))
 
     assert same.alarms == ()
@@ -127,7 +127,7 @@ def test_after_a_change_nothing_of_the_earlier_model_is_said() -> None:
     following = Following(LAW, 0.1, Earlier(own(), NAME))
     regimes = {"since": dict.fromkeys(VEHICLE, 6.0), "changed": {"x": 6.0}, "bounds": [(0.0, None)]}
     following.recall({**regimes, "next_look": 7.0})
-    part, now = next(growing(known()[0], 7.0))
+    part, now = next(growing(known_flight(), 7.0))
     state = following.look(part, now)
 
     assert state.axes["x"].values["input"] is None

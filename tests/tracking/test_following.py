@@ -9,18 +9,18 @@ from rotorfit.core.model import Interval
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.refits import GroupEstimate, axis_report, read_backwards, refitted, renewed, stepped
 from rotorfit.tracking.replayed import growing, until
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
 
 
 @pytest.fixture(scope="module")
 def early() -> GroupEstimate:
-    return refitted(until(known()[0], 18.0), ("z",), LAW, 18.0)
+    return refitted(until(known_flight(), 18.0), ("z",), LAW, 18.0)
 
 
 def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: GroupEstimate) -> None:
-    flight = known()[0]
+    flight = known_flight()
     whole = axis_report(refitted(flight, ("z",), LAW, 30.0), "z")
     moved = early
     for now in (21.0, 24.0, 27.0, 30.5, 30.5):
@@ -41,7 +41,7 @@ def test_steps_on_newer_data_come_to_the_batch_fit_of_them(early: GroupEstimate)
 
 def test_a_segment_that_begins_is_seen_though_no_step_is_taken(early: GroupEstimate) -> None:
     """Else the information would be of another number of start velocities than there are."""
-    flight = replace(until(known()[0], 20.0), segments=(Segment(0.0, 18.0), Segment(18.5, 20.0)))
+    flight = replace(until(known_flight(), 20.0), segments=(Segment(0.0, 18.0), Segment(18.5, 20.0)))
     held = stepped(replace(early, stepped=31.0), flight, 31.1)
     optimum = held.estimates["z"].optimum
 
@@ -81,7 +81,7 @@ def test_an_answer_before_its_command_is_feedback_unless_the_input_is_told(
 
 
 def test_a_gap_while_nothing_steps_leaves_the_estimate_told() -> None:
-    flight, _ = known()
+    flight = known_flight()
     followed = refitted(until(flight, 12.0), ("z",), LAW, 12.0)
     whole = until(flight, 20.0)
     apart = replace(whole, segments=(Segment(whole.segments[0].start, 12.0), Segment(12.5, 20.0)))
@@ -98,7 +98,7 @@ def test_an_estimate_that_has_seen_all_that_it_looks_back_over_still_moves(monke
     monkeypatch.setattr("rotorfit.tracking.following.LONGEST", 8.0)
     monkeypatch.setattr("rotorfit.tracking.refits.LONGEST", 8.0)
     following, told = Following(LAW), []
-    for part, now in growing(until(known()[0], 20.0), following.next_look):
+    for part, now in growing(until(known_flight(), 20.0), following.next_look):
         told.append((now, following.look(part, now).axes["z"].values["input"]))
 
     late = [value for now, value in told if now > 13.0]

@@ -15,7 +15,7 @@ from rotorfit.tracking.motion_stream import MotionStream
 from rotorfit.tracking.refits import GroupEstimate, refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.tracker import Tracker
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -24,7 +24,7 @@ NO_DOUBT = dict.fromkeys(AXES, 0.0)
 
 @pytest.fixture(scope="module")
 def followed() -> dict[str, GroupEstimate]:
-    early = until(known()[0], 18.0)
+    early = until(known_flight(), 18.0)
     return {axis: refitted(early, group, LAW, 18.0) for group in (("x", "y"), ("z",), ("yaw",)) for axis in group}
 
 
@@ -51,7 +51,7 @@ def streamed(flight: Flight, followed: dict[str, GroupEstimate], begin: float, f
 
 @pytest.mark.parametrize("forget", [np.inf, 3.0])
 def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, GroupEstimate], forget: float) -> None:
-    flight = known()[0]
+    flight = known_flight()
     batch = courses(flight, {axis: one.estimates[axis] for axis, one in followed.items()}, {})[0]
     stream = streamed(flight, followed, 8.0, forget).motion()
 
@@ -69,13 +69,13 @@ def test_streaming_is_the_batch_over_the_whole_flight(followed: dict[str, GroupE
 
 def test_a_tracker_tells_the_motion_at_every_pose_and_none_after_a_jump_until_it_has_looked() -> None:
     tracker, times, velocity = Tracker(CARD, LAW, origin=0), [], []
-    samples = samples_of(known()[0])
+    samples = samples_of(known_flight())
     for sample in samples:
         tracker.update(sample)
         if sample.stream == "pose" and (motion := tracker.motion()) and "z" in motion.axes:
             times.append(motion.time)
             velocity.append(motion.axes["z"].velocity)
-    flight = known()[0]
+    flight = known_flight()
     measured = np.gradient(np.interp(np.array(times), flight.pose_time, flight.position[:, 2]), times)
     poses = [one for one in samples if one.stream == "pose" and one.stamp >= times[0] * 1e9 - 1]
 

@@ -8,7 +8,7 @@ import pytest
 from rotorfit.tracking.refits import refitted, renewed
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.scores import BRAKES, Scores, let_go, scores_of
-from tracked_flights import LAW, changing, known
+from tracked_flights import LAW, changing, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -42,7 +42,7 @@ def test_a_payload_or_a_weak_propeller_is_no_gust(cause: str) -> None:
 
 
 def test_nothing_is_asked_of_the_height_while_a_vehicle_brakes() -> None:
-    flight = known()[0]
+    flight = known_flight()
     one = list(refitted(flight, ("z",), LAW, 30.0).estimates.items())
     (before,), (after,) = scores_of([(one, {})]), scores_of([(one, {})], np.array([12.0]))
     braking = (after.time >= 12.0) & (after.time < 12.0 + BRAKES)
@@ -55,7 +55,7 @@ def test_sticks_are_let_go_where_both_become_zero() -> None:
     command = np.array(
         [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 0, 0], [1, 1, 0, 0], [0, 0, 0, 0]]
     )
-    flight = known()[0]
+    flight = known_flight()
     part = replace(flight, command_time=np.arange(7.0), command=command.astype(float))
 
     assert let_go(part).tolist() == [3.0, 6.0]

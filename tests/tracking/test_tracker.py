@@ -8,7 +8,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
 from rotorfit.tracking.tracker import Tracker
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known, known_flight
 
 pytestmark = pytest.mark.flights
 
@@ -22,7 +22,7 @@ def state_of(samples: list[Sample]) -> Tracked:
 
 @pytest.fixture(scope="module")
 def live() -> Tracked:
-    return state_of(samples_of(known()[0]))
+    return state_of(samples_of(known_flight()))
 
 
 def test_a_live_stream_tells_what_the_log_tells(live: Tracked) -> None:
@@ -40,7 +40,7 @@ def test_a_live_stream_tells_what_the_log_tells(live: Tracked) -> None:
 
 
 def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
-    samples, out = samples_of(known()[0]), []
+    samples, out = samples_of(known_flight()), []
     for k, sample in enumerate(samples):
         out.append(sample)
         if k % 7 == 0:
@@ -58,7 +58,7 @@ def test_doubled_late_and_broken_samples_change_nothing(live: Tracked) -> None:
 
 
 def test_nothing_is_told_before_5_s() -> None:
-    few = state_of([one for one in samples_of(known()[0]) if one.stamp < 4.9e9])
+    few = state_of([one for one in samples_of(known_flight()) if one.stamp < 4.9e9])
 
     assert {axis.knowledge for axis in few.axes.values()} == {"learning"}
     assert {value for axis in few.axes.values() for value in axis.values.values()} == {None}

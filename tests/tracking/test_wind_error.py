@@ -11,7 +11,7 @@ from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
 from rotorfit.tracking.wind_error import coefficient_error, tells_wind
-from tracked_flights import LAW, known
+from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
 KNOWN = {"input": (2.0, 3.0), "damping": (1.0, 2.0), "delay": (0.1, 0.2)}
@@ -19,12 +19,12 @@ KNOWN = {"input": (2.0, 3.0), "damping": (1.0, 2.0), "delay": (0.1, 0.2)}
 
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
-    return refitted(known()[0], ("z",), LAW, 30.0).estimates["z"]
+    return refitted(known_flight(), ("z",), LAW, 30.0).estimates["z"]
 
 
 def anew(now: float, estimate: Estimate) -> float:
     """Standard error of the wind by moving the coefficients and the trim by a share of one standard error each way."""
-    part, optimum, share = until(known()[0], now), estimate.optimum, 0.1
+    part, optimum, share = until(known_flight(), now), estimate.optimum, 0.1
     C = inverted(optimum.score.information, optimum.free)[: optimum.point.n, : optimum.point.n]
     root = np.linalg.cholesky(C + 1e-14 * np.eye(len(C)))
     winds = []
@@ -38,7 +38,7 @@ def anew(now: float, estimate: Estimate) -> float:
 
 def test_the_formula_is_what_filtering_anew_gives(estimate: Estimate) -> None:
     moments = np.arange(12.0, 30.0, 1.5)
-    by_formula = [coefficient_error(until(known()[0], now), "z", estimate, {}, {}) for now in moments]
+    by_formula = [coefficient_error(until(known_flight(), now), "z", estimate, {}, {}) for now in moments]
     by_filter = [anew(now, estimate) for now in moments]
 
     ratio = np.sqrt(np.mean(np.square(by_formula)) / np.mean(np.square(by_filter)))
@@ -47,7 +47,7 @@ def test_the_formula_is_what_filtering_anew_gives(estimate: Estimate) -> None:
 
 
 def test_it_is_wider_where_the_vehicle_is_known_less_well_than_this_flight_says(estimate: Estimate) -> None:
-    flight = known()[0]
+    flight = known_flight()
     own = dict.fromkeys(KNOWN, (1.0, 1.1))
     twice = dict.fromkeys(KNOWN, (1.0, 1.2))
 
