@@ -330,7 +330,6 @@ def test_without_the_key_the_browser_is_told_where_it_is(context: BrowserContext
     expect(page.locator("body")).to_contain_text("open the address that `rotorfit studio` printed")
 
 
-@pytest.mark.slow
 def test_a_vehicle_is_followed_on_the_page_and_becomes_a_log(context: BrowserContext, address: str) -> None:
     page = opened(context, address)
     step(page, "Live")
