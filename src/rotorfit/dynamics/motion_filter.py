@@ -1,7 +1,8 @@
 """The motion of two axes from pose to pose: the driven motion of the law, plus the disturbance.
 
 It does sample by sample what the likelihood's filter does with a whole flight: same response, transitions and update.
-Two axes are processed together: x and y through the heading, or z and yaw in parallel under a heading of zero.
+Two axes are processed together: x and y through the heading, or z and yaw in parallel under a heading of zero. The
+disturbance of x and y has its levels along the axes of the heading frame, so its state rotates with the heading.
 Source: paper, eqs. (4) and (5), for the driven motion; R. E. Kalman, J. Basic Eng. 82 (1960), pp. 35-45.
 """
 
@@ -14,9 +15,9 @@ from rotorfit.core.frames import Array, Indices, Mask
 from rotorfit.core.laws import DAMPING, TRIM
 from rotorfit.dynamics.compiled import inner, kernel
 from rotorfit.dynamics.disturbance import STEP_GRAIN, axis_start, discretize, stationary
-from rotorfit.dynamics.disturbance_state import step_state, take_position
 from rotorfit.dynamics.general_response import advance, command_in_force, demands, longest_step, settle
-from rotorfit.dynamics.general_step import COLUMNS, MEAN, STATE, P, T, V, lag_series
+from rotorfit.dynamics.general_step import COLUMNS, MEAN, STATE, T, V, lag_series
+from rotorfit.dynamics.general_step import P as POSITION
 
 SAMPLES = 30.0
 """Rate of the poses that the filter keeps [Hz]: that of the likelihood's blocks. A pose between two of them is
@@ -44,8 +45,9 @@ class MotionFilter:
         z: Driven state, shape (2, STATE).
         k: Index of the command in force on each axis, shape (2, 2).
         u: Value of that command, shape (2, 2).
-        mean: Mean of n, s and s' of each axis, shape (2, 2, 3).
-        covariance: Their covariance, shape (2, 2, 3, 3).
+        mean: Mean of n, s and s' of the first axis, then of the second, in the heading frame where x and y are both
+            filtered, shape (2, 6).
+        covariance: Their covariance, shape (2, 6, 6).
         clock: Time, heading, and whether a pose has been processed, shape (2, 3).
         grid: Time of the first pose, and number of the next pose to keep, shape (2,).
     """
@@ -79,7 +81,7 @@ class MotionFilter:
             command: Shape (M, 4).
 
         Returns:
-            For each pose and axis n, s, s', and driven position and velocity, shape (N, 2, 5).
+            For each pose and axis of the world n, s, s', and driven position and velocity, shape (N, 2, 5).
         """
         return _follow(
             time, position, yaw, command_time, command, self.law, self.series, self.levels, self.known, self.turns,
@@ -122,7 +124,7 @@ def motion_filter(
         turns: See `MotionFilter`.
     """
     z, k, u, heading = np.zeros((2, STATE)), np.zeros((2, 2), np.int64), np.zeros((2, 2)), yaw if turns else 0.0
-    mean, covariance = np.zeros((2, 2, 3)), np.zeros((2, 2, 3, 3))
+    mean, covariance = np.zeros((2, 6)), np.zeros((2, 6, 6))
     _begin(begin, position, velocity, heading, command_time, command, law, levels, turns, z, k, u, covariance)
     clock, grid = np.tile([begin, heading, 0.0], (2, 1)), np.zeros(2)
     return MotionFilter(law, lag_series(law), levels, known, turns, z, k, u, mean, covariance, clock, grid)
@@ -138,8 +140,8 @@ def _begin(
     what, whose = np.full(1, MEAN), np.zeros(1, np.int64)
     for a in range(2):
         at = COLUMNS * a
-        z[:, P + at], z[:, V + at], z[:, T + at] = position[a], velocity[a], law[a, TRIM]
-        axis_start(covariance[0, a], levels[a])
+        z[:, POSITION + at], z[:, V + at], z[:, T + at] = position[a], velocity[a], law[a, TRIM]
+        axis_start(covariance[0, 3 * a : 3 * a + 3, 3 * a : 3 * a + 3], levels[a])
     command_in_force(begin, 0, command_time.size, command_time, own, law, k[0], u[0])
     demands(law, what, whose, u[0], z[0])
     settle(law, z[0], 1, yaw)
@@ -159,6 +161,54 @@ def _moved(
     )  # fmt: skip
 
 
+@inner()
+def _turn(m: Array, P: Array, angle: float) -> None:
+    """Rotates the frame of mean (6,) and covariance (6, 6) by an angle, in place."""
+    c, s = np.cos(angle), np.sin(angle)
+    for j in range(3):
+        m[j], m[3 + j] = c * m[j] + s * m[3 + j], c * m[3 + j] - s * m[j]
+        for k in range(6):
+            P[j, k], P[3 + j, k] = c * P[j, k] + s * P[3 + j, k], c * P[3 + j, k] - s * P[j, k]
+    for j in range(3):
+        for k in range(6):
+            P[k, j], P[k, 3 + j] = c * P[k, j] + s * P[k, 3 + j], c * P[k, 3 + j] - s * P[k, j]
+
+
+@inner()
+def _stepped(m: Array, P: Array, dt: float, levels: Array, F: Array, D: Array, M: Array) -> None:
+    """Propagates mean (6,) and covariance (6, 6) by a step of both axes, in place; the rest is room to work."""
+    for a in range(2):
+        discretize(levels[a, 2], 0.25 * levels[a, 3] * levels[a, 2] * levels[a, 2], dt, F[a], D[a])
+    for a in range(2):
+        for j in range(3):
+            i = 3 * a + j
+            M[i, 6] = F[a, j, 0] * m[3 * a] + F[a, j, 1] * m[3 * a + 1] + F[a, j, 2] * m[3 * a + 2]
+            for k in range(6):
+                M[i, k] = F[a, j, 0] * P[3 * a, k] + F[a, j, 1] * P[3 * a + 1, k] + F[a, j, 2] * P[3 * a + 2, k]
+    for i in range(6):
+        m[i] = M[i, 6]
+        for b in range(2):
+            for k in range(3):
+                P[i, 3 * b + k] = M[i, 3 * b] * F[b, k, 0] + M[i, 3 * b + 1] * F[b, k, 1] + M[i, 3 * b + 2] * F[b, k, 2]
+    for a in range(2):
+        for j in range(3):
+            for k in range(3):
+                P[3 * a + j, 3 * a + k] += levels[a, 0] * D[a, min(j, k), max(j, k)]
+
+
+@inner()
+def _take(m: Array, P: Array, a: int, residual: float, noise: float, gain: Array) -> None:
+    """Updates mean (6,) and covariance (6, 6) with a measured position of axis a, in place."""
+    at = 3 * a
+    variance, off = P[at, at] + noise, residual - m[at]
+    for i in range(6):
+        gain[i] = P[i, at] / variance
+    for i in range(6):
+        m[i] += gain[i] * off
+        for k in range(6):
+            P[i, k] -= gain[i] * gain[k] * variance
+
+
 @kernel()
 def _follow(
     time: Array, position: Array, yaw: Array, command_time: Array, command: Array, law: Array, series: Array,
@@ -167,25 +217,30 @@ def _follow(
 ) -> Array:  # fmt: skip
     """See `MotionFilter.follow`."""
     own = command[:, :2] if turns else command[:, 2:]
-    F, D, M, out = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3)), np.zeros((time.size, 2, 5))
+    F, D, M, gain = np.zeros((2, 3, 3)), np.zeros((2, 3, 3)), np.empty((6, 7)), np.empty(6)
+    out, both = np.zeros((time.size, 2, 5)), turns and known[0] and known[1]
     for i in range(time.size):
         t, heading, begun = time[i], yaw[i] if turns else 0.0, clock[0, 2] > 0.0
         z[1], k[1], u[1], mean[1], covariance[1] = z[0], k[0], u[0], mean[0], covariance[0]
+        m, P = mean[1], covariance[1]
         _moved(clock[0, 0], t, clock[0, 1], heading, command_time, own, law, series, z[1], k[1], u[1])
-        dt = np.rint((t - clock[0, 0]) / STEP_GRAIN) * STEP_GRAIN
+        if begun:
+            dt = np.rint((t - clock[0, 0]) / STEP_GRAIN) * STEP_GRAIN
+            half = 0.5 * (heading - clock[0, 1]) if both else 0.0
+            _turn(m, P, half)
+            _stepped(m, P, dt, levels, F, D, M)
+            _turn(m, P, half)
+        c, s = (np.cos(heading), np.sin(heading)) if both else (1.0, 0.0)
+        off_x = (position[i, 0] if turns else position[i, 2]) - z[1, POSITION]
+        off_y = (position[i, 1] if turns else yaw[i]) - z[1, POSITION + COLUMNS]
+        if known[0]:
+            _take(m, P, 0, c * off_x + s * off_y, levels[0, 1], gain)
+        if known[1]:
+            _take(m, P, 1, c * off_y - s * off_x, levels[1, 1], gain)
+        for j in range(3):
+            out[i, 0, j], out[i, 1, j] = c * m[j] - s * m[3 + j], s * m[j] + c * m[3 + j]
         for a in range(2):
-            at, m = COLUMNS * a, mean[1, a]
-            driven = z[1, P + at]
-            if known[a]:
-                level = levels[a]
-                if begun:
-                    discretize(level[2], 0.25 * level[3] * level[2] * level[2], dt, F, D)
-                    step_state(m, covariance[1, a], F, D, level[0], M)
-                seen = position[i, a] if turns else (position[i, 2] if a == 0 else yaw[i])
-                take_position(m, covariance[1, a], seen - driven, level[1])
-            for j in range(3):
-                out[i, a, j] = m[j]
-            out[i, a, 3], out[i, a, 4] = driven, z[1, V + at]
+            out[i, a, 3], out[i, a, 4] = z[1, POSITION + COLUMNS * a], z[1, V + COLUMNS * a]
         clock[1, 0], clock[1, 1], clock[1, 2] = t, heading, 1.0
         if not begun:
             grid[0] = t
@@ -206,24 +261,23 @@ def _motion(
     later, out = z.copy(), np.full((2, 6), np.nan)
     until = clock[0] + AHEAD
     _moved(clock[0], until, clock[1], clock[1], command_time, own, law, series, later, k.copy(), u.copy())
-    F, D, M = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    F, D, M = np.zeros((2, 3, 3)), np.zeros((2, 3, 3)), np.empty((6, 7))
     both = turns and known[0] and known[1]
-    c, s = (np.cos(clock[1]), np.sin(clock[1])) if both else (1.0, 0.0)
+    for a in range(2):  # in the heading frame, in which dampings and trims are defined
+        i, b = 3 * a, law[a, DAMPING]
+        variance = b * b * covariance[i + 1, i + 1] + 2 * b * covariance[i + 1, i + 2] + covariance[i + 2, i + 2]
+        out[a, WIND], out[a, WIND_ERROR] = b * mean[i + 1] + mean[i + 2] + law[a, TRIM], variance**0.5
+        out[a, GUSTS] = stationary(levels[a])[0] ** 0.5
+    m, C, back = mean.copy(), covariance.copy(), -clock[1] if both else 0.0
+    _turn(m, C, back)
     for a in range(2):
+        out[a, VELOCITY] = z[V + COLUMNS * a] + m[3 * a + 1]
+    m, C = mean.copy(), covariance.copy()
+    _stepped(m, C, AHEAD, levels, F, D, M)
+    _turn(m, C, back)
+    for a in range(2):
+        i = 3 * a + 1
+        out[a, LATER], out[a, LATER_ERROR] = later[V + COLUMNS * a] + m[i], C[i, i] ** 0.5
         if not known[a]:
-            continue
-        at, level, b = COLUMNS * a, levels[a], law[a, DAMPING]
-        push = variance = 0.0
-        for j in range(2):  # in the heading frame, in which dampings and trims are defined
-            if j != a and not both:
-                continue
-            share, m, C = (c if j == a else (s if a == 0 else -s)), mean[j], covariance[j]
-            push += share * (b * m[1] + m[2])
-            variance += share * share * (b * b * C[1, 1] + 2 * b * C[1, 2] + C[2, 2])
-        out[a, VELOCITY], out[a, WIND], out[a, WIND_ERROR] = z[V + at] + mean[a, 1], push + law[a, TRIM], variance**0.5
-        out[a, GUSTS] = stationary(level)[0] ** 0.5
-        discretize(level[2], 0.25 * level[3] * level[2] * level[2], AHEAD, F, D)
-        m, C = mean[a].copy(), covariance[a].copy()
-        step_state(m, C, F, D, level[0], M)
-        out[a, LATER], out[a, LATER_ERROR] = later[V + at] + m[1], C[1, 1] ** 0.5
+            out[a] = np.nan
     return out
