@@ -1,13 +1,15 @@
 """How well does `rotorfit track` estimate the wind? Flights in gusts, compared with a filter that knows the vehicle.
 
-    python bench/bench_track_wind.py [FLIGHTS] [--gusts 1,2] [--structure S]
+    python bench/bench_track_wind.py [FLIGHTS] [--gusts 1,2] [--first SEED] [--structure S]
 
-FLIGHTS (default 4) of 90 s for each of gusts of 1, 2, 3 and 5 m/s (Dryden) with a mean wind of 3 m/s, a Bebop 2 in
-closed loop (tilts: its damping is drag).
+FLIGHTS (default 4) of 90 s for each of gusts of 1 to 5 m/s (Dryden) with a mean wind of 3 m/s, a Bebop 2 in closed loop
+(tilts: its damping is drag).
 
 - ratio: RMS error, from 30 s on, of the acceleration of x and y due to the air, over that of the same filter at the
   vehicle's true input, damping and delay, with levels and trim fitted there.
-- held: share of the 95 % intervals that contain that acceleration.
+- held: share of the 95 % intervals that contain that acceleration, and the same of that filter's intervals.
+- bound: the ratio of an estimator that errs as little as the Cramer-Rao bound of the flight so far allows, at the true
+  coefficients and without a prior; and the bound of the damping, median, the bound of the mean wind's speed too.
 - mean wind: errors of speed and direction over all seconds from 30 s on, median and 90 %, and the share of intervals
   that contain the mean of the wind over the same time.
 """
@@ -19,13 +21,17 @@ import numpy as np
 
 from changing_flights import ChangingFlight, Scenario, changing_flight
 from rotorfit.core.frames import AXES, heading_from_world
+from rotorfit.core.model import NORMAL
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
+from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.fisher_scoring import maximise
 from rotorfit.tracking.air import AVERAGED, LOOKS_BACK, courses
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing
+from rotorfit.tracking.wind_error import coefficient_error
 
 SETTLED = 30.0
+HELD, BOUND = ("held", "informed held"), ("bound", "damping")
 
 
 def informed(estimate: Estimate, flown: ChangingFlight, axis: str) -> Estimate:
@@ -66,11 +72,17 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
         estimates = {}
         for group in following._groups.values():
             estimates |= group.fitted.estimates if group.fitted else {}
-        known = courses(part, {axis: informed(estimates[axis], flown, axis) for axis in "xy"}, {})[0]
+        exact = {axis: informed(estimates[axis], flown, axis) for axis in "xy"}
+        known = courses(part, exact, {})[0]
         for k, axis in enumerate("xy"):
             low, high = state.axes[axis].wind_ci95
             row[f"{axis} error"] = state.axes[axis].wind - true[k]
             row[f"{axis} informed"] = known[axis].wind - true[k]
+            row[f"{axis} informed held"] = abs(known[axis].wind - true[k]) <= NORMAL * known[axis].wind_error
+            row[f"{axis} bound"] = coefficient_error(part, axis, exact[axis], {})
+            row[f"{axis} damping"] = estimands(exact[axis].optimum, exact[axis].place)["damping"].error(
+                exact[axis].optimum
+            )
             row[f"{axis} held"] = low <= true[k] <= high
     return out
 
@@ -78,14 +90,15 @@ def errors(flown: ChangingFlight, structure: str) -> list[dict[str, float]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("flights", nargs="?", type=int, default=4)
-    parser.add_argument("--gusts", default="1,2,3,5")
+    parser.add_argument("--gusts", default="1,2,3,4,5")
+    parser.add_argument("--first", type=int, default=900)
     parser.add_argument("--structure", default="first_order_delay")
     given = parser.parse_args()
     for gusts in [float(one) for one in given.gusts.split(",")]:
         rows = []
         for seed in range(given.flights):
             scenario = Scenario("none", "bebop2", "closed", gusts, mean=3.0, duration=90.0)
-            rows += errors(changing_flight(900 + seed, scenario), given.structure)
+            rows += errors(changing_flight(given.first + seed, scenario), given.structure)
         mean = f"mean wind told in {sum('speed' in row for row in rows)} of {len(rows)} s"
         speed, turned = (np.abs([row[what] for row in rows if what in row]) for what in ("speed", "direction"))
         if speed.size:
@@ -95,8 +108,12 @@ def main() -> None:
         if told := [row for row in rows if "x held" in row]:
             pairs = (np.array([[row[f"{a} {what}"] for a in "xy"] for row in told]) for what in ("error", "informed"))
             ours, known = (float(np.sqrt(np.mean(each**2))) for each in pairs)
-            held = np.mean([[row[f"{a} held"] for a in "xy"] for row in told])
-            pushed = f"RMS {ours:.3f} against {known:.3f} m/s^2, ratio {ours / known:.2f}; held {100 * held:.0f} %"
+            held, theirs = (np.mean([[row[f"{a} {what}"] for a in "xy"] for row in told]) for what in HELD)
+            least, damping = (np.array([[row[f"{a} {what}"] for a in "xy"] for row in told]) for what in BOUND)
+            pushed = f"RMS {ours:.3f} against {known:.3f} m/s^2, ratio {ours / known:.2f}"
+            pushed += f" (bound {np.sqrt(1 + np.mean(least**2) / known**2):.2f})"
+            pushed += f"; held {100 * held:.0f} % (knowing {100 * theirs:.0f} %)"
+            mean += f"; damping's bound {100 * np.median(damping):.0f} %"
         else:
             pushed = "the acceleration is never told"
         print(f"gusts {gusts:g} m/s: {pushed} of {2 * len(told)}; {mean}", flush=True)

@@ -4,6 +4,7 @@ import functools
 import importlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from flights import flown, steps
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array
 from rotorfit.core.tracked import Alarm, Track
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked
@@ -49,6 +51,13 @@ def rested() -> tuple[Flight, Track]:
 
     flight = flown(TRUTH, command, 32.0, seed=5)
     return flight, tracked(flight, LAW)
+
+
+def tilted(flight: Flight) -> Flight:
+    """The flight of a vehicle whose commands are tilts."""
+    card = flight.card.raw
+    command = {**card["command"], **{axis: {"from": axis, "meaning": "tilt"} for axis in ("x", "y")}}
+    return replace(flight, card=card_from_mapping({**card, "command": command, "limits": {"tilt": 0.3}}, "tilts"))
 
 
 def changing() -> Any:

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from flights import STILL, flown, steps
-from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import world_from_heading
-from rotorfit.files.cards import card_from_mapping
 from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
-from tracked_flights import LAW, known_flight
+from tracked_flights import LAW, known_flight, tilted
 
 pytestmark = pytest.mark.flights
 
@@ -59,13 +57,6 @@ def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:
     assert air.speed_ci95 == pytest.approx((0.5 * air.speed, 2.0 * air.speed), rel=0.05)
     assert air.direction == pytest.approx(0.0, abs=0.05)
     assert courses(tilted(flight), estimates, {"x": (None, 2.0), "y": (0.1, 2.0)})[1] is None
-
-
-def tilted(flight: Flight) -> Flight:
-    """The flight of a vehicle whose commands are tilts."""
-    card = flight.card.raw
-    command = {**card["command"], **{axis: {"from": axis, "meaning": "tilt"} for axis in ("x", "y")}}
-    return replace(flight, card=card_from_mapping({**card, "command": command, "limits": {"tilt": 0.3}}, "tilts"))
 
 
 def test_velocity_now_and_in_a_second_are_those_that_came() -> None:

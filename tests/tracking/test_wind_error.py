@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorfit.core.model import COEFFICIENTS
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.likelihood import inverted
 from rotorfit.tracking.air import courses
 from rotorfit.tracking.refits import refitted
 from rotorfit.tracking.replayed import until
-from rotorfit.tracking.wind_error import coefficient_error, tells_wind
+from rotorfit.tracking.wind_error import coefficient_error
 from tracked_flights import LAW, known_flight
 
 pytestmark = pytest.mark.flights
-KNOWN = {"input": (2.0, 3.0), "damping": (1.0, 2.0), "delay": (0.1, 0.2)}
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def anew(now: float, estimate: Estimate) -> float:
 
 def test_the_formula_is_what_filtering_anew_gives(estimate: Estimate) -> None:
     moments = np.arange(12.0, 30.0, 1.5)
-    by_formula = [coefficient_error(until(known_flight(), now), "z", estimate, {}, {}) for now in moments]
+    by_formula = [coefficient_error(until(known_flight(), now), "z", estimate, {}) for now in moments]
     by_filter = [anew(now, estimate) for now in moments]
 
     ratio = np.sqrt(np.mean(np.square(by_formula)) / np.mean(np.square(by_filter)))
@@ -46,16 +46,8 @@ def test_the_formula_is_what_filtering_anew_gives(estimate: Estimate) -> None:
     assert np.corrcoef(by_formula, by_filter)[0, 1] > 0.9
 
 
-def test_it_is_wider_where_the_vehicle_is_known_less_well_than_this_flight_says(estimate: Estimate) -> None:
-    flight = known_flight()
-    own = dict.fromkeys(KNOWN, (1.0, 1.1))
-    twice = dict.fromkeys(KNOWN, (1.0, 1.2))
+def test_it_is_wider_where_the_vehicle_is_known_less_well_than_the_information_says(estimate: Estimate) -> None:
+    flight, twice = known_flight(), dict.fromkeys(COEFFICIENTS, 2.0)
 
-    error = coefficient_error(flight, "z", estimate, own, own)
-    assert coefficient_error(flight, "z", estimate, twice, own) == pytest.approx(2 * error)
-
-
-def test_the_wind_is_told_where_the_damping_is_known() -> None:
-    assert tells_wind(KNOWN)
-    assert not tells_wind(KNOWN | {"damping": (0.1, 2.0)})
-    assert not tells_wind({})
+    error = coefficient_error(flight, "z", estimate, {})
+    assert coefficient_error(flight, "z", estimate, twice) == pytest.approx(2 * error)

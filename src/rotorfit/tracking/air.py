@@ -13,12 +13,12 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world, world_from_heading
 from rotorfit.core.laws import DAMPING, FIRST_ORDER_DELAY, TRIM, law_of
-from rotorfit.core.limits import meaning_of
 from rotorfit.core.model import NORMAL, Interval
 from rotorfit.core.tracked import Air
 from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
+from rotorfit.tracking.drag import is_drag
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _filtered(
     told = np.array([axis in known for axis in pair])
     running = motion_filter(begin, first_pose, start, float(heading[0]), *commands, laws, levels, told, turns)
     states = running.follow(time, position, heading, *commands)
-    if not (turns and all(told) and all(meaning_of(flight.card, axis).asked == "tilt" for axis in pair)):
+    if not (turns and all(told) and all(is_drag(flight.card, axis) for axis in pair)):
         return running, None
     factors = [_factors(law[DAMPING], *damping.get(axis, (None, None))) for axis, law in zip(pair, laws, strict=True)]
     return running, _air(time, heading, laws, states, [one for one in factors if one])

@@ -25,6 +25,7 @@ from rotorfit.estimation.zero_command import commanded_parts
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import SURE, Contrast, at_once, calm, looked_for, looked_together, since_when
+from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
 from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
 from rotorfit.tracking.refits import (
     LONGEST,
@@ -42,7 +43,7 @@ from rotorfit.tracking.refits import (
     together,
 )
 from rotorfit.tracking.scores import Doubts, Estimates, Scores, let_go, scores_of
-from rotorfit.tracking.wind_error import coefficient_error, tells_wind
+from rotorfit.tracking.wind_error import coefficient_error
 
 EVERY = 1.0
 """Time between looks [s]."""
@@ -309,9 +310,20 @@ class Following:
         known = {axis: group.fitted for axes, group in self._groups.items() for axis in axes}
         estimates = {axis: one.estimates[axis] for axis, one in known.items() if one and axis in one.estimates}
         report = {axis: axis_report(one, axis) for axis, one in known.items() if one}
-        damping = {axis: one.ci95["damping"] for axis, one in report.items() if "damping" in one.ci95}
-        moving, air, self.courses = courses(flight, estimates, damping)
-        self.doubt = {}
+        vehicles = with_drag(flight.card, estimates, {axis: one.ci95_flight for axis, one in report.items()})
+        widened = {axis: widening(one, report[axis].ci95) for axis, one in estimates.items()}
+        known_wind = {
+            axis: one
+            for axis, one in vehicles.items()
+            if tells_wind(report[axis].ci95_flight, is_drag(flight.card, axis))
+        }
+        damping = {axis: damping_interval(one, widened[axis]) for axis, one in known_wind.items()}
+        moving, air, self.courses = courses(flight, vehicles, damping)
+        self.doubt = {
+            axis: coefficient_error(flight, axis, one, widened[axis])
+            for axis, one in known_wind.items()
+            if axis in moving
+        }
         axes = {
             axis: self._axis(flight, axis, now, known.get(axis), report.get(axis), moving.get(axis))
             for axis in flight.axes
@@ -354,15 +366,12 @@ class Following:
             out = replace(
                 out, values=report.values, ci95=report.ci95, ci95_flight=report.ci95_flight, structure=structure
             )
-        if motion is None or fitted is None or report is None or not tells_wind(report.ci95_flight):
+        if motion is None or axis not in self.doubt:
             return out
-        error = self.doubt[axis] = coefficient_error(
-            flight, axis, fitted.estimates[axis], report.ci95, report.ci95_flight
-        )
         return replace(
             out,
             wind=motion.wind,
-            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, error))),
+            wind_ci95=_around(motion.wind, float(np.hypot(motion.wind_error, self.doubt[axis]))),
             gusts=motion.gusts,
             velocity=motion.velocity,
             ahead=motion.ahead,

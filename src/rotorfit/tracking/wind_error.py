@@ -14,11 +14,9 @@ import numpy as np
 
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, heading_from_world
-from rotorfit.core.model import COEFFICIENTS, Interval
 from rotorfit.dynamics.disturbance import distinct_steps
 from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
-from rotorfit.estimation.likelihood.coefficients import statuses
 from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.likelihood import inverted
 
@@ -26,17 +24,14 @@ RATE, BACK = 30.0, 10.0
 """Sampling rate [1/s] and length [s] of the averages over the past."""
 
 
-def coefficient_error(
-    flight: Flight, axis: str, estimate: Estimate, ci95: Mapping[str, Interval], own: Mapping[str, Interval]
-) -> float:
+def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Mapping[str, float]) -> float:
     """Standard error of the wind of an axis at the last pose, due to those of the coefficients [m/s^2, rad/s^2].
 
     Args:
         flight: The flight so far.
         axis: Name of the axis.
         estimate: Its estimate.
-        ci95: Coefficient to the 95 % interval of the vehicle.
-        own: Coefficient to the 95 % interval of this flight, which is as wide as the information implies.
+        widened: Coefficient to the factor by which it is less certain than the information implies.
     """
     optimum, k = estimate.optimum, estimate.place
     told = estimands(optimum, k)
@@ -51,22 +46,11 @@ def coefficient_error(
         error = max(late.error(optimum), 1e-3)
         sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)
-    widened = {name: _wider(name, ci95, own) for name in by}
-    slope = np.sum([by[name] * widened[name] * told[name].slope for name in by], axis=0)
+    slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
     trim = optimum.point.coefficients + optimum.point.trim.size - optimum.point.gain.size + k
-    slope[trim] = (1 - weights.sum()) * max(widened.values())
+    slope[trim] = (1 - weights.sum()) * max(widened.values(), default=1.0)
     C = inverted(optimum.score.information, optimum.free)[: slope.size, : slope.size]
     return float(np.sqrt(max(slope @ C @ slope, 0.0)))
-
-
-def tells_wind(own: Mapping[str, Interval]) -> bool:
-    """Whether this flight tells the damping, without which the wind is unknown.
-
-    Args:
-        own: Coefficient to the 95 % interval of this flight.
-    """
-    whole = {name: own.get(name, (None, None)) for name in COEFFICIENTS}
-    return statuses(whole)["damping"] == "ok"
 
 
 def _response(levels: Array, damping: float) -> Array:
@@ -95,12 +79,3 @@ def _velocity(flight: Flight, axis: str, time: Array) -> Array:
     v = np.gradient(there, time, axis=0)
     v[:, :2] = heading_from_world(v[:, :2], there[:, 3])
     return np.asarray(v[:, AXES.index(axis)])
-
-
-def _wider(name: str, ci95: Mapping[str, Interval], own: Mapping[str, Interval]) -> float:
-    """Width of the vehicle's interval of a coefficient over this flight's, at least 1; 1 if either is open."""
-    low, high = ci95.get(name, (None, None))
-    least, most = own.get(name, (None, None))
-    if low is None or high is None or least is None or most is None or least == most:
-        return 1.0
-    return max((high - low) / (most - least), 1.0)
