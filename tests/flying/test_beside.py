@@ -1,5 +1,8 @@
 """A tracker beside a flight: it knows the vehicle at the end, is never waited for, and changes nothing that is sent."""
 
+import json
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +16,7 @@ from rotorfit.app.live.beside import FAR, asked_of, tracked_beside
 from rotorfit.exports.gains import read_gains
 from rotorfit.files.logs import read
 from rotorfit.files.plans import save_plan
-from rotorfit.flying.beside import ROOM, Beside, title_of
+from rotorfit.flying.beside import RECORD, ROOM, STREAMS, Beside, title_of
 from rotorfit.flying.flight_loop import fly
 from rotorfit.flying.recorder import record
 
@@ -63,6 +66,25 @@ def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
     assert time.monotonic() - begun < 5.0
     assert beside.lost > 0
     beside.close()
+
+
+def test_the_tracker_ends_without_a_trace_where_nobody_reads_it_any_more() -> None:
+    far = subprocess.Popen(
+        [sys.executable, "-m", FAR], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert far.stdout
+    far.stdout.close()
+    samples = [
+        RECORD.pack(STREAMS.index(name), n * 20_000_000, n * 20_000_000, *values)
+        for n in range(1, 400)
+        for name, values in (("pose", (0.001 * n, 0, 1, 0, 0, 0, 1)), ("command", (0.1, *[0] * 6)))
+    ]
+    first = json.dumps(asked_of(plan_of().card)).encode() + b"\n"
+    said = far.communicate(first + b"".join(samples), timeout=60)[1]
+
+    assert far.returncode == 0, said.decode()
+    assert b"Traceback" not in said
+    assert b"Broken pipe" not in said
 
 
 def test_fly_publishes_gains_with_track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,15 +87,18 @@ def main() -> None:
         gains.clear()
         print(json.dumps({**told, "summary": regaining.summary if regaining else ""}), file=answers, flush=True)
 
-    while len(data := stream.read(RECORD.size)) == RECORD.size:
-        number, stamp, received, *values = RECORD.unpack(data)
-        name = STREAMS[number]
-        tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
-        if tracker.state() is not last:
-            last = tracker.state()
-            if regaining:
-                regaining.state(last, received)
-            tell(last)
+    try:
+        while len(data := stream.read(RECORD.size)) == RECORD.size:
+            number, stamp, received, *values = RECORD.unpack(data)
+            name = STREAMS[number]
+            tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
+            if tracker.state() is not last:
+                last = tracker.state()
+                if regaining:
+                    regaining.state(last, received)
+                tell(last)
+    except BrokenPipeError:  # the flight was ended meanwhile, and nobody reads any more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), answers.fileno())
 
 
 if __name__ == "__main__":
