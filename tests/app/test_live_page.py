@@ -4,22 +4,14 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-from test_studio_browser import CHROMIUM, FLAGS
+from playwright.sync_api import Browser, Page, expect
+from test_studio_browser import CHROMIUM
 
 from rotorfit.app.live.page_server import LivePage
 from rotorfit.core.model import Interval
 from rotorfit.core.tracked import QUANTITIES, Tracked, TrackedAxis
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: the live page is not tested in a browser")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

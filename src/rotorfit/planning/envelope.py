@@ -15,9 +15,9 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.progress import Progress
 from rotorfit.planning.belief import Belief, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
-from rotorfit.planning.precision import conditions_of, fly_plan, fly_under, path
+from rotorfit.planning.precision import draw_for, fly_draw, fly_plan, path
 from rotorfit.planning.signals import scaled
-from rotorfit.simulation.paper_vehicle import Conditions, SimulatedFlight, Truth, noise_free
+from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, Truth, noise_free
 
 DRAWS = 50
 """Number of vehicles drawn."""
@@ -134,7 +134,7 @@ class _Fleet:
     A vehicle that violated a limit flies first the next time, and as soon as the answer is certain no other one flies.
     """
 
-    def __init__(self, vehicles: Sequence[Conditions]) -> None:
+    def __init__(self, vehicles: Sequence[Draw]) -> None:
         self._vehicles = list(vehicles)
 
     def half(self) -> "_Fleet":
@@ -156,8 +156,8 @@ class _Fleet:
         Where the answer was certain before all had flown, the shares are lower bounds.
         """
         tracker, count, shares = tracker_of(plan), np.zeros(8), np.zeros(8)
-        for place, under in enumerate(tuple(self._vehicles)):
-            _, violated = _violated(plan, fly_under(tracker, under))
+        for place, drawn in enumerate(tuple(self._vehicles)):
+            _, violated = _violated(plan, fly_draw(tracker, drawn))
             if violated.any():
                 self._vehicles.insert(0, self._vehicles.pop(place))
                 count += [*violated, violated[:5].any()]
@@ -254,9 +254,7 @@ def largest_amplitude(
 
 
 def _fleet(plan: Plan, belief: Belief, draws: int, seed: int) -> _Fleet:
-    return _Fleet(
-        [conditions_of(plan, truth, n) for n, truth in enumerate(sample_vehicles(belief, draws, seed), seed + 1)]
-    )
+    return _Fleet([draw_for(plan, truth, n) for n, truth in enumerate(sample_vehicles(belief, draws, seed), seed + 1)])
 
 
 def _largest_common(

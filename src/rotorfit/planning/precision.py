@@ -26,12 +26,12 @@ from rotorfit.planning.belief import NAMES, Belief, levels_of, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
 from rotorfit.simulation.paper_vehicle import (
     HOVER_HEIGHT,
-    Conditions,
     Controller,
+    Draw,
     SimulatedFlight,
     Truth,
     as_log,
-    conditions,
+    draw,
     flown,
 )
 
@@ -49,17 +49,17 @@ def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
     Returns:
         The flight, from rest at `paper_vehicle.HOVER_HEIGHT` above the origin, with the heading of the plan's start.
     """
-    return fly_under(tracker, conditions_of(tracker.plan, truth, seed))
+    return fly_draw(tracker, draw_for(tracker.plan, truth, seed))
 
 
-def conditions_of(plan: Plan, truth: Truth, seed: int) -> Conditions:
-    """Conditions in which a vehicle flies a plan, or one that differs from it in nothing but amplitudes."""
+def draw_for(plan: Plan, truth: Truth, seed: int) -> Draw:
+    """Stamps, air and noise for a vehicle that flies a plan, or one that differs from it in nothing but amplitudes."""
     truth = replace(truth, command_rate=plan.rate, command_jitter=min(truth.command_jitter, 0.2 / plan.rate))
-    return conditions(truth, plan.duration, seed, max_step=COARSE)
+    return draw(truth, plan.duration, seed, max_step=COARSE)
 
 
-def fly_under(tracker: Tracker, under: Conditions) -> SimulatedFlight:
-    """Flies a plan as `fly_plan`, under known conditions."""
+def fly_draw(tracker: Tracker, drawn: Draw) -> SimulatedFlight:
+    """Flies a plan as `fly_plan`, from a draw made before."""
     plan, feedback, scale = tracker.plan, tracker.plan.feedback, _four(tracker.full_scale)
     controller = Controller(axes=(), full_scale=scale)
     if feedback:
@@ -67,7 +67,7 @@ def fly_under(tracker: Tracker, under: Conditions) -> SimulatedFlight:
             feedback.stiffness, feedback.damping, feedback.filter_time, feedback.axes,
             tuple(map(float, tracker.gamma)), functools.partial(reference_at, plan), scale,
         )  # fmt: skip
-    return flown(under, functools.partial(command_at, plan), controller, plan.space.start[3])
+    return flown(drawn, functools.partial(command_at, plan), controller, plan.space.start[3])
 
 
 def recorded_flight(flight: SimulatedFlight) -> Flight:

@@ -167,12 +167,11 @@ def noise_free(truth: Truth) -> Truth:
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """Vehicle, air and room of a flight, with all stamps and all that is random: whatever its commands do not change.
+class Draw:
+    """A vehicle with all stamps and all that is random in its flight: whatever its commands do not change.
 
     Attributes:
         truth: Vehicle, air and room.
-        duration: Duration of commands and poses [s].
         seed: Seed of all randomness.
         held: Whether commands are samples.
         command_stamp: When each command is sent, shape (M,) [ns since the start].
@@ -189,7 +188,6 @@ class Conditions:
     """
 
     truth: Truth
-    duration: float
     seed: int
     held: bool
     command_stamp: Integers
@@ -205,16 +203,16 @@ class Conditions:
     command_at: Places
 
 
-def conditions(truth: Truth, duration: float, seed: int, *, held: bool = True, max_step: float = 0.002) -> Conditions:
-    """The conditions of a flight; arguments as for `simulate_flight`."""
+def draw(truth: Truth, duration: float, seed: int, *, held: bool = True, max_step: float = 0.002) -> Draw:
+    """Draws stamps, air and noise of a flight; arguments as for `simulate_flight`."""
     stamp_rng, wind_rng, noise_rng = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(3))
     pose_stamp = _stamps(duration, truth.pose_rate, truth.pose_jitter, stamp_rng)
     command_stamp = _stamps(duration, truth.command_rate, truth.command_jitter, stamp_rng) if held else pose_stamp
     seen, sent = _seconds(pose_stamp), _seconds(command_stamp)
     node, gust = _wind(truth, duration, wind_rng)
     time = _grid(duration, seen, sent, truth.delay, node, max_step)
-    return Conditions(
-        truth=truth, duration=duration, seed=seed, held=held, command_stamp=command_stamp, pose_stamp=pose_stamp,
+    return Draw(
+        truth=truth, seed=seed, held=held, command_stamp=command_stamp, pose_stamp=pose_stamp,
         noise=np.array(truth.mocap_noise) * noise_rng.standard_normal((seen.size, 4)),
         stale=(noise_rng.random(seen.size) < truth.stale_share) & (seen > seen[0]),
         node=node, gust=gust, time=time, wind=_interpolated(time, node, gust),
@@ -252,28 +250,28 @@ def simulate_flight(
     """
     if controller and not held:
         raise ValueError("a controller sends samples: it needs held commands")
-    return flown(conditions(truth, duration, seed, held=held, max_step=max_step), excitation, controller, initial_yaw)
+    return flown(draw(truth, duration, seed, held=held, max_step=max_step), excitation, controller, initial_yaw)
 
 
 def flown(
-    under: Conditions, excitation: Excitation, controller: Controller | None = None, initial_yaw: float = 0.0
+    drawn: Draw, excitation: Excitation, controller: Controller | None = None, initial_yaw: float = 0.0
 ) -> SimulatedFlight:
-    """The flight of a vehicle under known conditions; arguments and result as for `simulate_flight`."""
-    truth, sent = under.truth, _seconds(under.command_stamp)
+    """The flight of a vehicle from a draw; arguments and result as for `simulate_flight`."""
+    truth, sent = drawn.truth, _seconds(drawn.command_stamp)
     command = excitation(sent)
-    value = np.concatenate([np.zeros((1, 4)), command]) if under.held else _smooth(under, excitation)
+    value = np.concatenate([np.zeros((1, 4)), command]) if drawn.held else _smooth(drawn, excitation)
     start = np.array([0.0, 0.0, HOVER_HEIGHT, initial_yaw])
     gains, reference = _steering(controller or Controller(axes=()), truth, sent, start)
     state, acceleration, pose = _compiled(_fly)(
-        under.time, under.wind, value, under.row, 0 if under.held else 1,
-        under.pose_at, under.noise, under.stale, under.command_at if controller else np.full_like(under.command_at, -1),
+        drawn.time, drawn.wind, value, drawn.row, 0 if drawn.held else 1,
+        drawn.pose_at, drawn.noise, drawn.stale, drawn.command_at if controller else np.full_like(drawn.command_at, -1),
         gains, reference, start, np.array(truth.gamma, float), np.array(truth.trim, float),
     )  # fmt: skip
     return SimulatedFlight(
-        truth=truth, seed=under.seed, command_stamp=under.command_stamp,
-        command=value[1:] if under.held else command,  # including the controller's contribution
-        pose_stamp=under.pose_stamp, pose=pose, stale=under.stale, true_pose=state[:, :4], velocity=state[:, 4:],
-        acceleration=acceleration, wind=_interpolated(_seconds(under.pose_stamp), under.node, under.gust),
+        truth=truth, seed=drawn.seed, command_stamp=drawn.command_stamp,
+        command=value[1:] if drawn.held else command,  # including the controller's contribution
+        pose_stamp=drawn.pose_stamp, pose=pose, stale=drawn.stale, true_pose=state[:, :4], velocity=state[:, 4:],
+        acceleration=acceleration, wind=_interpolated(_seconds(drawn.pose_stamp), drawn.node, drawn.gust),
     )  # fmt: skip
 
 
@@ -361,12 +359,12 @@ def _smooth_rows(time: Array) -> Places:
     return np.repeat(3 * np.arange(time.size - 1, dtype=np.int32)[:, None], 4, axis=1)
 
 
-def _smooth(under: Conditions, excitation: Excitation) -> Array:
+def _smooth(drawn: Draw, excitation: Excitation) -> Array:
     """Values at start, middle and end of each interval, with the delay included: hover until it has passed."""
-    time = under.time
+    time = drawn.time
     middle = (time[:-1] + time[1:]) / 2
     stage = np.stack([time[:-1], middle, time[1:]], axis=1).ravel()
-    sides = [excitation(stage - tau)[:, a] * (np.repeat(middle, 3) > tau) for a, tau in enumerate(under.truth.delay)]
+    sides = [excitation(stage - tau)[:, a] * (np.repeat(middle, 3) > tau) for a, tau in enumerate(drawn.truth.delay)]
     return np.stack(sides, axis=1)
 
 
