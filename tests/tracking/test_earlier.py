@@ -13,7 +13,7 @@ from rotorfit.core.model import COEFFICIENTS, Model
 from rotorfit.core.tracked import Track, Tracked, TrackedAxis
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.models import from_mapping, save, to_mapping
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after, until_known
 from rotorfit.tracking.following import Following
 from rotorfit.tracking.replayed import growing, tracked, until
 from rotorfit.tracking.tracker import Tracker
@@ -76,6 +76,18 @@ def test_what_the_flight_tells_takes_its_place() -> None:
     assert until_known(little, earlier, "x").earlier == NAME
     untold = Earlier(model_of({"y": VEHICLE["y"]}), NAME)
     assert until_known(TrackedAxis(), untold, "x") == TrackedAxis()
+
+
+def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
+    """A steady gain alone is no comparison as long as the numbers are those of the earlier model."""
+    earlier, told = Earlier(own(), NAME), known()[1].states[-1].axes["x"]
+    little = replace(told, values={**told.values, "input": None, "damping": None, "delay": None})
+
+    assert compared(little, earlier, "x") != ()
+    assert told_after(little, earlier, "x", unlike=False).earlier == NAME
+    assert told_after(little, earlier, "x", unlike=False).against == {}
+    assert told_after(little, earlier, "x", unlike=True).against.keys() == {"steady_gain", "total_lag"}
+    assert set(COEFFICIENTS) <= told_after(told, earlier, "x", unlike=False).against.keys()
 
 
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:

@@ -60,7 +60,8 @@ class TrackedAxis:
         ahead_ci95: Its 95 % band.
         earlier: Name of the earlier model that the values are from; empty where they are from this flight.
         against: Name of `QUANTITIES` to the ratio of this flight's estimate to the earlier model's, for `delay`, `lag`
-            and `total_lag` the difference [s], with its 95 % interval; only where both tell it.
+            and `total_lag` the difference [s], with its 95 % interval; only where both tell it, and the values are
+            from this flight.
     """
 
     knowledge: Knowledge = "learning"

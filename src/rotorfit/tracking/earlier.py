@@ -135,6 +135,21 @@ def until_known(out: TrackedAxis, earlier: Earlier, axis: str) -> TrackedAxis:
     )
 
 
+def told_after(out: TrackedAxis, earlier: Earlier, axis: str, unlike: bool) -> TrackedAxis:
+    """The axis with the numbers of the earlier model while that tells more; from then on compared with it.
+
+    Args:
+        out: What this flight tells.
+        earlier: The earlier model.
+        axis: Name of the axis.
+        unlike: Whether it was found to be another vehicle, of which the earlier model tells nothing.
+    """
+    shown = out if unlike else until_known(out, earlier, axis)
+    if shown.earlier:
+        return shown
+    return replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
+
+
 def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
     """Each quantity that both models tell, compared; only those of `ALIKE` if their laws differ."""
     before, now = known_before(earlier, axis), _closed(out.values, out.ci95)

@@ -26,7 +26,7 @@ from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import SURE, Contrast, at_once, calm, looked_for, looked_together, since_when
 from rotorfit.tracking.drag import damping_interval, is_drag, tells_wind, widening, with_drag
-from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, until_known
+from rotorfit.tracking.earlier import SHARE, Earlier, another_vehicle, compared, told_after
 from rotorfit.tracking.refits import (
     LONGEST,
     REFIT,
@@ -329,15 +329,11 @@ class Following:
             for axis in flight.axes
         }
         if self._earlier:
-            axes = {axis: self._after(self._earlier, axis, one) for axis, one in axes.items()}
+            axes = {
+                axis: one if axis in self._changed else told_after(one, self._earlier, axis, axis in self._unlike)
+                for axis, one in axes.items()
+            }
         return Tracked(now, axes, alarms, len(self._bounds) - 1, self._bounds[-1][0], air, self._as_refitted())
-
-    def _after(self, earlier: Earlier, axis: str, out: TrackedAxis) -> TrackedAxis:
-        """An axis compared with the earlier model, or given its numbers; unchanged if the vehicle has changed there."""
-        if axis in self._changed:
-            return out
-        out = replace(out, against={one.name.partition(".")[2]: one.change for one in compared(out, earlier, axis)})
-        return out if axis in self._unlike else until_known(out, earlier, axis)
 
     def _as_refitted(self) -> Model | None:
         """The model of the last refits: the same object until the next refit."""
