@@ -59,6 +59,17 @@ def test_the_mean_wind_reaches_as_far_as_the_damping_allows() -> None:
     assert courses(tilted(flight), estimates, {"x": (None, 2.0), "y": (0.1, 2.0)})[1] is None
 
 
+def test_still_air_is_not_taken_for_wind() -> None:
+    """Without gusts the seconds agree among themselves: what is left is the error of the trim."""
+    axes, told = ("x", "y"), []
+    for seed in range(8):
+        flight = tilted(flown(STILL, steps(("x", "y"), seed=seed), 14.0, seed=seed))
+        estimates = refitted(flight, axes, LAW, 14.0).estimates
+        told.append(courses(flight, estimates, dict.fromkeys(axes, (0.5, 0.5)))[1])
+
+    assert [air is not None and air.significant for air in told].count(True) <= 1
+
+
 def test_velocity_now_and_in_a_second_are_those_that_came() -> None:
     """On a flight that is known: at ten moments, against the path itself."""
     flight = known_flight()

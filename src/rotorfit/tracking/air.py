@@ -19,6 +19,7 @@ from rotorfit.dynamics.motion_filter import SAMPLES, MotionFilter, motion_filter
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.extra_parameters import structure_at
 from rotorfit.tracking.drag import is_drag
+from rotorfit.tracking.wind_error import trim_error
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,8 @@ def _filtered(
     if not (turns and all(told) and all(is_drag(flight.card, axis) for axis in pair)):
         return running, None
     factors = [_factors(law[DAMPING], *damping.get(axis, (None, None))) for axis, law in zip(pair, laws, strict=True)]
-    return running, _air(time, heading, laws, states, [one for one in factors if one])
+    trims = np.array([trim_error(known[axis]) for axis in pair])
+    return running, _air(time, heading, laws, states, [one for one in factors if one], trims)
 
 
 def _factors(damping: float, low: float | None, high: float | None) -> tuple[float, float] | None:
@@ -138,11 +140,16 @@ def _factors(damping: float, low: float | None, high: float | None) -> tuple[flo
     return min(damping / high, 1.0), max(damping / low, 1.0)
 
 
-def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Sequence[tuple[float, float]]) -> Air | None:
+def _air(
+    time: Array, heading: Array, laws: Array, states: Array, factors: Sequence[tuple[float, float]], trims: Array
+) -> Air | None:
     """The mean wind, for commands that are tilts, so that the damping is the air's drag; None before `AVERAGED` s.
 
     It is (c + s') / b + s of each axis of the heading frame, rotated into the world. The acceleration is measured, so
-    the wind scales with 1 / b: the interval of b sets that of the wind, which reaches further up than down.
+    the wind scales with 1 / b: the interval of b sets that of the wind, which reaches further up than down. The scatter
+    of the gusts and the errors `trims` of c [m/s^2] add to it; in still air they are all that is left. There the speed
+    is a distance in two directions: its interval begins above 0 only where 0 lies outside of the 95 % region of both
+    components.
     """
     settled = time > time[0] + AVERAGED / 2
     if time[-1] - time[0] < AVERAGED or len(factors) < 2:
@@ -153,15 +160,16 @@ def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Seque
     wind = world_from_heading(pushed, turn)
     mean, part = wind.mean(axis=0), np.floor((time[settled] - time[settled][0]) / ALIKE).astype(int)
     parts = np.column_stack([np.bincount(part, w) / np.bincount(part) for w in wind.T])
-    gusts = parts.var(axis=0, ddof=1) / len(parts)
     of_axes = [world_from_heading(pushed * (np.arange(2) == k), turn).mean(axis=0) for k in range(2)]
+    missed = [world_from_heading(np.tile(one, (turn.size, 1)), turn).mean(axis=0) for one in np.diag(trims / damping)]
+    scatter = np.diag(parts.var(axis=0, ddof=1) / len(parts)) + np.transpose(missed) @ missed
 
     def reach(along: Array) -> tuple[float, float]:
         """How far the interval reaches below and above the mean along a direction."""
         ends = np.array(
             [[share @ along * (factor - 1.0) for factor in two] for share, two in zip(of_axes, factors, strict=True)]
         )
-        even = NORMAL**2 * float(along**2 @ gusts)
+        even = NORMAL**2 * float(along @ scatter @ along)
         below, above = np.minimum(ends.min(axis=1), 0.0), np.maximum(ends.max(axis=1), 0.0)
         return float(np.sqrt(even + below @ below)), float(np.sqrt(even + above @ above))
 
@@ -169,8 +177,13 @@ def _air(time: Array, heading: Array, laws: Array, states: Array, factors: Seque
     below, above = reach(mean / speed)
     right, left = (min(one / speed, np.pi) for one in reach(np.array([-mean[1], mean[0]]) / speed))
     angle = float(np.arctan2(mean[1], mean[0]))
-    return Air(speed, (max(speed - below, 0.0), speed + above), angle, (angle - right, angle + left))
+    blows = speed**2 > PLANE**2 * float(mean @ scatter @ mean) / speed**2
+    low = max(speed - below, 0.0) if blows else 0.0
+    return Air(speed, (low, speed + above), angle, (angle - right, angle + left))
 
+
+PLANE = float(np.sqrt(-2 * np.log(0.05)))
+"""Radius of the 95 % region of two independent normal values of standard deviation 1."""
 
 AVERAGED, ALIKE = 10.0, 3.0
 """Time before a mean wind is given; time within which gusts count as one independent sample [s]."""

@@ -19,6 +19,7 @@ from rotorfit.dynamics.disturbance_state import disturbance_states
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.estimation.likelihood.likelihood import inverted
+from rotorfit.estimation.likelihood.parameters import Point
 
 RATE, BACK = 30.0, 10.0
 """Sampling rate [1/s] and length [s] of the averages over the past."""
@@ -47,10 +48,27 @@ def coefficient_error(flight: Flight, axis: str, estimate: Estimate, widened: Ma
         sooner, later = (weights @ _command(flight, axis, time - late.value + off) for off in (error, -error))
         by[late.name] = told["input"].value * (sooner - later) / (2 * error)
     slope = np.sum([by[name] * widened.get(name, 1.0) * told[name].slope for name in by], axis=0)
-    trim = optimum.point.coefficients + optimum.point.trim.size - optimum.point.gain.size + k
-    slope[trim] = (1 - weights.sum()) * max(widened.values(), default=1.0)
+    slope[_trim_at(optimum.point, k)] = (1 - weights.sum()) * max(widened.values(), default=1.0)
     C = inverted(optimum.score.information, optimum.free)[: slope.size, : slope.size]
     return float(np.sqrt(max(slope @ C @ slope, 0.0)))
+
+
+def trim_error(estimate: Estimate) -> float:
+    """Standard error of the mean wind of an axis due to that of the trim, where the filter misses it [m/s^2, rad/s^2].
+
+    Args:
+        estimate: Of the axis.
+    """
+    optimum, k = estimate.optimum, estimate.place
+    damping = estimands(optimum, k)["damping"].value
+    missed = 1.0 - _response(np.exp(optimum.point.levels[k, :4]), damping).sum()
+    at = _trim_at(optimum.point, k)
+    return float(abs(missed) * np.sqrt(inverted(optimum.score.information, optimum.free)[at, at]))
+
+
+def _trim_at(point: Point, k: int) -> int:
+    """Place of the last flight's trim of axis k among the parameters."""
+    return point.coefficients + point.trim.size - point.gain.size + k
 
 
 def _response(levels: Array, damping: float) -> Array:
