@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from rotorfit.app.live.regained import Regaining
 from rotorfit.control.tuning import tune
 from rotorfit.core.errors import LogError, ModelError
 from rotorfit.core.model import Model
-from rotorfit.core.tracked import Alarm, Tracked, TrackedAxis
+from rotorfit.core.tracked import UNMOVED, Alarm, Tracked, TrackedAxis
 from rotorfit.exports.gains import law_of, read_gains, save_gains
 
 pytestmark = pytest.mark.flights
@@ -45,7 +46,7 @@ def test_gains_are_a_message_with_reasons_and_no_file_unless_it_is_named(tmp_pat
     assert (message["type"], message["time"], message["file"]) == ("gains", 6.0, None)
     assert message["axes"]["x"]["stiffness"] == tune(only()).axes["x"].law.stiffness
     assert "settled" in message["why"]["x"]
-    assert regaining.summary == "Gains published 1 time."
+    assert regaining.summary == "New gains: x at 6 s."
     assert list(tmp_path.iterdir()) == []
 
 
@@ -57,6 +58,29 @@ def test_the_file_is_that_of_tune_and_says_when(tmp_path: Path) -> None:
     assert held["axes"]["x"]["retuned_at"] == 6.0
     assert held["refused"].keys() == {"y", "z", "yaw"}
     assert law_of(read_gains(path), "x") == tune(only()).axes["x"].law
+
+
+def test_each_axis_without_new_gains_has_its_reason(tmp_path: Path) -> None:
+    path = tmp_path / "gains.toml"
+    save_gains(tune(only()), only(), path)
+    axes = {
+        "x": TrackedAxis("known", "known"),
+        "y": TrackedAxis("not_identifiable", "not identifiable"),
+        "z": TrackedAxis("not_excited", UNMOVED),
+        "yaw": TrackedAxis("not_excited", "not excited"),
+    }
+    given = [replace(state, axes=axes) for state in states(only(), only())]
+
+    assert "; y: not known well enough in this flight; z: not commanded" in told(None, given[:1])[1].summary
+    assert "x: its estimate has not settled" in told(None, given[:1])[1].summary
+    assert "No new gains. x: the gains in use may stay; y: " in told(path, given)[1].summary
+    path.unlink()
+    _, regaining = told(path, given)
+    assert regaining.summary == f"New gains: x at 6 s. They are in {path}."
+    refused = tomllib.loads(path.read_text())["refused"]
+    assert refused["z"] == "not commanded in this flight"
+    assert refused["yaw"].startswith("not excited in this flight")
+    assert told(None, [])[1].summary == "No new gains. Nothing was tracked."
 
 
 @pytest.mark.parametrize("name", ["gains.toml", pytest.param("gains.yaml", marks=pytest.mark.slow)])

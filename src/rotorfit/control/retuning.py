@@ -67,6 +67,9 @@ SETTLED = 0.7
 """Least ratio of the standard errors of a fit to those of the fit before if it has settled: with half as much data
 again, noise alone gives 0.82."""
 
+MAY_STAY, NO_GAINS = "the gains in use may stay", "no gains keep the margins"
+"""Reasons why an axis whose estimate has settled gets no new gains."""
+
 EXPLAINED = 16.27
 """99.9 % quantile of chi-squared with 3 degrees of freedom: largest squared distance of three coefficients that both
 intervals explain."""
@@ -97,6 +100,9 @@ class Retuning:
         latency: Time from the exposure of a pose to the command that uses it [s].
         flown: Axis name to the gains in use; empty if they are unknown.
         before: The model of an earlier flight; None if there is none.
+
+    Attributes:
+        kept: Axis whose estimate has settled to the reason why it got no new gains at its last look.
     """
 
     def __init__(
@@ -114,6 +120,7 @@ class Retuning:
         self._before = {axis: first_order(before, axis) for axis, one in known.items() if before and one.predictor}
         self._carried: dict[str, tuple[str, ...]] = dict.fromkeys(AXES, COEFFICIENTS)
         self._anew: set[str] = set()
+        self.kept: dict[str, str] = {}
 
     def changed(self, axes: Collection[str], cause: str) -> None:
         """Notes that the vehicle has changed.
@@ -145,7 +152,9 @@ class Retuning:
             if belief is None:
                 continue
             believed = _with_law(model, axis, belief)
+            self.kept[axis] = NO_GAINS
             if fresh := self._tuned(believed, axis):
+                self.kept[axis] = MAY_STAY
                 reason = self._reason(believed, axis, fresh)
                 if reason:
                     new[axis], why[axis] = fresh, reason
@@ -182,7 +191,7 @@ class Retuning:
         """The reason for new gains; empty if those in use may stay."""
         flown = self._flown.get(axis)
         if flown is None:
-            return "the first: the vehicle's interval has settled"
+            return "the first, as its estimate has settled"
         vehicles = doubt(believed_possible(model, axis, DRAWS, 0), 1 / self._rate, self._latency, 0)
         lost = share_beyond(flown.law, vehicles, LOST, LOST_DELAY * flown.law.reach)
         anew = axis in self._anew

@@ -34,6 +34,9 @@ Knowledge = Literal["learning", "known", "holding", "not_identifiable", "not_exc
 """State of an axis: flight too short so far; all coefficients told; not commanded for a while, so that the last values
 hold; commanded but not identifiable; not moved by its commands."""
 
+UNMOVED = "not excited: no command moves it"
+"""State in words of an axis that is `not_excited` because nothing commands it."""
+
 Cause = Literal["payload", "thrust", "limits", "delay", "pose_jumped", "pose_frozen", "another_vehicle", "other"]
 """Probable cause of a change; see `docs/track.md`."""
 

@@ -15,7 +15,7 @@ from rotorfit.core.frames import AXES
 from rotorfit.core.laws import AVERAGED
 from rotorfit.core.model import NORMAL, Interval, Model
 from rotorfit.core.results import Fit
-from rotorfit.core.tracked import Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
+from rotorfit.core.tracked import UNMOVED, Alarm, Knowledge, Regime, Tracked, TrackedAxis, alarm_from_mapping
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
@@ -385,7 +385,7 @@ def _knowledge(
 ) -> tuple[Knowledge, str]:
     """The state of knowledge of an axis, in one word and as a phrase."""
     if not commands_axis(flight, axis):
-        return "not_excited", "not excited: no command moves it"
+        return "not_excited", UNMOVED
     if fitted is None or report is None:
         return "learning", "learning"
     if axis not in fitted.estimates:

@@ -1,16 +1,15 @@
 """New gains while a vehicle flies: published as a message and, if wanted, as a file; nothing is ever commanded."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rotorfit.app.workflows import check_destination
 from rotorfit.control.retuning import Flown, Retuned, Retuning
 from rotorfit.control.tuning import LATENCY, RATE
-from rotorfit.core.display import counted
 from rotorfit.core.frames import AXES
 from rotorfit.core.model import Model
-from rotorfit.core.tracked import Tracked
+from rotorfit.core.tracked import UNMOVED, Tracked, TrackedAxis
 from rotorfit.exports.gains import GAINS_MARK, check_gains_name, law_of, read_gains, tuning_mapping, write_gains
 from rotorfit.tracking.earlier import Earlier
 
@@ -47,7 +46,7 @@ class Regaining:
 
     Attributes:
         listeners: Called with each message and the link's clock [ns].
-        count: Number of messages so far.
+        published: Time [s] and axes of each message so far.
 
     Raises:
         ModelError: The file's name has another suffix, or the gains file cannot be read.
@@ -61,7 +60,9 @@ class Regaining:
         kept: Callable[[Path | None], None],
         before: Model | None = None,
     ) -> None:
-        self._path, self.listeners, self._kept, self.count = path, [listener], kept, 0
+        self._path, self.listeners, self._kept = path, [listener], kept
+        self.published: list[tuple[float, Sequence[str]]] = []
+        self._states: Mapping[str, TrackedAxis] = {}
         self._gains: dict[str, Any] = {"design": "predictor", "rate": RATE, "latency": LATENCY, "axes": {}}
         if path:
             check_gains_name(path)
@@ -76,6 +77,7 @@ class Regaining:
         for alarm in state.alarms:
             if alarm.cause in OF_THE_VEHICLE:
                 self._retuning.changed(alarm.axes, alarm.cause)
+        self._states = state.axes
         if state.model is None or state.landed:
             return
         axes = {
@@ -87,10 +89,28 @@ class Regaining:
 
     @property
     def summary(self) -> str:
-        """One line about the gains published so far."""
-        if not self.count:
-            return "No gains published: those that are flown may stay, or nothing has settled."
-        return f"Gains published {counted(self.count, 'time')}{f', in {self._path}' if self._path else ''}."
+        """One line about the gains published so far; without any, why there are none."""
+        if self.published:
+            each = "; ".join(f"{', '.join(axes)} at {time:.0f} s" for time, axes in self.published)
+            return f"New gains: {each}.{f' They are in {self._path}.' if self._path else ''}"
+        why: dict[str, list[str]] = {}
+        for axis in self._states:
+            why.setdefault(self._missing(axis), []).append(axis)
+        each = "; ".join(f"{', '.join(axes)}: {reason}" for reason, axes in why.items())
+        return f"No new gains. {each or 'Nothing was tracked'}."
+
+    def _missing(self, axis: str) -> str:
+        """Why an axis has no new gains."""
+        if axis in self._retuning.kept:
+            return self._retuning.kept[axis]
+        state = self._states.get(axis, TrackedAxis())
+        if UNMOVED in state.state:
+            return "not commanded in this flight"
+        if state.knowledge == "not_excited":
+            return "not excited in this flight: its commands do not explain its motion"
+        if state.knowledge == "known":
+            return "its estimate has not settled: two fits in a row do not agree yet"
+        return "not known well enough in this flight"
 
     def _axes(self) -> list[tuple[str, dict[str, Any]]]:
         return [(axis, self._gains["axes"][axis]) for axis in AXES if axis in self._gains["axes"]]
@@ -100,11 +120,11 @@ class Regaining:
         new = {axis: {**one, "retuned_at": time} for axis, one in mapping["axes"].items()}
         axes = {**dict(self._axes()), **new}
         axes = {axis: axes[axis] for axis in AXES if axis in axes}
-        missing = {axis: "not known well enough in this flight" for axis in AXES if axis not in axes}
+        missing = {axis: self._missing(axis) for axis in AXES if axis not in axes}
         self._gains = {**mapping, "axes": axes, "refused": missing}
         if self._path:
-            self._kept(write_gains(self._gains, self._path, keep=self.count == 0))
-        self.count += 1
+            self._kept(write_gains(self._gains, self._path, keep=not self.published))
+        self.published.append((time, tuple(new)))
         file = str(self._path) if self._path else None
         loop = {name: mapping[name] for name in ("design", "rate", "latency")}
         message = {"type": "gains", "time": time, "axes": new, "why": dict(found.why), **loop, "file": file}
