@@ -10,9 +10,9 @@ from test_summary import axis, model
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tables import interval_text, number_text
-from rotorfit.app.terminal.tracking import track_view
+from rotorfit.app.terminal.tracking import alarm_view, track_view
 from rotorfit.core.model import Combination, Mode, Model
-from rotorfit.core.tracked import Air, Track, Tracked, TrackedAxis
+from rotorfit.core.tracked import Air, Alarm, Track, Tracked, TrackedAxis
 
 
 def rows_of(shown: Model, capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
@@ -124,3 +124,14 @@ def test_still_air_blows_nowhere(capsys: pytest.CaptureFixture[str], air: Air, s
 def test_nothing_is_less_than_zero() -> None:
     assert number_text(-0.001, (-0.2, 0.2)) == "0.00"
     assert interval_text((-0.001, 0.2)) == "0.00 to 0.20"
+
+
+def test_an_alarm_gives_times_as_differences_and_no_instant_to_what_was_so_from_the_start(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    change = {"z.total_lag": (-0.206, -0.195), "z.steady_gain": (0.8, 0.9)}
+    show(alarm_view(Alarm(6.0, ("z",), "another_vehicle", (0.0, 0.0), change, 1.0, 1e-9, "because")))
+
+    out = capsys.readouterr().out
+    assert "z total lag by -0.206 to -0.195; z steady gain times 0.8 to 0.9." in out
+    assert "since" not in out

@@ -1,6 +1,7 @@
 """A tracker beside a flight: it knows the vehicle at the end, is never waited for, and changes nothing that is sent."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -10,11 +11,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from flying import Watched, plan_of, room_link
+from flying import CARD, Watched, plan_of, room_link
+from models import model_of
 from rotorfit.app.cli import main
+from rotorfit.app.cli.flying import _show_last
 from rotorfit.app.live.beside import FAR, asked_of, tracked_beside
 from rotorfit.exports.gains import read_gains
 from rotorfit.files.logs import read
+from rotorfit.files.models import save
 from rotorfit.files.plans import save_plan
 from rotorfit.flying.beside import RECORD, ROOM, STREAMS, Beside, title_of
 from rotorfit.flying.flight_loop import fly
@@ -52,7 +56,7 @@ def test_alarms_become_events_of_the_recording(tmp_path: Path, monkeypatch: pyte
 
 
 def test_the_title_of_an_alarm_ends_before_its_reasons() -> None:
-    assert title_of("ALARM z: payload: weight against thrust changed: by 0.3 m/s^2") == "ALARM z: payload"
+    assert title_of("9.0 s  ALARM z: payload: weight against thrust changed: by 0.3 m/s^2") == "9.0 s  ALARM z: payload"
 
 
 def test_a_tracker_that_is_gone_is_never_waited_for() -> None:
@@ -87,19 +91,35 @@ def test_the_tracker_ends_without_a_trace_where_nobody_reads_it_any_more() -> No
     assert b"Broken pipe" not in said
 
 
-def test_fly_publishes_gains_with_track(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rotorfit.flying.beside.PATIENCE", 300.0)  # simulated flights take no time
-    plan, output, gains = tmp_path / "plan.toml", tmp_path / "flight.mcap", tmp_path / "gains.toml"
+def test_the_end_of_a_simulated_flight_is_that_of_track_and_has_every_alarm_and_gain(tmp_path: Path) -> None:
+    """Simulated time waits for the tracker, so that it has seen all of the flight."""
+    plan, output, gains, model = (tmp_path / one for one in ("plan.toml", "flight.mcap", "gains.toml", "model.json"))
     save_plan(plan_of(24.0), plan)
-    result = rotorfit("fly", plan, "--link", "sim", "--seed", 3, "-o", output, "--track", "--tune", gains)
+    save(model_of({"x": (9.0, 0.4, 0.4)}, CARD), model)
+    words = ("fly", plan, "--link", "sim", "--seed", 3, "-o", output, "--track", "--after", model, "--tune", gains)
+    result = rotorfit(*words)
 
     assert result.exit_code == 0, result.output
-    assert f", in {gains}." in result.stderr
+    assert re.search(r"At 2[4-9]\.\d s, 95 % intervals of the vehicle as it flew:", result.stderr)
+    assert "x against the earlier model: " in result.stderr
+    assert f" They are in {gains}." in result.stderr
+    assert re.search(r"^\d+\.\d s  ALARM x: another_vehicle: ", result.stderr, re.MULTILINE)
+    assert any(" s  ALARM x: another_vehicle: " in one.text for one in read(output).events)
     axes = read_gains(gains)["axes"]
     assert axes
-    told = [one.text for one in read(output).events] + result.stderr.splitlines()
     for axis in axes:
-        assert any(text.startswith(f"GAINS {axis}: bandwidth ") for text in told)
+        assert re.search(rf"^\d+\.\d s  GAINS {axis}: bandwidth ", result.stderr, re.MULTILINE)
+
+
+def test_a_tracker_that_takes_too_long_is_told_by_the_second_that_it_had_reached(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rotorfit.flying.beside.PATIENCE", 0.0)
+    beside = Beside(FAR, asked_of(plan_of().card))
+    beside.close()
+    _show_last(beside)
+
+    assert "tracker: ended before its last fit; it had told nothing yet" in capsys.readouterr().err
 
 
 def test_what_the_tracker_could_not_use_is_refused_before_the_flight(tmp_path: Path) -> None:

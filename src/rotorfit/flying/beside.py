@@ -1,7 +1,8 @@
 """A tracker beside a flight of ours, in a process of its own, fed with what the flight loop sends and receives.
 
 The loop writes to a non-blocking socket; samples that the other process cannot take in time are dropped and counted.
-Alarms and gains come back and are recorded as events. Nothing of this reaches the vehicle.
+Where time is simulated (paced), the loop waits instead. Alarms and gains come back and are recorded as events. Nothing
+of this reaches the vehicle.
 """
 
 import json
@@ -19,33 +20,38 @@ from typing import Any
 RECORD = struct.Struct("<Bqq7d")
 """Stream number, stamp [ns], arrival [ns], and seven values, as many as a pose has."""
 
-STREAMS = ("pose", "command")
+WIDTH = {"pose": 7, "command": 4, "obeys": 1}
+"""Stream to the number of its values."""
 
-WIDTH = {"pose": 7, "command": 4}
+STREAMS = tuple(WIDTH)
 
 ROOM = 1 << 20
 """Bytes that may wait for the other process: a minute of samples, while it starts."""
 
-PATIENCE = 30.0
-"""How long the other process may take to end before it is killed [s]."""
+PATIENCE = 120.0
+"""How long the other process may take to catch up and fit the flight once more before it is killed [s]."""
 
 
 class Beside:
-    """The near end: takes samples without ever waiting.
+    """The near end: takes samples, without ever waiting unless it is paced.
 
     Args:
         program: Module that is the far end.
         asked: What it is told first; as plain types.
+        paced: Whether to wait for the other process: simulated time can.
 
     Attributes:
-        words: The state of each axis, in words; empty before the first look.
+        time: That of the last look, in seconds of the flight.
+        words: The state of each axis then, in words; empty before the first look.
         alarm: Axes and cause of the last alarm; empty before any.
-        summary: What the other process said at its end.
+        told: All alarms and gains so far, in words.
+        summary: What the other process said at its end; empty if it was ended before.
         lost: Number of samples that the other process could not take in time.
     """
 
-    def __init__(self, program: str, asked: Mapping[str, Any]) -> None:
-        self.words, self.alarm, self.summary, self.lost = "", "", "", 0
+    def __init__(self, program: str, asked: Mapping[str, Any], paced: bool = False) -> None:
+        self.time, self.words, self.alarm, self.summary, self.lost = 0.0, "", "", "", 0
+        self._paced = paced
         near, far = socket.socketpair()
         words = [sys.executable, "-m", program]
         quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -55,7 +61,8 @@ class Beside:
         far.close()
         self._near, self._rest = near, bytearray()
         near.sendall(json.dumps(asked).encode() + b"\n")
-        near.setblocking(False)
+        near.setblocking(paced)
+        self.told: list[str] = []
         self._news: deque[str] = deque()
         self._thread = threading.Thread(target=self._run, name="rotorfit-beside", daemon=True)
         self._thread.start()
@@ -64,20 +71,18 @@ class Beside:
         """Hands over a sample.
 
         Args:
-            stream: `pose` or `command`.
+            stream: `pose`, `command` or `obeys`.
             stamp: By the sender's clock [ns].
             received: Time of arrival [ns].
-            values: Of the pose or the command, as in a `Sample`.
+            values: Of the stream, as in a `Sample`.
         """
-        padded = (*values, 0.0, 0.0, 0.0) if stream == "command" else values
         if len(self._rest) > ROOM:
             self.lost += 1
         else:
-            self._rest += RECORD.pack(STREAMS.index(stream), stamp, received, *padded)
-        try:
+            padding = (0.0,) * (WIDTH["pose"] - len(values))
+            self._rest += RECORD.pack(STREAMS.index(stream), stamp, received, *values, *padding)
+        with suppress(OSError):  # the socket is full, or the other process is gone
             del self._rest[: self._near.send(self._rest)]
-        except OSError:  # the socket is full, or the other process is gone
-            return
 
     def news(self) -> Iterator[str]:
         """The alarms and gains since the last call."""
@@ -85,14 +90,15 @@ class Beside:
             yield self._news.popleft()
 
     def close(self) -> None:
-        """Ends the other process after its last look; its last words are then in `news`."""
-        self._near.settimeout(PATIENCE)
-        with suppress(OSError):
-            self._near.sendall(self._rest)
-        self._near.close()
+        """Ends the other process after its last fit, or at Ctrl-C; its last words are then in `news` and `summary`."""
+        patience = None if self._paced else PATIENCE
+        self._near.settimeout(patience)
         try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
+            with suppress(OSError):
+                self._near.sendall(self._rest)
+            self._near.close()
+            self._process.wait(patience)
+        except (subprocess.TimeoutExpired, KeyboardInterrupt):
             self._process.kill()
             self._process.wait()
         self._thread.join(1.0)
@@ -102,11 +108,13 @@ class Beside:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             told = json.loads(line)
-            self.words, self.summary = told["words"], told["summary"]
-            self._news.extend([*told["alarms"], *told["gains"]])
+            self.time, self.words, self.summary = told["time"], told["words"], told["summary"]
+            for text in (*told["alarms"], *told["gains"]):
+                self.told.append(text)
+                self._news.append(text)
             self.alarm = title_of(told["alarms"][-1]) if told["alarms"] else self.alarm
 
 
 def title_of(alarm: str) -> str:
-    """An alarm without its reasons, which may have colons of their own: `ALARM z: payload`."""
+    """An alarm without its reasons, which may have colons of their own: `41.0 s  ALARM z: payload`."""
     return ": ".join(alarm.split(": ")[:2])

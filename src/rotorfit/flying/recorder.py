@@ -166,6 +166,8 @@ class Recorder:
     def window(self, stamp: int, flown: bool) -> None:
         """Records whether the plan is flown from `stamp` [ns] on."""
         self._add(WINDOW, stamp, _FLAG.pack(_CDR, flown))
+        if self._beside:
+            self._beside.take("obeys", stamp, stamp, (float(flown),))
 
     def event(self, stamp: int, text: str) -> None:
         """Records an event at `stamp` [ns]."""

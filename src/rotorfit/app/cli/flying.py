@@ -136,8 +136,11 @@ def fly(
         refuse(wanted.ready)
         if wanted.link.live and not yes:
             click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
-        with tracked_beside(asked_of(wanted.plan.card, after, gains) if track else None) as beside:
+        asked = asked_of(wanted.plan.card, after, gains, paced=not wanted.link.live) if track else None
+        with tracked_beside(asked) as beside:
             result = flown_mission(wanted, land, lambda: status_line(lambda: _tracked(beside)), beside)
+            if beside:
+                click.echo("tracker: fitting the flight once more (Ctrl-C leaves it out)", err=True)
         if beside:
             _show_last(beside)
     if result.reason != "completed":
@@ -180,13 +183,13 @@ def _tracked(beside: "Beside | None") -> str:
 
 
 def _show_last(beside: "Beside") -> None:
-    """Shows the last alarms and gains of the tracker beside a flight."""
-    for text in beside.news():
+    """Shows all alarms and gains of the tracker beside a flight, and its end."""
+    for text in beside.told:
         click.echo(text, err=True)
-    left = f"; {beside.lost} samples came too fast for it" if beside.lost else ""
-    click.echo(f"tracked: {beside.words or 'nothing yet'}{left}", err=True)
-    if beside.summary:
-        click.echo(beside.summary, err=True)
+    if beside.lost:
+        click.echo(f"tracker: {beside.lost} samples came too fast and were left out", err=True)
+    until = f"it had come to {beside.time:.1f} s: {beside.words}" if beside.words else "it had told nothing yet"
+    click.echo(beside.summary or f"tracker: ended before its last fit; {until}", err=True)
 
 
 def _shown_first(view: "View") -> None:

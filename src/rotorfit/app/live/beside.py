@@ -17,18 +17,21 @@ FAR = "rotorfit.app.live.beside"
 """This module, as a program."""
 
 NICE = 10
-"""Niceness of the program."""
+"""Niceness of the program where the flight does not wait for it."""
 
 
-def asked_of(card: Mapping[str, Any], after: Path | None = None, gains: str | None = None) -> dict[str, Any]:
+def asked_of(
+    card: Mapping[str, Any], after: Path | None = None, gains: str | None = None, paced: bool = False
+) -> dict[str, Any]:
     """What the program is told first.
 
     Args:
         card: Raw card of the commands that are flown.
         after: Model file of an earlier flight.
         gains: Path of the gains file, or empty for words alone; None to publish no gains.
+        paced: Whether the flight waits for the program, as in simulated time.
     """
-    return {"card": dict(card), "after": after and str(after), "gains": gains}
+    return {"card": dict(card), "after": after and str(after), "gains": gains, "paced": paced}
 
 
 @contextmanager
@@ -37,7 +40,7 @@ def tracked_beside(asked: Mapping[str, Any] | None) -> Iterator[Beside | None]:
     if asked is None:
         yield None
         return
-    beside = Beside(FAR, asked)
+    beside = Beside(FAR, asked, asked["paced"])
     try:
         yield beside
     finally:
@@ -52,24 +55,27 @@ def words_of(state: Tracked) -> str:
 def gains_of(message: Mapping[str, Any]) -> list[str]:
     """New gains, in words for each axis."""
     return [
-        f"GAINS {axis}: bandwidth {one['bandwidth']:.3g} rad/s: {message['why'][axis]}"
+        f"{message['time']:.1f} s  GAINS {axis}: bandwidth {one['bandwidth']:.3g} rad/s; {message['why'][axis]}"
         for axis, one in message["axes"].items()
     ]
 
 
 def main() -> None:
     """Reads samples from standard input, writes words, alarms and gains to standard output."""
+    from rotorfit.app.terminal import text_of
+    from rotorfit.app.terminal.tracking import track_view
+    from rotorfit.core.tracked import Track
     from rotorfit.tracking.earlier import earlier_of
     from rotorfit.tracking.tracker import Tracker
 
-    os.nice(NICE)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a library prints is no answer
     stream = sys.stdin.buffer
     asked = json.loads(stream.readline())
+    os.nice(0 if asked["paced"] else NICE)
     earlier = earlier_of(asked["after"]) if asked["after"] else None
     tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier)
-    last, gains = tracker.state(), list[str]()
+    gains = list[str]()
     regaining = None
     if asked["gains"] is not None:
         from rotorfit.app.live.regained import regaining_of
@@ -81,22 +87,26 @@ def main() -> None:
             earlier,
         )
 
-    def tell(state: Tracked) -> None:
-        alarms = [f"ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
-        told = {"words": words_of(state), "alarms": alarms, "gains": list(gains)}
+    def tell(state: Tracked, now: int, summary: str = "") -> None:
+        if regaining:
+            regaining.state(state, now)
+        alarms = [f"{one.time:.1f} s  ALARM {', '.join(one.axes)}: {one.cause}: {one.why}" for one in state.alarms]
+        told = {"time": state.time, "words": words_of(state), "alarms": alarms, "gains": list(gains)}
         gains.clear()
-        print(json.dumps({**told, "summary": regaining.summary if regaining else ""}), file=answers, flush=True)
+        print(json.dumps({**told, "summary": summary}), file=answers, flush=True)
 
+    received = 0
     try:
         while len(data := stream.read(RECORD.size)) == RECORD.size:
             number, stamp, received, *values = RECORD.unpack(data)
             name = STREAMS[number]
             tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
-            if tracker.state() is not last:
-                last = tracker.state()
-                if regaining:
-                    regaining.state(last, received)
-                tell(last)
+            for state in tracker.news():
+                tell(state, received)
+        last, regimes = tracker.finish()
+        for state in tracker.news():
+            tell(state, received)
+        tell(last, received, text_of(track_view(Track((last,), regimes))) + (regaining.summary if regaining else ""))
     except BrokenPipeError:  # the flight was ended meanwhile, and nobody reads any more
         os.dup2(os.open(os.devnull, os.O_WRONLY), answers.fileno())
 

@@ -1,7 +1,7 @@
 """Terminal output, one module for each kind of result: text and tables that fit 80 columns."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import click
 from rich.console import Console, RenderableType
@@ -18,10 +18,20 @@ def show(view: Iterable[RenderableType]) -> None:
     console = Console(markup=False, highlight=False, emoji=False)
     if not console.is_terminal:
         console.width = _UNBROKEN
+    for text in _parts(console, view):
+        click.echo(text, nl=False)
+
+
+def text_of(view: Iterable[RenderableType]) -> str:
+    """A view as text, as `show` prints it in a pipe."""
+    return "".join(_parts(Console(markup=False, highlight=False, emoji=False, width=_UNBROKEN, no_color=True), view))
+
+
+def _parts(console: Console, view: Iterable[RenderableType]) -> Iterator[str]:
     for part in view:
         with console.capture() as captured:
             console.print(part)
-        click.echo("\n".join(_harmless(line.rstrip()) for line in captured.get().split("\n")), nl=False)
+        yield "\n".join(_harmless(line.rstrip()) for line in captured.get().split("\n"))
 
 
 def _harmless(line: str) -> str:

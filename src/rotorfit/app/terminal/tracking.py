@@ -1,6 +1,7 @@
 """Terminal output of tracking: what is new, second by second, and a table at the end."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -64,15 +65,17 @@ def alarm_view(alarm: Alarm) -> View:
     """What changed, when, by how much, and the reason for the named cause."""
     low, high = alarm.since
     head = Text(f"{alarm.time:7.1f} s  ALARM {', '.join(alarm.axes)}: {alarm.cause}", style="bold red")
-    head.append(f", since {low:.1f} to {high:.1f} s", style="default")
+    if high > 0:  # a vehicle that is another one since the start has not changed
+        head.append(f", since {low:.1f} to {high:.1f} s", style="default")
     yield head
     yield indented(f"{alarm.why}.", 11)
-    changed = (f"{name.replace('.', ' ')} {_change(name)} {a:.3g} to {b:.3g}" for name, (a, b) in alarm.change.items())
+    spoken = ((name, re.sub("[._]", " ", name), ends) for name, ends in alarm.change.items())
+    changed = (f"{words} {_change(name)} {a:.3g} to {b:.3g}" for name, words, (a, b) in spoken)
     yield indented("; ".join(changed) + ".", 11)
 
 
 def _change(name: str) -> str:
-    return "by" if name.endswith((".delay", ".trim")) else "times"
+    return "by" if name.endswith((".delay", ".lag", ".total_lag", ".trim")) else "times"
 
 
 def gains_view(message: Mapping[str, Any]) -> View:
