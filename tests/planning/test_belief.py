@@ -89,6 +89,14 @@ def test_a_model_is_believed_as_far_as_it_goes_and_the_card_beyond() -> None:
     assert belief.notes == ("noise and wind of z, yaw: those of a quiet motion-capture room (0.5 mm, 0.02 m/s^2)",)
 
 
+def test_a_richer_law_than_the_planned_one_is_told() -> None:
+    model = model_of(VEHICLE, CARD)
+    lagged = {axis: replace(model.axes[axis], structure="first_order_delay_lag") for axis in ("x", "z")}
+    notes = belief_from_model(replace(model, axes={**model.axes, **lagged}), "m.json").notes
+
+    assert notes == ("x, z: planned for the first-order law with a delay, not for first_order_delay_lag",)
+
+
 def test_of_what_a_model_knows_no_note_of_its_card_is_left() -> None:
     bare = load_card("bebop2")  # without limits: on its own it is believed to be like the published sets
     unlimited = replace(bare, name="a drone that nobody has published", raw={})

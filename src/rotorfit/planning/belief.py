@@ -15,7 +15,7 @@ from rotorfit.core.flight_plan import Four
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.laws import USUAL_TRIM
 from rotorfit.core.limits import Meaning, expectation, meaning_of
-from rotorfit.core.model import COEFFICIENTS, Model, first_order
+from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Model, first_order
 from rotorfit.simulation.paper_vehicle import Truth
 from rotorfit.simulation.published import PUBLISHED, vehicle_of
 
@@ -212,6 +212,10 @@ def belief_from_model(model: Model, where: str) -> Belief:
             noise[a] = np.sqrt(levels[axis][1])
         if trims := [trim for trim in one.trim if trim is not None]:
             sigma[a] = max(float(np.sqrt(np.mean(np.square(trims)))), USUAL_TRIM[a] / 2)
+    richer = {axis: model.axes[axis].structure for axis in known if model.axes[axis].structure != STRUCTURE}
+    if richer:
+        laws = ", ".join(dict.fromkeys(richer.values()))
+        notes.append(f"{', '.join(richer)}: planned for the first-order law with a delay, not for {laws}")
     covariance = _known_covariance(model, values.ravel(), covariance)
     truth = replace(
         with_coefficients(rest.truth, values.ravel()),
