@@ -10,7 +10,7 @@ from test_summary import axis, model
 from rotorfit.app.terminal import show
 from rotorfit.app.terminal.coefficients import model_view
 from rotorfit.app.terminal.tables import interval_text, number_text
-from rotorfit.app.terminal.tracking import alarm_view, track_view
+from rotorfit.app.terminal.tracking import alarm_view, news, track_view
 from rotorfit.core.model import Combination, Mode, Model
 from rotorfit.core.tracked import Air, Alarm, Track, Tracked, TrackedAxis
 
@@ -124,6 +124,17 @@ def test_still_air_blows_nowhere(capsys: pytest.CaptureFixture[str], air: Air, s
 def test_nothing_is_less_than_zero() -> None:
     assert number_text(-0.001, (-0.2, 0.2)) == "0.00"
     assert interval_text((-0.001, 0.2)) == "0.00 to 0.20"
+
+
+def test_the_mean_wind_is_told_where_it_begins_and_where_it_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    begun = Tracked(21.0, {}, air=Air(2.1, (1.6, 2.8), 0.0, (-0.1, 0.1)))
+    before, after = Tracked(20.0, {}), Tracked(22.0, {})
+    for one, other in ((before, begun), (begun, begun), (begun, after), (after, after)):
+        show(news(one, other))
+
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("   21.0 s  air  Mean wind 2.10 m/s (1.60 to 2.80), towards 0 deg")
+    assert second == "   22.0 s  air  no mean wind: this flight does not tell enough of x and y"
 
 
 def test_an_alarm_gives_times_as_differences_and_no_instant_to_what_was_so_from_the_start(

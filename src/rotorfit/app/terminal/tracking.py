@@ -20,17 +20,25 @@ SHOWN_AT_ONCE = ("known", "not_identifiable")
 
 
 def news(before: Tracked | None, state: Tracked) -> Iterator[RenderableType]:
-    """Alarms, and the axes whose state of knowledge has changed since a second ago."""
+    """Alarms, the axes whose state of knowledge has changed since a second ago, and the mean wind where it begins."""
     for alarm in state.alarms:
         yield from alarm_view(alarm)
     for name, axis in state.axes.items():
         earlier = before.axes.get(name) if before else None
         new = axis.knowledge != "learning" or axis.earlier if earlier is None else earlier.knowledge != axis.knowledge
         if new:
-            line = Text(f"{state.time:7.1f} s  {name:4}", style="dim")
-            line.append(f" {axis.state}", style="default")
-            line.append(_numbers(axis), style="default")
-            yield line
+            yield _line(state.time, name, f"{axis.state}{_numbers(axis)}")
+    given = before is not None and before.air is not None
+    if state.air and not given:
+        yield _line(state.time, "air", f"{_wind(state.air)}; from now on, as this flight tells enough of x and y")
+    elif given and not state.air:
+        yield _line(state.time, "air", "no mean wind: this flight does not tell enough of x and y")
+
+
+def _line(time: float, name: str, text: str) -> Text:
+    line = Text(f"{time:7.1f} s  {name:4}", style="dim")
+    line.append(f" {text}", style="default")
+    return line
 
 
 def _numbers(axis: TrackedAxis) -> str:
