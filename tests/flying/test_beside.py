@@ -14,9 +14,10 @@ from click.testing import CliRunner, Result
 from flying import CARD, Watched, plan_of, room_link
 from models import model_of
 from rotorfit.app.cli import main
-from rotorfit.app.cli.flying import _show_last
+from rotorfit.app.cli.flying import _check_tracking, _show_last
 from rotorfit.app.live.beside import FAR, asked_of, tracked_beside
 from rotorfit.exports.gains import read_gains
+from rotorfit.files.cards import card_from_mapping
 from rotorfit.files.logs import read
 from rotorfit.files.models import save
 from rotorfit.files.plans import save_plan
@@ -105,9 +106,10 @@ def test_the_end_of_a_simulated_flight_is_that_of_track_and_has_every_alarm_and_
     assert f" They are in {gains}." in result.stderr
     assert re.search(r"^\d+\.\d s  ALARM x: another_vehicle: ", result.stderr, re.MULTILINE)
     assert any(" s  ALARM x: another_vehicle: " in one.text for one in read(output).events)
-    axes = read_gains(gains)["axes"]
-    assert axes
-    for axis in axes:
+    held = read_gains(gains)
+    assert held["model"]["flights"][0]["path"] == str(output)
+    assert held["axes"]
+    for axis in held["axes"]:
         assert re.search(rf"^\d+\.\d s  GAINS {axis}: bandwidth ", result.stderr, re.MULTILINE)
 
 
@@ -120,6 +122,14 @@ def test_a_tracker_that_takes_too_long_is_told_by_the_second_that_it_had_reached
     _show_last(beside)
 
     assert "tracker: ended before its last fit; it had told nothing yet" in capsys.readouterr().err
+
+
+def test_a_model_of_another_card_is_told_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    another = f"model.json is of another card, Tello, than the flight, {CARD.name}\n"
+    for name, told in ((CARD.name, ""), ("Tello", another)):
+        save(model_of(card=card_from_mapping({**CARD.raw, "name": name}, "here")), tmp_path / "model.json")
+        _check_tracking(CARD.raw, tmp_path / "model.json", None)
+        assert capsys.readouterr().err == told
 
 
 def test_what_the_tracker_could_not_use_is_refused_before_the_flight(tmp_path: Path) -> None:

@@ -100,6 +100,13 @@ def check_earlier(earlier: Earlier, card: Card) -> None:
         raise CardError(f"{earlier.name}: {trouble}; convert it (rotorfit convert), or leave --after out")
 
 
+def another_card(earlier: Earlier, card: Card) -> str:
+    """States, in one line, that the earlier model has a card of another name; empty where it has not."""
+    if earlier.model.card.name == card.name:
+        return ""
+    return f"{earlier.name} is of another card, {earlier.model.card.name}, than the flight, {card.name}"
+
+
 def known_before(earlier: Earlier, axis: str) -> dict[str, Known]:
     """The quantities of an axis that the earlier model tells, each with its interval of the vehicle."""
     known = earlier.model.axes[axis]

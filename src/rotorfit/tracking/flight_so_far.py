@@ -10,6 +10,9 @@ from rotorfit.core.card import Card
 from rotorfit.core.flight_data import Flight, Note, Segment
 from rotorfit.core.frames import AXES, Array
 
+UNRECORDED = "live, not recorded"
+"""What a flight is called that no file has."""
+
 HOLD = 1.0
 """How long a command acts if no other follows and the card does not say [s]."""
 
@@ -122,6 +125,7 @@ class FlightSoFar:
 
     Args:
         card: The vehicle's card: hold and axes of the commands.
+        path: File of the recording; models name it as their flight.
 
     Attributes:
         commands: Rows of forward, left, up, counter-clockwise [unit of the card's command], and the latest end [s].
@@ -132,8 +136,8 @@ class FlightSoFar:
         counts: Code of `LEFT_OUT` to the number of samples.
     """
 
-    def __init__(self, card: Card) -> None:
-        self._card = card
+    def __init__(self, card: Card, path: str = UNRECORDED) -> None:
+        self._card, self._path = card, path
         self._hold = HOLD if card.hold is None else card.hold
         self.commands, self.poses, self.now = Rows(4), Rows(3), 0.0
         self.standing: Sequence[tuple[float, float]] = ()
@@ -157,7 +161,7 @@ class FlightSoFar:
         if not segments:
             return None
         return Flight(
-            path="live",
+            path=self._path,
             sha256="",
             card=self._card,
             span=(float(time[0]), self.now),

@@ -18,7 +18,7 @@ from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, yaw_from_quaternion
 from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Alarm
-from rotorfit.tracking.flight_so_far import HOLD, FlightSoFar, News, Rows
+from rotorfit.tracking.flight_so_far import HOLD, UNRECORDED, FlightSoFar, News, Rows
 from rotorfit.tracking.ground import Ground
 from rotorfit.tracking.pose_watch import FROZEN, PoseWatch
 
@@ -66,10 +66,11 @@ class GrowingFlight:
     Args:
         card: The vehicle's card: hold and axes of the commands.
         origin: Stamp of second 0 [ns]; None for that of the first sample.
+        path: File of the recording.
     """
 
-    def __init__(self, card: Card, origin: int | None = None) -> None:
-        self._origin, self._so_far = origin, FlightSoFar(card)
+    def __init__(self, card: Card, origin: int | None = None, path: str = UNRECORDED) -> None:
+        self._origin, self._so_far = origin, FlightSoFar(card, path)
         self._clocks = {"pose": _Clock(), "command": _Clock()}
         self._watch, self._ground = PoseWatch(), Ground()
         self._alarms: list[Alarm] = []

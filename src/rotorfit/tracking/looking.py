@@ -30,8 +30,8 @@ def main() -> None:
 
     sys.excepthook = failed
     os.nice(NICE)
-    card, *promised = received(sys.stdin.buffer)
-    following, so_far, model = Following(*promised), FlightSoFar(card), None
+    card, path, *promised = received(sys.stdin.buffer)
+    following, so_far, model = Following(*promised), FlightSoFar(card, path), None
     with suppress(BrokenPipeError):  # the other process is gone
         while not isinstance(question := received(sys.stdin.buffer), Failed):
             what, news, standing = question

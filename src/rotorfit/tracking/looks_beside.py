@@ -35,11 +35,12 @@ class LooksBeside:
 
     Args:
         card: Meaning of commands and poses.
+        path: File of the recording.
         promised: The arguments of `Following`.
         paced: Whether `ask` waits rather than skip looks.
     """
 
-    def __init__(self, card: Card, promised: Sequence[Any], paced: bool = False) -> None:
+    def __init__(self, card: Card, path: str, promised: Sequence[Any], paced: bool = False) -> None:
         self._paced, self._waiting, self._over = paced, 0, False
         quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
@@ -52,7 +53,7 @@ class LooksBeside:
         self._model: Model | None = None
         for work in (self._write, self._read):
             threading.Thread(target=work, name="rotorfit-looks", daemon=True).start()
-        self._asked.put((card, *promised))
+        self._asked.put((card, path, *promised))
 
     def ask(self, growing: GrowingFlight) -> None:
         """Sends what is new and requests a look, unless too many are pending; then the next one sends it.

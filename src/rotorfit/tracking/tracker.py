@@ -27,6 +27,7 @@ from rotorfit.core.results import Fit
 from rotorfit.core.tracked import Motion, Regime, Tracked, TrackedAxis
 from rotorfit.files.cards import load_card
 from rotorfit.tracking.earlier import Earlier, check_earlier, earlier_of, until_known
+from rotorfit.tracking.flight_so_far import UNRECORDED
 from rotorfit.tracking.following import FALSE_ALARMS_PER_HOUR, Following, next_look
 from rotorfit.tracking.growing_flight import GrowingFlight
 from rotorfit.tracking.looks import Looks, LooksHere
@@ -54,6 +55,7 @@ class Tracker:
             with its time. On a machine that keeps up they are those of a tracker that looks at once. End such a
             tracker by `finish`, by `close`, or as a context manager.
         paced: With `live`, let `update` wait for a machine that does not keep up, rather than skip looks.
+        path: File of the recording, if there is one: models and gains name it as their flight.
 
     Raises:
         TypeError: `card` is not a card, or `after` not a model.
@@ -71,19 +73,20 @@ class Tracker:
         after: Model | Fit | Earlier | str | PathLike[str] | None = None,
         live: bool = False,
         paced: bool = False,
+        path: str = UNRECORDED,
     ) -> None:
         if not isinstance(card, Card | str | PathLike):
             raise TypeError(f"expected a card, its name or its file, got {type(card).__name__}")
         card = card if isinstance(card, Card) else load_card(Path(card))
         if not 0 < false_alarms_per_hour <= MOST_FALSE_ALARMS:
             raise ValueError(f"false alarms an hour are above 0 and at most {MOST_FALSE_ALARMS:g}")
-        self._card, self._growing = card, GrowingFlight(card, origin)
+        self._card, self._growing = card, GrowingFlight(card, origin, path)
         earlier = after if after is None or isinstance(after, Earlier) else earlier_of(after)
         if earlier:
             check_earlier(earlier, card)
         promised = structure, false_alarms_per_hour, earlier
         following = Following(*promised)
-        self._looks: Looks = LooksBeside(card, promised, paced) if live else LooksHere(following)
+        self._looks: Looks = LooksBeside(card, path, promised, paced) if live else LooksHere(following)
         self._due = following.next_look
         self._memory: Mapping[str, Any] = following.memory()
         begin = TrackedAxis()

@@ -136,7 +136,7 @@ def fly(
         refuse(wanted.ready)
         if wanted.link.live and not yes:
             click.confirm("A real vehicle will move. Fly?", abort=True, err=True)
-        asked = asked_of(wanted.plan.card, after, gains, paced=not wanted.link.live) if track else None
+        asked = asked_of(wanted.plan.card, after, gains, not wanted.link.live, str(output)) if track else None
         with tracked_beside(asked) as beside:
             result = flown_mission(wanted, land, lambda: status_line(lambda: _tracked(beside)), beside)
             if beside:
@@ -165,11 +165,14 @@ def _check_tracking(card: "Mapping[str, Any]", after: Path | None, gains: str | 
     """
     from rotorfit.app.live.regained import regaining_of
     from rotorfit.files.cards import card_from_mapping
-    from rotorfit.tracking.earlier import check_earlier, earlier_of
+    from rotorfit.tracking.earlier import another_card, check_earlier, earlier_of
 
     earlier = earlier_of(after) if after else None
     if earlier:
-        check_earlier(earlier, card_from_mapping(card, "the plan's card"))
+        flown = card_from_mapping(card, "the plan's card")
+        check_earlier(earlier, flown)
+        if told := another_card(earlier, flown):
+            click.echo(told, err=True)
     if gains is not None:
         regaining_of(gains, lambda _message, _now: None, say_kept, earlier)
 

@@ -194,12 +194,15 @@ def _replayed(
     from rotorfit.app.workflows import load_flight
     from rotorfit.files.log_span import parse_log
     from rotorfit.flying.operator import operator_abort
+    from rotorfit.tracking.earlier import another_card
     from rotorfit.tracking.replayed import tracked
 
     flight = load_flight(parse_log(log), card)
     for note in flight.notes:
         if note.code.startswith("card_"):
             click.echo(f"{log}: {note.text}", err=True)
+    if earlier and (told := another_card(earlier, flight.card)):
+        click.echo(f"{log}: {told}", err=True)
     begun, show_state = time.monotonic(), _shown(jsonl)
     if regaining:
         regaining.listeners.append(views.gains)
@@ -234,6 +237,8 @@ def _listened(
     from rotorfit.flying.listening import Listening
     from rotorfit.flying.mission import check_new
     from rotorfit.flying.operator import operator_abort
+    from rotorfit.tracking.earlier import another_card
+    from rotorfit.tracking.flight_so_far import UNRECORDED
     from rotorfit.tracking.tracker import Tracker
 
     if record:
@@ -244,10 +249,15 @@ def _listened(
         line_cleared()
         click.echo(f"{link}: {text}", err=True)
 
+    if earlier and (told := another_card(earlier, chosen)):
+        say(told)
     show_state = _shown(jsonl)
     with operator_abort() as abort:
         listening = Listening(lambda: open_listener(link, chosen), patience, seconds, pace, abort)
-        with Tracker(chosen, structure, false_alarms, after=earlier, live=True, paced=not listening.live) as tracker:
+        path = str(record) if record else UNRECORDED
+        with Tracker(
+            chosen, structure, false_alarms, after=earlier, live=True, paced=not listening.live, path=path
+        ) as tracker:
             remembering = Remembering(memory, tracker) if memory else None
             if remembering and remembering.recalled:
                 say(f"goes on from {memory}")

@@ -12,6 +12,7 @@ from rotorfit.core.log import Sample
 from rotorfit.core.tracked import Tracked
 from rotorfit.files.cards import card_from_mapping
 from rotorfit.flying.beside import RECORD, STREAMS, WIDTH, Beside
+from rotorfit.tracking.flight_so_far import UNRECORDED
 
 FAR = "rotorfit.app.live.beside"
 """This module, as a program."""
@@ -21,7 +22,11 @@ NICE = 10
 
 
 def asked_of(
-    card: Mapping[str, Any], after: Path | None = None, gains: str | None = None, paced: bool = False
+    card: Mapping[str, Any],
+    after: Path | None = None,
+    gains: str | None = None,
+    paced: bool = False,
+    path: str = UNRECORDED,
 ) -> dict[str, Any]:
     """What the program is told first.
 
@@ -30,8 +35,9 @@ def asked_of(
         after: Model file of an earlier flight.
         gains: Path of the gains file, or empty for words alone; None to publish no gains.
         paced: Whether the flight waits for the program, as in simulated time.
+        path: File of the recording.
     """
-    return {"card": dict(card), "after": after and str(after), "gains": gains, "paced": paced}
+    return {"card": dict(card), "after": after and str(after), "gains": gains, "paced": paced, "path": path}
 
 
 @contextmanager
@@ -74,7 +80,7 @@ def main() -> None:
     asked = json.loads(stream.readline())
     os.nice(0 if asked["paced"] else NICE)
     earlier = earlier_of(asked["after"]) if asked["after"] else None
-    tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier)
+    tracker = Tracker(card_from_mapping(asked["card"], "of the flight"), after=earlier, path=asked["path"])
     gains = list[str]()
     regaining = None
     if asked["gains"] is not None:
@@ -100,7 +106,7 @@ def main() -> None:
         while len(data := stream.read(RECORD.size)) == RECORD.size:
             number, stamp, received, *values = RECORD.unpack(data)
             name = STREAMS[number]
-            tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))  # type: ignore[arg-type]
+            tracker.update(Sample(name, stamp, received, tuple(values[: WIDTH[name]])))
             for state in tracker.news():
                 tell(state, received)
         last, regimes = tracker.finish()
