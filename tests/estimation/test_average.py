@@ -13,6 +13,7 @@ from rotorfit.core.model import Axis, Model, first_order
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.likelihood import law_average
 from rotorfit.estimation.likelihood.richer_laws import under_law
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import Truth
@@ -110,6 +111,21 @@ def test_an_input_whose_sign_no_lagged_law_has_is_fitted_nevertheless() -> None:
 
     found = under_law(backwards, "z", structure_named(LAGGED)).optimum.point
     assert found.gain[0] == pytest.approx(point.gain[0], rel=0.05)
+
+
+@pytest.mark.parametrize(("delay", "taken"), [(0.1, True), (-0.02, False)])
+def test_a_climb_from_other_levels_that_ends_at_the_inverse_of_a_loop_is_not_taken(
+    monkeypatch: pytest.MonkeyPatch, delay: float, taken: bool
+) -> None:
+    """It can be likelier by far; on the recorded flight X the yaw ends there, with a gain of -130 and -0.017 s."""
+    flight = flown(Truth(), steps(("z",), seed=3), 20.0, 3)
+    plain = fit([flight], axes=("z",), structure=PLAIN).estimates["z"]
+    point = replace(plain.optimum.point, gain=np.array([-100.0]), log_damping=np.array([4.5]), delay=np.array([delay]))
+    likelier = replace(plain.optimum.score, log_likelihood=plain.optimum.score.log_likelihood + 100.0)
+    other = replace(plain.optimum, point=point, score=likelier)
+    monkeypatch.setattr(law_average, "maximise_restricted", lambda *_: other)
+
+    assert (law_average._relevelled({"z": plain})["z"].optimum is other) == taken
 
 
 def test_an_axis_faster_than_the_log_has_no_damping() -> None:

@@ -24,6 +24,9 @@ FLAT_OVERLAP = np.log(0.05)
 FAST_DISTURBANCE = np.log(50.0)
 """Logarithm of the disturbance's damping above which blocks of 1/30 s do not resolve it, and a climb can get stuck."""
 
+MOST_TRIES = 8
+"""Passes of a line search."""
+
 SECANT_BELOW = 20.0
 """Expected gain in log-likelihood below which the secant correction is kept from pass to pass."""
 
@@ -95,7 +98,7 @@ def maximise(
             break
         step = limit_step(step, point.gain.size, point.extra.size, point.levels.size)
         step = point.reach(step) * step
-        trial, result, tried = _line_search(records, point, best, step, restricted, prior)
+        trial, result, tried = _line_search(records, point, best, step, active, restricted, prior)
         passes += tried
         if result.objective <= best.objective:
             if fresh:
@@ -148,18 +151,45 @@ def _line_search(
     point: Point,
     here: LikelihoodScore,
     step: Array,
+    active: Mask,
     restricted: Restriction | None,
     prior: GaussianPrior | None,
 ) -> tuple[Point, LikelihoodScore, int]:
-    """Shortens a step until the objective rises, in at most eight tries; the last point, its score and their number."""
+    """Shortens a step until the objective rises, in at most eight tries; the last point, its score and their number.
+
+    Where the objective falls only because the linear parameters do not go with the others, they are solved for.
+    """
+
+    def scored(trial: Point) -> LikelihoodScore:
+        return with_prior(score(records, trial, restricted), trial, prior)
+
     tried = 0
     while True:
         trial = point.moved(step)
-        result = with_prior(score(records, trial, restricted), trial, prior)
+        result = scored(trial)
         tried += 1
-        if result.objective > here.objective or tried == 8:
+        if result.objective > here.objective or tried >= MOST_TRIES:
             return trial, result, tried
+        solved, expected = _solved(trial, result, active)
+        if expected > here.objective and (np.sign(solved.gain) == np.sign(trial.gain)).all():
+            result = scored(solved)
+            tried += 1
+            if result.objective > here.objective:
+                return solved, result, tried
         step = 0.3 * step
+
+
+def _solved(point: Point, there: LikelihoodScore, active: Mask) -> tuple[Point, float]:
+    """The point with its active gains, trims and start velocities solved for, and the objective expected there.
+
+    The motion is linear in them.
+
+    Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973), pp. 413-432.
+    """
+    linear = active.copy()
+    linear[point.gain.size : point.coefficients] = linear[point.n :] = False
+    step = inverted(there.information, linear) @ there.gradient
+    return point.moved(step), there.objective + 0.5 * float(step @ there.gradient)
 
 
 def _damped(information: Array, n: int) -> Array:

@@ -23,7 +23,7 @@ from rotorfit.estimation.likelihood.extra_parameters import estimated_extras, ex
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum
 from rotorfit.estimation.likelihood.law_selection import effective_samples
 from rotorfit.estimation.likelihood.likelihood import inverted
-from rotorfit.estimation.likelihood.optima import ALIKE, prediction_error
+from rotorfit.estimation.likelihood.optima import ALIKE, is_inverse_loop, prediction_error
 from rotorfit.estimation.likelihood.prior import LAG_MEDIAN, LAG_SPREAD, GaussianPrior, gaussian_prior, lag_prior
 from rotorfit.estimation.likelihood.richer_laws import PriorOf, estimate_laws, under_law
 
@@ -122,7 +122,7 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
         moving = [bool(optimum.free[k]) for k in range(K)]
         if id(optimum) not in found:
             again = maximise_restricted(estimate.records, start, moving, optimum.prior)
-            better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0
+            better = again.score.log_likelihood > optimum.score.log_likelihood + 1.0 and not _inverted(again)
             found[id(optimum)] = again if better else optimum
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
@@ -201,9 +201,14 @@ def _no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
         return plain
     start = replace(plain.optimum.point, levels=best.optimum.point.levels)
     again = maximise_restricted(plain.records, start, [True], plain.optimum.prior)
-    if again.score.log_likelihood <= plain.optimum.score.log_likelihood:
+    if again.score.log_likelihood <= plain.optimum.score.log_likelihood or _inverted(again):
         return plain
     return replace(plain, optimum=again)
+
+
+def _inverted(optimum: Optimum) -> bool:
+    """Whether a climb from other levels ended at the inverse of a feedback loop, which the search rejects."""
+    return any(is_inverse_loop(optimum, k) for k in range(optimum.point.gain.size))
 
 
 def averaged(axes: Sequence[Axis], family: Family, name: str) -> Axis:

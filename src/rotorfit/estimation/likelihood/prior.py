@@ -42,6 +42,11 @@ class GaussianPrior:
     mean: Array
     precision: Array
 
+    def exponent(self, point: Point) -> float:
+        """Logarithm of the density at a point, less that at the mean."""
+        off = point.flat()[: self.mean.size] - self.mean
+        return -0.5 * float(self.precision @ off**2)
+
 
 def gaussian_prior(priors: Mapping[str, Mapping[str, Prior]], axes: Sequence[str]) -> GaussianPrior | None:
     """The prior of these axes from a card's priors by axis and coefficient; None where the card has none for them."""
@@ -95,7 +100,7 @@ def with_prior(likelihood: LikelihoodScore, point: Point, prior: GaussianPrior |
     gradient, information = likelihood.gradient.copy(), likelihood.information.copy()
     gradient[at] -= prior.precision * off
     information[at, at] += prior.precision
-    adjustment = likelihood.adjustment - 0.5 * float(prior.precision @ off**2)
+    adjustment = likelihood.adjustment + prior.exponent(point)
     return replace(likelihood, adjustment=adjustment, gradient=gradient, information=information)
 
 

@@ -11,6 +11,7 @@ from rotorfit.core.results import student_quantile
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, level_share
+from rotorfit.estimation.likelihood.parameters import Point
 
 NOT_WALKED = 0.1
 """Expected gain in log-likelihood at which a re-maximisation stops; the gain is then added to the objective."""
@@ -66,8 +67,18 @@ def quantile(optimum: Optimum, direction: Array) -> float:
 MOST_SHARE = 1.0
 """Upper limit of the share of the levels' uncertainty: beyond it the expansion is not valid."""
 
-SCALED = 5
-"""Number of evaluations by scaled steps before the bracket is bisected."""
+CLOSE = 0.04
+"""Largest difference of the root of the fall at an end of an interval from the value looked for."""
+
+FURTHER = 4.0
+"""Largest factor on the distance from the maximum between two evaluations."""
+
+NARROW = 0.01
+"""Width of a bracket, relative to its distance from the maximum, at which its outer end is taken."""
+
+FIRST, FIRST_DELAY = 0.5, 0.05
+"""Longest first step from the maximum: share of a gain and change of a logarithm; change of a delay [s]. A climb from
+far outside takes many passes, and most of a wide interval's ends are not where the information places them."""
 
 SECOND = 1.2
 """Factor on the distance from the maximum with which the search continues from an end that was not confirmed."""
@@ -105,6 +116,7 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     best, reach = float(values[index]), quantile(optimum, direction)
     error = float(np.sqrt(inverted(optimum.score.information, optimum.free)[index, index]))
     low, high = (float(bound[index]) for bound in optimum.point.bounds())
+    first = min(reach * error, _longest(optimum.point, index))
     points = [(best, 0.0)]
     ends = []
     for side, bound in ((-1.0, low), (1.0, high)):
@@ -120,7 +132,7 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
             return float(np.sqrt(2 * fall))
 
         def holds(inside: float, outside: float, looks: list[tuple[float, Optimum]] = looks) -> bool:
-            near = hold(records, optimum, index, inside)
+            near = next(look for place, look in looks if place == inside)
             there = hold(records, near, index, outside)
             fall = max(height(optimum) - height(there), 0.0)
             if np.sqrt(2 * fall) > reach:
@@ -131,8 +143,16 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
             ]
             return False
 
-        ends.append(_crossing(root, holds, best, best + side * reach * error, bound, reach))
+        ends.append(_crossing(root, holds, best, best + side * first, bound, reach))
     return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
+
+
+def _longest(point: Point, index: int) -> float:
+    """Longest first step of a parameter from the maximum."""
+    K = point.gain.size
+    if index < K:
+        return FIRST * abs(float(point.gain[index]))
+    return FIRST_DELAY if 2 * K <= index < 3 * K else FIRST
 
 
 def _crossing(
@@ -145,9 +165,9 @@ def _crossing(
 ) -> float | None:
     """Where the root of the fall crosses `reach` between `best` and `bound`; None where it does not.
 
-    After twelve evaluations the outer end of the bracket is returned, if the fall there is confirmed by re-maximising
-    from the inner end: after a long step the maximisation may have missed the maximum. If it is not confirmed, the
-    search continues from there.
+    After twelve evaluations, or where the bracket is narrow, its outer end is returned, if the fall there is confirmed
+    by re-maximising from the inner end: after a long step the maximisation may have missed the maximum. If it is not
+    confirmed, the search continues from there.
     """
     end, inside, outside = _walk(root, best, best, guess, bound, reach)
     if end is not None or outside is None:
@@ -164,25 +184,30 @@ def _walk(
 ) -> tuple[float | None, float, float | None]:
     """Where the root of the fall equals `reach`, or None; and the bracket around it, with None for no outer end.
 
-    The root is nearly linear where the likelihood is nearly quadratic, so steps scale with it. A bracket safeguards
-    them; it is bisected where they converge slowly, for example where the root is flat beyond the end, as for a
-    saturation level that no command reaches.
+    The root is nearly linear where the likelihood is nearly quadratic: steps outwards scale with it, and a bracket is
+    divided where the line between its ends crosses. Where that leaves more than half of it, as where the root is flat
+    beyond the end, it is bisected next. Where the profile jumps from one maximum to another, the bracket becomes narrow
+    without an end in it.
     """
-    outside = None
-    side = 1.0 if bound > best else -1.0
-    for look in range(12):
-        target = min(target, bound) if side > 0 else max(target, bound)
-        value = root(target)
-        if abs(value - reach) < 0.04:
+    outside: float | None = None
+    below, above, width = -reach, 0.0, np.inf
+    for _ in range(12):
+        target = min(target, bound) if bound > best else max(target, bound)
+        off = root(target) - reach
+        if abs(off) < CLOSE:
             return target, inside, outside
-        if value > reach:
-            outside = target
+        if off > 0:
+            outside, above = target, off
         elif target == bound:
             return None, inside, None
         else:
-            inside = target
-        share = float(np.clip(reach / max(value, 1e-6), 0.3, 4.0))
-        target = best + (target - best) * share
-        if outside is not None and (look >= SCALED or not min(inside, outside) < target < max(inside, outside)):
-            target = 0.5 * (inside + outside)
+            inside, below = target, off
+        if outside is None:
+            target = best + (target - best) * min(reach / max(off + reach, 1e-6), FURTHER)
+            continue
+        before, width = width, abs(outside - inside)
+        if width < NARROW * abs(outside - best):
+            break
+        share = 0.5 if width > 0.5 * before else float(np.clip(below / (below - above), 0.1, 0.9))
+        target = inside + (outside - inside) * share
     return None, inside, outside

@@ -24,6 +24,10 @@ from rotorfit.estimation.likelihood.prior import GaussianPrior
 SPEED_BLOCKS = 6
 """Number of blocks over which speeds are measured for the reference speed of the quadratic drag."""
 
+NEAR = 3.0
+"""Fall of the objective below the best of the short climbs within which a start is climbed to its maximum: levels that
+are held shift the order of maxima so close."""
+
 Start = tuple[float, float, float, tuple[float, ...]]
 """Factors of a start on gain and damping, its delay [s] and its further parameters."""
 
@@ -106,8 +110,14 @@ def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: Pri
         _begun(estimate.records, point, [True], prior)
         for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
     ]
-    best = max(found, key=lambda one: one[0])[1]
-    return replace(estimate, optimum=_finished(estimate.records, best, [True], prior))
+    highest = max(value for value, _ in found)
+    tops = [_finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
+    return replace(estimate, optimum=max(tops, key=_posterior))
+
+
+def _posterior(top: Optimum) -> float:
+    """Log-likelihood and prior of a maximum; objectives differ by the reference of their restriction, too."""
+    return top.score.log_likelihood + (top.prior.exponent(top.point) if top.prior else 0.0)
 
 
 def _finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
