@@ -1,12 +1,14 @@
 """The default laws: the law that the vehicle has, intervals that hold it, and a lag that a gusty flight cannot lose."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flights import flown, steps
 from other_laws import TRUTH, flown_by
+from rotorfit.app.workflows import load_flight
 from rotorfit.control.tuning import tune
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Model, first_order
@@ -15,6 +17,7 @@ from rotorfit.dynamics.transfer_function import law_response, sine_response
 from rotorfit.estimation.fitting import fit
 from rotorfit.estimation.likelihood import law_average
 from rotorfit.estimation.likelihood.richer_laws import under_law
+from rotorfit.files.log_span import parse_log
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.simulation.paper_vehicle import Truth
 
@@ -174,3 +177,20 @@ def test_the_response_to_a_sine_is_that_of_the_state_space(name: str) -> None:
         assert told.gain == pytest.approx(abs(direct))
         assert told.gain_ci95[0] is not None
         assert told.gain_ci95[0] <= told.gain
+
+
+def test_no_law_brings_back_an_optimum_that_the_search_has_left_out(real_flights: Path) -> None:
+    """Yaw of the Bebop 2 is only held in these parts of a flight: one predicts worse, one is its controller."""
+    folder = real_flights / "bebop2-wsu"
+    early, late = (
+        fit(
+            [load_flight(parse_log(f"{folder}/Training_CT_TestDay_X.mat@{part}"), f"{folder}/card.toml")], axes=("yaw",)
+        )
+        for part in ("0:56", "112:168")
+    )
+
+    low, _ = early.model.axes["yaw"].ci95["delay"]
+    assert low is not None
+    assert low > 0.1  # of the likelier optimum the delay is 0.02 s
+    known = late.model.axes["yaw"].predictor
+    assert known is None or known.input > 0

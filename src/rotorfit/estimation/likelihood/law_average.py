@@ -97,7 +97,7 @@ def families(
         if not estimates[axis].excited:
             out[axis] = Family(estimates[axis], (Law(estimates[axis], 1.0),))
             continue
-        tried = [lagged[axis]]
+        tried = [lagged[axis]] if _believable(serving, lagged[axis], estimates[axis]) else []
         if axis in WITH_LOOP and (led := _led(serving, axis, lagged[axis], estimates[axis], prior_of)):
             tried.append(led)
         out[axis] = _weighed(estimates[axis], tried)
@@ -127,6 +127,18 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
+def _believable(serving: Sequence[Flight], law: Estimate, simpler: Estimate) -> bool:
+    """Whether a law does not predict worse than a simpler one, and is no loop identified backwards.
+
+    With a lag near 0 a law is the first-order law at whichever of its optima is likeliest, also at one that the search
+    has left out because it predicts worse.
+    """
+    if _inverted(law.optimum):
+        return False
+    error, other = (prediction_error(serving, one.records[0].axes, one.optimum)[0][one.place] for one in (law, simpler))
+    return not (np.isfinite([error, other]).all() and error > (1 + ALIKE) * other)
+
+
 def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate | None:
     """The law with a zero, climbed from the levels of the likelier of the other two; None where it is not needed.
 
@@ -137,8 +149,7 @@ def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate
     led = under_law(replace(plain, optimum=levels), axis, LED, prior_of)
     if _moves_as_lagged(led):
         return None
-    errors = [prediction_error(serving, (axis,), one.optimum)[0][0] for one in (led, lagged)]
-    return None if np.isfinite(errors).all() and errors[0] > (1 + ALIKE) * errors[1] else led
+    return led if all(_believable(serving, led, other) for other in (lagged, plain)) else None
 
 
 def _moves_as_lagged(led: Estimate) -> bool:
