@@ -13,17 +13,17 @@ from models import VEHICLE, model_of
 from other_laws import TRUTH, flown_by
 from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.frequency.comparison import findings_of_responses, response_mapping, response_test
-from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.assessment.frequency.law_test import law_test, matched
 from rotorfit.assessment.frequency.response import frequency_response, response_bands, response_of_bands
 from rotorfit.assessment.frequency.spectra import held_integrals, spectra_of, windows_of
-from rotorfit.assessment.frequency.tones import tones_of
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.flight_plan import value
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse
 from rotorfit.core.laws import FIRST_ORDER_DELAY, STRUCTURES
 from rotorfit.core.model import Predictor
+from rotorfit.dynamics.irregular_fourier import IrregularFourier
+from rotorfit.dynamics.tones import tones_of
 from rotorfit.dynamics.transfer_function import has_transfer_function, law_response
 from rotorfit.files.log_span import LogSpan
 from rotorfit.planning.signals import multisine

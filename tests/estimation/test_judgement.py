@@ -1,22 +1,28 @@
 """Two intervals of every number, and what refutes it."""
 
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from flights import fit_as_flown, flown, steps
+from flights import by_hand, fit_as_flown, flown, steps
 from other_laws import TRUTH, flown_by
+from rotorfit.app.workflows import load_flight
 from rotorfit.assessment.advice import findings_of_fit
 from rotorfit.assessment.summary import summary_of_model
+from rotorfit.core.flight_data import Flight
 from rotorfit.core.model import COEFFICIENTS, Axis
 from rotorfit.core.results import Fit
 from rotorfit.dynamics.other_limits import scaled
 from rotorfit.estimation.fitting import fit
-from rotorfit.estimation.judgement.refutation import cuts, homogeneity
-from rotorfit.estimation.judgement.residual_variance import Weighted
+from rotorfit.estimation.judgement.cross_check import with_instruments
+from rotorfit.estimation.judgement.refutation import Homogeneity, cuts, homogeneity
+from rotorfit.estimation.judgement.residual_variance import Weighted, weighted_innovations
+from rotorfit.estimation.likelihood.estimand import estimands
 from rotorfit.files.cards import card_from_mapping
+from rotorfit.files.log_span import parse_log
 from rotorfit.files.models import from_mapping, to_mapping
 from rotorfit.flights.assemble import flight_from_log
 from rotorfit.simulation.flight_room import Conditions, fly_commands, log_of_room_flight
@@ -206,3 +212,65 @@ def test_a_combination_that_is_not_judged_itself_is_widened_as_the_coefficients_
         assert part.ci95_flight is not None
         assert width(part.ci95) / width(part.ci95_flight) == pytest.approx(wider, rel=0.1)
     assert wider > 1.2
+
+
+# A feedback loop
+
+
+def yaw_in_a_loop(swing: float, seed: int) -> Flight:
+    """A minute of a first-order yaw under eight sines and feedback; what disturbs it is wind, and a swing at 1.3 Hz."""
+    rng = np.random.default_rng(seed)
+    step, late, every = 0.005, 24, 4
+    sines, phases = np.linspace(1.6, 4.7, 8), rng.uniform(0.0, 2 * np.pi, 8)
+    angle = rate = slope = before = pushed = turned = 0.0
+    waiting, commands, poses = [0.0] * late, [], []
+    for i in range(12_000):
+        if i % every == 0:
+            seen = angle + 3e-5 * rng.normal()
+            slope, before = slope + 0.3 * ((seen - before) / (every * step) - slope), seen
+            commands.append(0.06 * np.sin(sines * i * step + phases).sum() - 0.6 * seen - 0.5 * slope)
+            poses.append(seen)
+        waiting.append(commands[-1])
+        turned += step * (-0.48 * turned - 64.0 * pushed) + swing * np.sqrt(step) * rng.normal()
+        pushed += step * turned
+        rate += step * (4.0 * waiting.pop(0) - 2.5 * rate + turned) + 0.05 * np.sqrt(step) * rng.normal()
+        angle += step * rate
+    time = every * step * np.arange(len(poses))
+    columns = np.zeros((2, time.size, 4))
+    columns[:, :, 3] = poses, commands
+    return by_hand(time, columns[0], time, columns[1])
+
+
+def instruments_of(flight: Flight) -> dict[str, Homogeneity]:
+    estimate = fit([flight], axes=("yaw",), structure="first_order_delay").estimates["yaw"]
+    assert estimate.loop.closed
+    wanted = estimands(estimate.optimum, estimate.place)
+    weighted = weighted_innovations(estimate, list(wanted.values()))
+    errors = {name: one.error(estimate.optimum) for name, one in wanted.items()}
+    return with_instruments(estimate, weighted, wanted, errors)
+
+
+def test_in_a_loop_with_wind_as_modelled_the_likelihood_is_believed() -> None:
+    assert instruments_of(yaw_in_a_loop(0.0, 0)) == {}
+
+
+def test_in_a_loop_a_swing_that_the_filter_lacks_is_not_taken_for_excitation() -> None:
+    found = instruments_of(yaw_in_a_loop(0.15, 0))
+
+    assert set(found) == {"input", "damping", "delay", "steady_gain", "total_lag"}
+    assert all(one.sd > 1.0 for one in found.values())
+
+
+def test_a_real_autopilots_loop_does_not_hide_its_steady_gain(real_flights: Path) -> None:
+    flight = load_flight(parse_log(str(real_flights / "arducopter-sitl" / "s01.mcap")))
+    axis = fit([flight], axes=("yaw",)).model.axes["yaw"]
+
+    gain, known = axis.combinations["steady_gain"], 1.006  # by steps, in truth.json
+    assert gain.ci95_flight is not None
+    assert gain.ci95_flight[1] is not None
+    assert gain.ci95[0] is not None
+    assert gain.ci95[1] is not None
+    assert gain.ci95_flight[1] < known
+    assert gain.ci95[0] < known < gain.ci95[1]
+    assert axis.ci95["delay"][0] is not None
+    assert axis.ci95["delay"][0] < 0.09 < axis.ci95_flight["delay"][0]  # type: ignore[operator]

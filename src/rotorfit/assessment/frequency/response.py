@@ -16,18 +16,15 @@ import numpy as np
 from rotorfit.assessment.frequency.bands import Band, bands_of
 from rotorfit.assessment.frequency.loop import answers_motion
 from rotorfit.assessment.frequency.spectra import SHORTEST, TURNED, Window, spectra_of, window_tones, windows_of
-from rotorfit.assessment.frequency.tones import Tones
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.frequency_response import FrequencyResponse, Instrument
 from rotorfit.core.results import Motion, student_quantile
 from rotorfit.diagnosis.position_loop import restoring_law
+from rotorfit.dynamics.tones import SOME_TONES, Tones
 
 ALL_TONES = 0.9
 """Share of a command's variance in its tones above which only these are used, loop or no loop."""
-
-SOME_TONES = 0.6
-"""The same above which they serve as the instrument in a feedback loop."""
 
 VAGUE = 0.4
 """Ratio of standard error to gain above which a value is left out."""

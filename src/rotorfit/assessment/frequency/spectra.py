@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
-from rotorfit.assessment.frequency.tones import Tones, tones_of
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import AXES, Array, Mask, heading_from_world
 from rotorfit.core.frequency_response import Spectrum
+from rotorfit.dynamics.irregular_fourier import IrregularFourier
+from rotorfit.dynamics.tones import Tones, tones_of
 
 LONGEST_HOLE = 0.4
 """Time without a pose that ends a window [s]."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotorfit.core.laws import structure_named
 from rotorfit.core.model import COEFFICIENTS, NORMAL, Axis, Combination, Evidence, Interval, Model, Spread
-from rotorfit.estimation.judgement.cross_check import between_filters
+from rotorfit.estimation.judgement.cross_check import with_instruments
 from rotorfit.estimation.judgement.each_flight import each_flight
 from rotorfit.estimation.judgement.random_effects import RandomEffects, random_effects
 from rotorfit.estimation.judgement.refutation import doubt
@@ -106,8 +106,8 @@ def judged_axis(axis: Axis, estimate: Estimate, tested: bool = True) -> tuple[di
     errors = {name: one.error(estimate.optimum) * wider[name] for name, one in wanted.items()}
     against = None
     if tested:
-        method = between_filters(estimate, weighted, wanted, errors)
-        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method)
+        method = with_instruments(estimate, weighted, wanted, errors)
+        against = doubt(estimate.records, weighted, estimate.place, errors, wider, method, estimate.loop.closed)
     alone = _each(estimate, list(wanted)) if len(estimate.records) > 1 else {}
     out = {}
     for part, one in wanted.items():

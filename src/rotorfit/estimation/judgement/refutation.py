@@ -232,6 +232,7 @@ def doubt(
     errors: Mapping[str, float],
     wider: Mapping[str, float],
     method: Mapping[str, Homogeneity],
+    closed: bool,
 ) -> Doubt:
     """All tests of the law of axis k.
 
@@ -242,6 +243,8 @@ def doubt(
         errors: Standard errors by name, widened for innovations that are not white.
         wider: Factors by which they were widened, by name.
         method: Agreement with another method, by name.
+        closed: Whether that method stands in for the likelihood, which a feedback loop biases: then its error is not
+            multiplied by the lack of fit, most of which is the loop's.
     """
     names = list(errors)
     labels = cuts(records, weighted, k)
@@ -253,11 +256,15 @@ def doubt(
         }
         for cut, label in labels.items()
     }
-    parts["method"] = dict(method)
+    if not closed:
+        parts["method"] = dict(method)
     rest = lack_of_fit(records, weighted, k)
     unfit = rest.factor if rest else 1.0
     apart = {n: max((found[n].sd for found in parts.values() if n in found), default=0.0) for n in names}
     factor = {n: float(np.sqrt(unfit) * np.hypot(1.0, apart[n])) for n in names}
+    if closed:
+        parts["method"] = dict(method)
+        factor |= {n: max(factor[n], float(np.hypot(1.0, one.sd))) for n, one in method.items()}
     evidence = [_between_parts(cut, found, errors) for cut, found in parts.items() if found]
     if rest:
         evidence.append(_following(rest, errors))

@@ -12,9 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorfit.assessment.frequency.irregular_fourier import IrregularFourier
 from rotorfit.core.frames import Array, Mask
 from rotorfit.core.frequency_response import Spectrum
+from rotorfit.dynamics.irregular_fourier import IrregularFourier
+
+SOME_TONES = 0.6
+"""Share of a command's variance in its tones above which they serve as the instrument in a feedback loop."""
 
 STANDS_OUT = 25.0
 """Power of a tone over the median of the residual around it. Of 1,000 frequencies of noise none exceeds 20 in 99 %."""
