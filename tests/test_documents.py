@@ -231,6 +231,13 @@ def test_every_finding_of_the_code_is_in_the_documents_and_the_other_way_round()
     assert sorted(described) == sorted(told)
 
 
+def test_every_finding_has_one_row_that_says_where_it_was_seen_in_a_test_that_is_there() -> None:
+    described = re.findall(r"^### `(\w+)`$", section(FINDINGS, "Findings"), re.MULTILINE)
+    rows = section(FINDINGS, "Where each finding was seen")
+    assert sorted(re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)) == sorted(described)
+    assert all((ROOT / "tests" / name).exists() for name in re.findall(r"\| `(\w+/\w+\.py)` \|", rows))
+
+
 CLOSED = {"commands_outside_window", "commands_on_ground", "idle_commands"}
 """Notes of what `kept` leaves out of the commands."""
 

@@ -12,12 +12,12 @@ from rotorfit.assessment.advice import findings_of_fit, too_early
 from rotorfit.core.finding import Finding
 from rotorfit.core.flight_data import Segment
 from rotorfit.core.laws import DELAY_RANGE
-from rotorfit.core.model import Mode, Predictor
+from rotorfit.core.model import Evidence, Mode, Predictor
 from rotorfit.core.results import Fit
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.log_span import parse_log
 from rotorfit.planning.signals import two_sines
-from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Controller, Truth
 
 NO_STALE = replace(Truth(), stale_share=0.0)
 
@@ -247,3 +247,17 @@ def test_findings_of_both_methods_are_made_without_error(method: str) -> None:
     result = fit([flown(Truth(), two_sines, 12.0, 4)], method, structure="first_order_delay")  # type: ignore[arg-type]
 
     assert all(isinstance(finding, Finding) for finding in findings_of_fit(result))
+
+
+def test_a_test_that_widens_the_intervals_of_a_law_is_told_as_a_doubt() -> None:
+    doubt = Evidence("speed", "fast and slow commands give different gains", 1e-4, {"input": 0.1}, False)
+    told = found(changed(well(), evidence=(doubt,)))["law_doubted", "z"]
+
+    assert told.severity == "info"
+    assert "fast and slow commands give different gains (p = 0.0001)" in told.evidence
+
+
+def test_an_instrument_that_the_motion_answers_is_a_warning() -> None:
+    flight = flown(Truth(), steps(), 60.0, 6, controller=Controller(3.0, 3.0))
+
+    assert found(fit([flight], "iv", ("z",)))["instrument_not_valid", "z"].severity == "warning"
