@@ -200,7 +200,7 @@ class Braking:
         probability: p-value of no further damping.
         share: Share of the flights during which the command is zero.
         damping: Damping of the law [1/s].
-        delay: Delay of the law [s].
+        late: Delay of the law and twice its lag [s], as `commanded_parts` takes it.
     """
 
     further: float
@@ -208,7 +208,7 @@ class Braking:
     probability: float
     share: float
     damping: float
-    delay: float
+    late: float
 
     @property
     def acts(self) -> bool:

@@ -98,7 +98,7 @@ def fit(
     paper = paper_regression(flights, wanted)
     found = _found(flights, wanted, method, structure, priors, paper, report)
     tested = {axis: test for axis, e in found.estimates.items() if (test := braking(e)) and test.acts}
-    parts = {axis: [commanded_parts(f, (axis,), test.delay) for f in flights] for axis, test in tested.items()}
+    parts = {axis: [commanded_parts(f, (axis,), test.late) for f in flights] for axis, test in tested.items()}
     for axis, some in parts.items():
         report(0.9, f"{axis} while it is commanded")
         apart = _found(some, [axis], method, structure, priors, paper, lambda _fraction, _text: None)

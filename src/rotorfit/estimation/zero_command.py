@@ -2,9 +2,9 @@
 
 The innovations of the fit are tested for a damping that acts only while the command is zero. Its effect on the position
 is simulated: the velocity that results from the commands alone, with the sign reversed and only while the command is
-zero, is an acceleration; the first-order law, whatever the axis obeys, turns it into a position, which passes through
-the likelihood's filter as the pose does. The effects of any linear law (every coefficient, trim, start, and each
-command of the previous second with a weight of its own) are projected out first, so that an unmodelled lag is not
+zero, is an acceleration; the first-order law, behind the lag that the axis has, turns it into a position, which passes
+through the likelihood's filter as the pose does. The effects of any linear law (every coefficient, trim, start, and
+each command of the previous second with a weight of its own) are projected out first, so that an unmodelled lag is not
 mistaken for braking.
 """
 
@@ -23,6 +23,7 @@ from rotorfit.dynamics.long_run import frequencies, two_sided, variance_of_mean
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.likelihood import response, segments, whiten
+from rotorfit.estimation.likelihood.parameters import Point
 
 ZERO = 0.02
 """Share of the largest command up to which a command counts as zero."""
@@ -78,9 +79,21 @@ def braking(estimate: Estimate) -> Braking | None:
         return None
     ratio = float(np.mean(scores)) / spread
     further = float(scores.sum()) / power
-    damping, delay = float(np.exp(optimum.point.log_damping[k])), float(optimum.point.delay[k])
+    damping = float(np.exp(optimum.point.log_damping[k]))
     error = abs(further / ratio) if ratio else np.inf
-    return Braking(further, error, two_sided(ratio, count), share, damping, delay)
+    return Braking(further, error, two_sided(ratio, count), share, damping, late_by(estimate))
+
+
+def late_by(estimate: Estimate) -> float:
+    """Delay of an axis and twice its lag [s]: after half of it the braking before a command has mostly ended."""
+    point, k = estimate.optimum.point, estimate.place
+    return float(point.delay[k]) + 2.0 * _lag(point, k)
+
+
+def _lag(point: Point, k: int) -> float:
+    """Lag of the law of axis k, less its zero [s]."""
+    extra = point.extra_values(k)
+    return max(extra.get("lag", 0.0) - extra.get("zero", 0.0), 0.0)
 
 
 def _at_zero(rec: Record, k: int, time: Array) -> Mask:
@@ -127,6 +140,7 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
     """
     k, K, point = estimate.place, len(rec.axes), estimate.optimum.point
     samples = np.zeros((rec.pose_time.size, len(LAGS) + 2, K))
+    lags = np.array([_lag(point, j) for j in range(K)])
     for number, (first, last) in enumerate(rec.pose_range):
         c0, c1 = rec.command_range[number]
         stamps, command = rec.command_time[c0:c1], rec.command[c0:c1]
@@ -135,9 +149,9 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
         yaw = np.interp(time, rec.pose_time[first:last], rec.yaw[first:last]) if K == 2 else np.zeros(time.size)
         delayed = [np.maximum(np.searchsorted(stamps, time - tau, side="right") - 1, 0) for tau in point.delay]
         pull = np.stack([point.gain[j] * command[delayed[j], j] for j in range(K)], axis=1)
-        velocity = _moved(pull, np.exp(point.log_damping), yaw, start[number])[1]
+        velocity = _moved(_lagged(pull, lags), np.exp(point.log_damping), yaw, start[number])[1]
         along = heading_from_world(velocity, yaw)[:, k] if K == 2 else velocity[:, 0]
-        braked = -along * _at_zero(rec, k, time - point.delay[k])
+        braked = _lagged((-along * _at_zero(rec, k, time - point.delay[k]))[:, None], lags[[k]])[:, 0]
         at = (rec.pose_time[first:last] - time[0]) / STEP
         before = np.minimum(at.astype(np.int64), time.size - 2)
         part = (at - before)[:, None]
@@ -149,6 +163,15 @@ def _positions(rec: Record, estimate: Estimate, start: Array) -> Array:
     flat = samples.reshape(len(samples), -1)
     groups = np.stack([np.bincount(rec.block, column) for column in flat.T], axis=1) * rec.weight[:, None]
     return np.ascontiguousarray(rec.observed(groups).reshape(-1, len(LAGS) + 2, K))
+
+
+def _lagged(pull: Array, lags: Array) -> Array:
+    """Accelerations (T, K) behind the lag of each axis [s]."""
+    out, late = pull.copy(), lags > 0
+    if late.any():
+        level, none = np.zeros(len(pull)), np.zeros(late.sum())
+        out[:, late] = _moved(pull[:, late] / lags[late], 1 / lags[late], level, none)[1]
+    return out
 
 
 def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array, Array]:
@@ -186,17 +209,18 @@ def _moved(pull: Array, damping: Array, yaw: Array, start: Array) -> tuple[Array
     return position, velocity
 
 
-def commanded_parts(flight: Flight, axes: Sequence[str], delay: float) -> Flight:
+def commanded_parts(flight: Flight, axes: Sequence[str], late: float) -> Flight:
     """The flight with only those segments in which one of the given axes is commanded, so that one law holds.
 
     The likelihood uses poses only from the longest delay of the search after the start of a segment. So each segment
     begins early enough that the response to the first command is used, and with it at most half a delay of the braking
-    before. It ends where the command returns to zero. Segments that are too short are dropped.
+    before and what is left of it after one lag. It ends where the command returns to zero. Segments that are too short
+    are dropped.
 
     Args:
         flight: Any flight.
         axes: Names of the axes.
-        delay: Approximate delay of these axes [s].
+        late: Approximate delay of these axes and twice their lag [s].
     """
     column = [AXES.index(axis) for axis in axes]
     time, zero = flight.command_time, _zero(flight.command_time, flight.command[:, column])
@@ -206,7 +230,7 @@ def commanded_parts(flight: Flight, axes: Sequence[str], delay: float) -> Flight
         edges = np.flatnonzero(np.diff(np.concatenate([[True], zero[first:last], [True]]).astype(np.int8))) + first
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             before = parts[-1].end if parts else whole.start
-            start = max(float(time[begin]) - DELAY_RANGE[1] + max(0.5 * delay, 0.0), before, whole.start)
+            start = max(float(time[begin]) - DELAY_RANGE[1] + max(0.5 * late, 0.0), before, whole.start)
             stop = float(time[end]) if end < last else whole.end
             if stop - start > DELAY_RANGE[1] + SHORTEST:
                 parts.append(Segment(start, stop))

@@ -21,7 +21,7 @@ from rotorfit.estimation.grouping import commands_axis, groups_of
 from rotorfit.estimation.identifiability import LEAST_TIME
 from rotorfit.estimation.likelihood.axis_estimate import Estimate
 from rotorfit.estimation.likelihood.optima import between
-from rotorfit.estimation.zero_command import commanded_parts
+from rotorfit.estimation.zero_command import commanded_parts, late_by
 from rotorfit.tracking.air import AxisNow, Course, courses
 from rotorfit.tracking.causes import diagnosis
 from rotorfit.tracking.changes import SURE, Contrast, at_once, calm, looked_for, looked_together, since_when
@@ -71,8 +71,8 @@ class Group:
         fitted: Their estimate; None before the first fit.
         excited: Excited time since the start of the regime [s].
         looked: Time up to which `excited` was counted [s].
-        answers: Delay of the answers to commands [s], if only those are fitted because the axes obey another law at
-            rest; None if all of the flight is.
+        answers: Delay of the answers to commands and twice their lag [s], if only those are fitted because the axes
+            obey another law at rest; None if all of the flight is.
     """
 
     axes: tuple[str, ...]
@@ -292,7 +292,7 @@ class Following:
                 continue
             if not any(name.split(".")[0] in axes for name in names):
                 continue
-            late = [float(one.optimum.point.delay[one.place]) for one in group.fitted.estimates.values()]
+            late = [late_by(one) for one in group.fitted.estimates.values()]
             apart = replace(group, answers=min(late))
             part = apart.part(flight, max(group.since, now - LONGEST), now)
             if part is None or part.duration < LEAST_TIME or part.duration > RESTLESS * min(now - group.since, LONGEST):

@@ -209,7 +209,7 @@ def renewed(fitted: GroupEstimate, flight: Flight) -> GroupEstimate:
     whole = sum(part.duration for part in fitted.fit.flights)
     for axis, (test, time) in fitted.fit.braking.items():
         if axis in known and time < whole:  # it brakes at rest: its law was fitted to answers to commands only
-            known[axis] = _renewed_on(fitted, commanded_parts(flight, (axis,), test.delay))[axis]
+            known[axis] = _renewed_on(fitted, commanded_parts(flight, (axis,), test.late))[axis]
     return replace(fitted, estimates=known)
 
 
