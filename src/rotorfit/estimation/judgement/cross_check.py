@@ -117,13 +117,14 @@ def _coloured(weighted: Sequence[Weighted], k: int) -> bool:
     """Whether the innovations of axis k are correlated in time, whatever their variances."""
     from scipy.special import chdtrc
 
-    statistic, count = 0.0, 0
+    statistic, freedom = 0.0, 0
     for one in weighted:
         e = one.innovation[:, k]
-        count = min(round(WHITE_OVER / float(np.median(np.diff(one.time)))), e.size // 8)
-        products = [e[lag:] * e[:-lag] for lag in range(1, count + 1)]
+        lags = min(round(WHITE_OVER / float(np.median(np.diff(one.time)))), e.size // 8)
+        products = [e[lag:] * e[:-lag] for lag in range(1, lags + 1)]
         statistic += sum(float(part.sum() ** 2 / (part @ part)) for part in products)
-    return bool(chdtrc(count * len(weighted), statistic) < REJECTED)
+        freedom += lags
+    return bool(chdtrc(freedom, statistic) < REJECTED)
 
 
 def _with_tones(
@@ -139,8 +140,8 @@ def _with_tones(
     optimum, records, quantities = estimate.optimum, estimate.records, list(wanted.values())
     n = optimum.point.n
     found = [pair for rec in records if (pair := _tonal(rec)) is not None]
-    outside, told = [rec for rec, _ in found], sum(2 * count for _, count in found)
-    if len(outside) < len(records) or told < np.count_nonzero(optimum.free[: optimum.point.coefficients]):
+    outside, numbers = [rec for rec, _ in found], sum(2 * count for _, count in found)
+    if len(outside) < len(records) or numbers < np.count_nonzero(optimum.free[: optimum.point.coefficients]):
         return {}
     own, tonal = _sensitivities(records, optimum.point), _sensitivities(outside, optimum.point)
     free = np.flatnonzero(optimum.free[:n])
