@@ -158,13 +158,21 @@ def told_after(out: TrackedAxis, earlier: Earlier, axis: str, unlike: bool) -> T
 
 
 def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...]:
-    """Each quantity that both models tell, compared; only those of `ALIKE` if their laws differ."""
+    """Each quantity that both models tell, compared.
+
+    Only those of `ALIKE` if their laws differ, or if one of them does not tell input, damping and delay: where one
+    cannot be identified, the interval of another belongs to one optimum of several, and a little more data may prefer
+    another one.
+    """
     before, now = known_before(earlier, axis), _closed(out.values, out.ci95)
+    told = all(name in before and name in now for name in COEFFICIENTS)
     same_law = out.structure == earlier.model.axes[axis].structure
     return tuple(
         _unlike(f"{axis}.{name}", before[name], now[name])
         for name in before
-        if name in now and (same_law or name in ALIKE) and (name in TIMES or min(*before[name], *now[name]) > 0)
+        if name in now
+        and (name in ALIKE or (told and same_law))
+        and (name in TIMES or min(*before[name], *now[name]) > 0)
     )
 
 

@@ -18,7 +18,7 @@ SPREAD: Mapping[str, float] = {
     "lag": 0.3,
     "zero": 0.3,
     "steady_gain": 0.3,
-    "total_lag": 0.5,
+    "total_lag": 0.4,
     "delay_plus_lag": 0.3,
     "natural_frequency": 0.3,
     "damping_ratio": 0.3,
