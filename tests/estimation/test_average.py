@@ -14,8 +14,9 @@ from rotorfit.core.laws import structure_named
 from rotorfit.core.model import Axis, Model, first_order
 from rotorfit.dynamics.trajectory import state_space
 from rotorfit.dynamics.transfer_function import law_response, sine_response
-from rotorfit.estimation.fitting import fit
+from rotorfit.estimation.fitting import estimate_group, fit
 from rotorfit.estimation.likelihood import law_average
+from rotorfit.estimation.likelihood.extra_parameters import structure_at
 from rotorfit.estimation.likelihood.richer_laws import under_law
 from rotorfit.files.log_span import parse_log
 from rotorfit.files.models import from_mapping, to_mapping
@@ -68,6 +69,17 @@ def test_a_zero_that_cancels_a_pole_takes_no_number_from_a_vehicle_without_eithe
 
     assert LOOP not in [law.structure for law in known.laws]
     assert set(known.status.values()) == {"ok"}
+
+
+def test_every_law_that_an_axis_may_have_is_climbed_also_one_that_is_then_left_out() -> None:
+    flight = flown(Truth(), steps(("z",), seed=0), 40.0, 0)
+    estimates = estimate_group([flight], ("z",), {})
+
+    climbed = law_average.default_laws([flight], estimates, {})["z"]
+    kept = law_average.families([flight], estimates, {})["z"].laws
+
+    assert [structure_at(one.optimum, one.place).name for one in climbed] == [PLAIN, LAGGED, LOOP]
+    assert LOOP not in [structure_at(law.estimate.optimum, law.estimate.place).name for law in kept]
 
 
 def test_a_loop_that_overshoots_is_taken_for_what_it_is_where_a_delay_alone_reads_the_peak_as_gain(

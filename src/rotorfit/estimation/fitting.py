@@ -298,7 +298,7 @@ def _without_velocity(flight: Flight, axes: Sequence[str]) -> Flight:
 
 def _likelihood_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors, structure: str) -> _Found:
     """The axes of one group by the likelihood, under the requested structure."""
-    estimates = _estimate_group(flights, group, priors)
+    estimates = estimate_group(flights, group, priors)
     if structure == AVERAGED and estimates:
         return _averaged(flights, group, estimates, priors)
     axes, covariance = _group_axes(flights, group, estimates)
@@ -332,7 +332,7 @@ def _averaged(
 
 def _estimates(flights: Sequence[Flight], wanted: Sequence[str]) -> dict[str, Estimate]:
     """Maximum-likelihood estimates of the requested axes under the first-order law, without intervals."""
-    return {a: e for group in groups_of(flights, wanted) for a, e in _estimate_group(flights, group, {}).items()}
+    return {a: e for group in groups_of(flights, wanted) for a, e in estimate_group(flights, group, {}).items()}
 
 
 def _common_structure(axes: Mapping[str, Axis]) -> str:
@@ -379,7 +379,7 @@ def _other_structures(
     return _Found(axes, covariance, found, plain={axis: (plain[axis], estimates[axis]) for axis in known})
 
 
-def _estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
+def estimate_group(flights: Sequence[Flight], group: Sequence[str], priors: Priors) -> dict[str, Estimate]:
     """Maximum-likelihood estimates of the axes of one group; empty where the flights are too short."""
     serving = serving_flights(flights, group)
     records = [rec for f in serving if (rec := record(f, group))]

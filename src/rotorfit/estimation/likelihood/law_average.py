@@ -78,7 +78,17 @@ class Family:
 def families(
     serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
 ) -> dict[str, Family]:
-    """The default laws of the axes of one group.
+    """The default laws of the axes of one group; arguments as for `default_laws`."""
+    return {
+        axis: _weighed(plain, _needed(serving, plain, richer))
+        for axis, (plain, *richer) in default_laws(serving, estimates, priors).items()
+    }
+
+
+def default_laws(
+    serving: Sequence[Flight], estimates: Mapping[str, Estimate], priors: Mapping[str, Mapping[str, Prior]]
+) -> dict[str, tuple[Estimate, ...]]:
+    """The maximum of every default law that an axis may have, the first-order law with a delay first.
 
     Args:
         serving: The flights of the group.
@@ -92,15 +102,11 @@ def families(
     group = tuple(estimates)
     estimates = _relevelled(estimates)
     lagged = estimate_laws(serving, estimates, dict.fromkeys(group, LAGGED), prior_of)
-    out = {}
-    for axis in group:
-        if not estimates[axis].excited:
-            out[axis] = Family(estimates[axis], (Law(estimates[axis], 1.0),))
-            continue
-        tried = [lagged[axis]] if _believable(serving, lagged[axis], estimates[axis]) else []
-        if axis in WITH_LOOP and (led := _led(serving, axis, lagged[axis], estimates[axis], prior_of)):
-            tried.append(led)
-        out[axis] = _weighed(estimates[axis], tried)
+    out: dict[str, tuple[Estimate, ...]] = {}
+    for axis, plain in estimates.items():
+        out[axis] = (plain, lagged[axis]) if plain.excited else (plain,)
+        if plain.excited and axis in WITH_LOOP:
+            out[axis] += (_led(axis, lagged[axis], plain, prior_of),)
     return out
 
 
@@ -139,17 +145,21 @@ def _believable(serving: Sequence[Flight], law: Estimate, simpler: Estimate) -> 
     return not (np.isfinite([error, other]).all() and error > (1 + ALIKE) * other)
 
 
-def _led(serving: Sequence[Flight], axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate | None:
-    """The law with a zero, climbed from the levels of the likelier of the other two; None where it is not needed.
-
-    It is not where it is equivalent to the lagged law or predicts worse.
-    """
+def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate:
+    """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
     levels = replace(plain.optimum, point=replace(plain.optimum.point, levels=better.optimum.point.levels))
-    led = under_law(replace(plain, optimum=levels), axis, LED, prior_of)
-    if _moves_as_lagged(led):
-        return None
-    return led if all(_believable(serving, led, other) for other in (lagged, plain)) else None
+    return under_law(replace(plain, optimum=levels), axis, LED, prior_of)
+
+
+def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> list[Estimate]:
+    """The laws with a lag that predict no worse than any simpler one, without a law with a zero that needs none."""
+    return [
+        law
+        for place, law in enumerate(richer)
+        if not (place and _moves_as_lagged(law))
+        and all(_believable(serving, law, simpler) for simpler in (plain, *richer[:place]))
+    ]
 
 
 def _moves_as_lagged(led: Estimate) -> bool:
@@ -162,7 +172,7 @@ def _moves_as_lagged(led: Estimate) -> bool:
 def _weighed(plain: Estimate, tried: Sequence[Estimate]) -> Family:
     """The laws with their posterior weights from equal prior weights; laws whose climb has not ended are left out."""
     ended = [one for one in tried if not unfinished(one.optimum, one.place)]
-    plain = _no_worse(plain, ended)
+    plain = no_worse(plain, ended)
     if not ended:
         return Family(plain, (Law(plain, 1.0),))
     laws = [plain, *ended]
@@ -205,7 +215,7 @@ def _log_prior(extra: Extra, value: float) -> float:
     return -value / ZERO_MEAN - float(np.log(ZERO_MEAN))
 
 
-def _no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
+def no_worse(plain: Estimate, others: Sequence[Estimate]) -> Estimate:
     """The first-order law climbed again from the levels of a likelier law, where that is higher."""
     best = max((plain, *others), key=lambda one: one.optimum.score.log_likelihood)
     if best is plain or plain.optimum.point.gain.size > 1:

@@ -111,16 +111,16 @@ def under_law(estimate: Estimate, axis: str, structure: Structure, prior_of: Pri
         for point in _starts(estimate.records, estimate.optimum.point, 0, structure, prior)
     ]
     highest = max(value for value, _ in found)
-    tops = [_finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
-    return replace(estimate, optimum=max(tops, key=_posterior))
+    tops = [finished(estimate.records, point, [True], prior) for value, point in found if value > highest - NEAR]
+    return replace(estimate, optimum=max(tops, key=posterior))
 
 
-def _posterior(top: Optimum) -> float:
+def posterior(top: Optimum) -> float:
     """Log-likelihood and prior of a maximum; objectives differ by the reference of their restriction, too."""
     return top.score.log_likelihood + (top.prior.exponent(top.point) if top.prior else 0.0)
 
 
-def _finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
+def finished(records: Sequence[Record], point: Point, moving: Sequence[bool], prior: GaussianPrior | None) -> Optimum:
     """The maximum; where lag and damping ended swapped, the equivalent maximum with the two exchanged."""
     optimum = maximise_restricted(records, point, moving, prior)
     for k in range(point.gain.size):
@@ -170,7 +170,7 @@ def _together(
             prior = prior_of(group, laws)
             found = [_begun(records, start, moving, prior) for start in _starts(records, point, k, wanted[axis], prior)]
             point = max(found, key=lambda one: one[0])[1]
-    optimum = _finished(records, point, moving, prior_of(group, point.structures))
+    optimum = finished(records, point, moving, prior_of(group, point.structures))
     return {axis: replace(estimates[axis], records=records, optimum=optimum, place=k) for k, axis in enumerate(group)}
 
 
