@@ -90,6 +90,15 @@ def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
     assert set(COEFFICIENTS) <= told_after(told, earlier, "x", unlike=False).against.keys()
 
 
+def test_an_input_told_without_its_damping_is_not_compared() -> None:
+    """It belongs to one optimum of several: yaw of a recorded flight, only held, had 24.5, and 0.4 half a minute later."""
+    earlier, told = Earlier(scaled(own(), "x", 70.0), NAME), known()[1].states[-1].axes["x"]
+    alone = replace(told, values={**told.values, "damping": None})
+
+    assert "x.input" in {one.name for one in compared(told, earlier, "x")}
+    assert {one.name for one in compared(alone, earlier, "x")} == {"x.steady_gain", "x.total_lag"}
+
+
 def test_the_same_vehicle_is_no_other_and_another_is_told_once_with_its_ratio() -> None:
     flight = until(known_flight(), 16.0)
     same, other = (tracked(flight, LAW, 0.1, earlier=Earlier(one, NAME)) for one in (own(), scaled(own(), "x", 1.25)))

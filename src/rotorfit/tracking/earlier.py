@@ -165,13 +165,13 @@ def compared(out: TrackedAxis, earlier: Earlier, axis: str) -> tuple[Unlike, ...
     another one.
     """
     before, now = known_before(earlier, axis), _closed(out.values, out.ci95)
-    told = all(name in before and name in now for name in COEFFICIENTS)
+    complete = all(name in before and name in now for name in COEFFICIENTS)
     same_law = out.structure == earlier.model.axes[axis].structure
     return tuple(
         _unlike(f"{axis}.{name}", before[name], now[name])
         for name in before
         if name in now
-        and (name in ALIKE or (told and same_law))
+        and (name in ALIKE or (complete and same_law))
         and (name in TIMES or min(*before[name], *now[name]) > 0)
     )
 
