@@ -91,7 +91,7 @@ def test_only_what_the_flight_tells_in_their_place_is_compared() -> None:
 
 
 def test_an_input_told_without_its_damping_is_not_compared() -> None:
-    """It belongs to one optimum of several: yaw of a recorded flight, only held, had 24.5, and 0.4 half a minute later."""
+    """It belongs to one optimum of several: a yaw that was only held had 24.5, and 0.4 half a minute later."""
     earlier, told = Earlier(scaled(own(), "x", 70.0), NAME), known()[1].states[-1].axes["x"]
     alone = replace(told, values={**told.values, "damping": None})
 
