@@ -28,16 +28,20 @@ def estimated_extras(optimum: Optimum, k: int) -> tuple[Extra, ...]:
 LEAST_OWN = 1e-6
 """Share of the information about a further parameter that must remain when the other parameters are free."""
 
+NO_INFORMATION = 0.5
+"""Information times variance below which there is no information: it is 1 or more, but for the ridge of the inverse."""
+
 
 def separable(optimum: Optimum, k: int) -> bool:
     """Whether each further parameter of axis k is identifiable separately from the other parameters.
 
-    A saturation level and the gain are not where all commands have the same size.
+    A saturation level and the gain are not where all commands have the same size, nor is a level that no command
+    reaches: of that there is no information at all.
     """
     information = optimum.score.information
     variance = np.diag(inverted(information, optimum.free))
     places = [optimum.point.place(extra.name, k) for extra in estimated_extras(optimum, k)]
-    return all(information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
+    return all(NO_INFORMATION < information[i, i] * variance[i] < 1 / LEAST_OWN for i in places)
 
 
 @dataclass(frozen=True)
