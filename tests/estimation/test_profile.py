@@ -1,6 +1,7 @@
 """The profile: held and re-maximised, intervals, coverage."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -14,7 +15,7 @@ from rotorfit.estimation.likelihood.axis_estimate import estimate_axis
 from rotorfit.estimation.likelihood.blocks import Record
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, maximise
 from rotorfit.estimation.likelihood.likelihood import degrees_of_freedom, inverted, score
-from rotorfit.estimation.likelihood.profile import _crossing, height, hold, profile, quantile
+from rotorfit.estimation.likelihood.profile import _crossing, _first_step, height, hold, profile, quantile
 from rotorfit.planning.signals import two_sines
 from rotorfit.simulation.paper_vehicle import Truth, simulate_flight
 
@@ -203,6 +204,14 @@ def test_the_intervals_of_x_and_y_of_the_demo_hold_the_truth_95_times_of_100() -
     print(hits)
     low, high = binom.ppf([0.0005, 0.9995], runs, 0.95)
     assert all(low <= count <= high for count in hits.values()), hits
+
+
+def test_the_interval_of_a_gain_near_zero_is_reached_in_few_steps() -> None:
+    _, optimum = climbed()
+
+    for gain in (1e-12, -0.3, 1.5):
+        first = _first_step(replace(optimum.point, gain=np.array([gain])), INDEX["input"], 2.0)
+        assert 4.0**6 * first > 2.0 >= first
 
 
 @pytest.mark.parametrize("edge", [0.7, 1.3, 2.9])

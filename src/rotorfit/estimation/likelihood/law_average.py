@@ -133,18 +133,6 @@ def _relevelled(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
     return {axis: replace(estimate, optimum=found[id(estimate.optimum)]) for axis, estimate in estimates.items()}
 
 
-def _believable(serving: Sequence[Flight], law: Estimate, simpler: Estimate) -> bool:
-    """Whether a law does not predict worse than a simpler one, and is no loop identified backwards.
-
-    With a lag near 0 a law is the first-order law at whichever of its optima is likeliest, also at one that the search
-    has left out because it predicts worse.
-    """
-    if _inverted(law.optimum):
-        return False
-    error, other = (prediction_error(serving, one.records[0].axes, one.optimum)[0][one.place] for one in (law, simpler))
-    return not (np.isfinite([error, other]).all() and error > (1 + ALIKE) * other)
-
-
 def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Estimate:
     """The law with a zero, climbed from the levels of the likelier of the other two."""
     better = max((lagged, plain), key=lambda one: one.optimum.score.log_likelihood)
@@ -153,12 +141,20 @@ def _led(axis: str, lagged: Estimate, plain: Estimate, prior_of: PriorOf) -> Est
 
 
 def _needed(serving: Sequence[Flight], plain: Estimate, richer: Sequence[Estimate]) -> list[Estimate]:
-    """The laws with a lag that predict no worse than any simpler one, without a law with a zero that needs none."""
+    """The laws with a lag that predict no worse than any simpler one, without a law with a zero that needs none.
+
+    With a lag near 0 a law is the first-order law at whichever of its optima is likeliest, also at one that the search
+    has left out because it predicts worse, or because it is a loop identified backwards.
+    """
+    laws = (plain, *richer) if richer else ()
+    errors = [prediction_error(serving, one.records[0].axes, one.optimum)[0][one.place] for one in laws]
     return [
         law
-        for place, law in enumerate(richer)
-        if not (place and _moves_as_lagged(law))
-        and all(_believable(serving, law, simpler) for simpler in (plain, *richer[:place]))
+        for place, law in enumerate(laws)
+        if place
+        and not _inverted(law.optimum)
+        and not (place > 1 and _moves_as_lagged(law))
+        and not any(errors[place] > (1 + ALIKE) * simpler for simpler in errors[:place])
     ]
 
 

@@ -116,7 +116,7 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     best, reach = float(values[index]), quantile(optimum, direction)
     error = float(np.sqrt(inverted(optimum.score.information, optimum.free)[index, index]))
     low, high = (float(bound[index]) for bound in optimum.point.bounds())
-    first = min(reach * error, _longest(optimum.point, index))
+    first = _first_step(optimum.point, index, reach * error)
     points = [(best, 0.0)]
     ends = []
     for side, bound in ((-1.0, low), (1.0, high)):
@@ -147,12 +147,15 @@ def profile(records: Sequence[Record], optimum: Optimum, index: int) -> Profile:
     return Profile((ends[0], ends[1]), tuple(sorted(points)), 0.5 * reach**2)
 
 
-def _longest(point: Point, index: int) -> float:
-    """Longest first step of a parameter from the maximum."""
+def _first_step(point: Point, index: int, expected: float) -> float:
+    """First step of a parameter from the maximum, at most `expected`, the distance that the information gives.
+
+    A gain near 0 counts as a thousandth of that distance at least: it must be left in few steps, too.
+    """
     K = point.gain.size
     if index < K:
-        return FIRST * abs(float(point.gain[index]))
-    return FIRST_DELAY if 2 * K <= index < 3 * K else FIRST
+        return min(expected, FIRST * max(abs(float(point.gain[index])), 1e-3 * expected))
+    return min(expected, FIRST_DELAY if 2 * K <= index < 3 * K else FIRST)
 
 
 def _crossing(
