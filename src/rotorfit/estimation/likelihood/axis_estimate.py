@@ -17,11 +17,13 @@ from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximi
 from rotorfit.estimation.likelihood.likelihood import response, segments
 from rotorfit.estimation.likelihood.optima import (
     CandidateOptimum,
+    are_same,
     excerpt,
     is_inverse_loop,
     prediction_error,
     search,
     start_point,
+    without_gain,
     without_input,
 )
 from rotorfit.estimation.likelihood.parameters import Point
@@ -84,10 +86,12 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
     short = [rec for f in parts if (rec := record(f, (axis,)))]
     found = search(short, parts, free_of(short, [True]))
     start = _moved_to(records, found[0].optimum.point)
-    if not _explains(parts, (axis,), short, found[0], 0):
-        idle = replace(start, gain=np.zeros(1), log_damping=np.zeros(1), delay=np.zeros(1))
-        return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
-    return Estimate(records, maximise_restricted(records, start, [True], prior), 0, found, True)
+    if _explains(parts, (axis,), short, found[0], 0):
+        optimum = maximise_restricted(records, start, [True], prior)
+        if _excited(serving, (axis,), records, optimum, start)[0]:
+            return Estimate(records, optimum, 0, found, True)
+    idle = without_gain(start, np.array([True]))
+    return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
 
 
 def maximise_restricted(
@@ -200,16 +204,27 @@ def estimate_plane(
     short = [rec for f in parts if (rec := record(f, group))]
     found = search(short, parts, free_of(short, moving))
     excited = [moves and _explains(parts, group, short, found[0], k) for k, moves in enumerate(moving)]
-    start = _moved_to(records, found[0].optimum.point)
-    idle = np.array([not good for good in excited])
-    start = replace(
-        start,
-        gain=np.where(idle, 0.0, start.gain),
-        log_damping=np.where(idle, 0.0, start.log_damping),
-        delay=np.where(idle, 0.0, start.delay),
-    )
+    start = without_gain(_moved_to(records, found[0].optimum.point), np.logical_not(excited))
     optimum = maximise_restricted(records, start, excited, prior)
+    after = np.logical_and(excited, _excited(serving, group, records, optimum, start)).tolist()
+    if after != excited:
+        excited = after
+        optimum = maximise_restricted(records, without_gain(start, np.logical_not(excited)), excited, prior)
     return [Estimate(records, optimum, k, found if moving[k] else (), excited[k]) for k in range(len(group))]
+
+
+def _excited(
+    serving: Sequence[Flight], group: Sequence[str], records: Sequence[Record], optimum: Optimum, start: Point
+) -> list[bool]:
+    """Whether the commands still explain the motion of each axis at the maximum over the whole flights.
+
+    The climb can leave the optimum that was selected by its predictions for a likelier one that predicts worse.
+    """
+    same = [are_same(optimum.point, start, k) for k in range(len(group))]
+    if all(same):
+        return same
+    there = CandidateOptimum(optimum, 1, *prediction_error(serving, group, optimum))
+    return [same[k] or _explains(serving, group, records, there, k) for k in range(len(group))]
 
 
 def answer(records: Sequence[Record], optimum: Optimum, k: int) -> LoopEvidence:

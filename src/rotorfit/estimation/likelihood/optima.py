@@ -109,7 +109,7 @@ def search(records: Sequence[Record], flights: Sequence[Flight], free: Mask) -> 
     starts: list[int] = []
     for number, (delay, damping) in enumerate(STARTS):
         point = start_point(records, delay, damping, levels)
-        point = _still(point, free)
+        point = without_gain(point, ~free[:K])
         if number:
             point = maximise(records, point, held_levels, tolerance=1.0, most=30).point
         same = _same(point, [optimum.point for optimum in optima])
@@ -160,24 +160,25 @@ def _best_on(found: Sequence[CandidateOptimum], k: int) -> int:
     return int(np.argmin(np.where(np.isfinite(error), error, np.inf)))
 
 
-def _still(point: Point, free: Mask) -> Point:
-    """The point with zero gain, a damping of 1 1/s and zero delay on the axes whose coefficients are fixed."""
-    fixed = ~free[: point.gain.size]
+def without_gain(point: Point, axes: Mask) -> Point:
+    """The point with zero gain, a damping of 1 1/s and zero delay on these axes, shape (K,)."""
     return replace(
         point,
-        gain=np.where(fixed, 0.0, point.gain),
-        log_damping=np.where(fixed, 0.0, point.log_damping),
-        delay=np.where(fixed, 0.0, point.delay),
+        gain=np.where(axes, 0.0, point.gain),
+        log_damping=np.where(axes, 0.0, point.log_damping),
+        delay=np.where(axes, 0.0, point.delay),
     )
 
 
 def _same(point: Point, others: Sequence[Point]) -> int | None:
-    for i, other in enumerate(others):
-        if (np.abs(point.delay - other.delay) < SAME_DELAY).all() and (
-            np.abs(point.log_damping - other.log_damping) < SAME_LOG_DAMPING
-        ).all():
-            return i
-    return None
+    axes = range(point.gain.size)
+    return next((i for i, other in enumerate(others) if all(are_same(point, other, k) for k in axes)), None)
+
+
+def are_same(point: Point, other: Point, k: int) -> bool:
+    """Whether two optima count as one on axis k."""
+    near = abs(point.log_damping[k] - other.log_damping[k]) < SAME_LOG_DAMPING
+    return bool(near and abs(point.delay[k] - other.delay[k]) < SAME_DELAY)
 
 
 def is_inverse_loop(optimum: Optimum, k: int) -> bool:
@@ -307,11 +308,7 @@ def dynamics_of(axes: Sequence[str], optimum: Optimum) -> Mapping[str, AxisDynam
 def without_input(records: Sequence[Record], optimum: Optimum, axes: Sequence[int]) -> Optimum:
     """The maximum of the likelihood with zero gain on the axes with these indices."""
     K = optimum.point.gain.size
-    gain, log_damping, delay = optimum.point.gain.copy(), optimum.point.log_damping.copy(), optimum.point.delay.copy()
+    idle = np.isin(np.arange(K), axes)
     free = optimum.free.copy()
-    for k in axes:
-        gain[k], log_damping[k], delay[k] = 0.0, 0.0, 0.0
-        free[[k, K + k, 2 * K + k]] = False
-    return maximise(
-        records, replace(optimum.point, gain=gain, log_damping=log_damping, delay=delay), free, tolerance=0.05
-    )
+    free[: 3 * K] &= ~np.tile(idle, 3)
+    return maximise(records, without_gain(optimum.point, idle), free, tolerance=0.05)
