@@ -104,12 +104,13 @@ def test_weak_excitation(tmp_path: Path) -> None:
     assert f"{100 * axis['stderr']['input'] / axis['input']:.0f} %" in found["evidence"]
 
 
-def test_likelihood_and_prediction_disagree_on_a_real_flight_in_feedback(real_flights: Path) -> None:
-    folder = real_flights / "bebop2-wsu"
+def test_what_a_position_controller_moves_and_what_it_only_holds_on_a_real_flight(real_flights: Path) -> None:
+    found = said("fit", str(real_flights / "bebop2-wsu" / "Training_CT_TestDay_X.mat"), *WITHOUT_LAG)
 
-    found = said("fit", str(folder / "Training_CT_TestDay_X.mat"), "--axes", "y")
-    assert {("likelihood_and_prediction_disagree", "y"), ("feedback", "y")} <= set(found)
-    assert "log units higher" in found["likelihood_and_prediction_disagree", "y"]["evidence"]
+    assert {("feedback", "x"), ("not_excited", "y"), ("not_excited", "z"), ("not_excited", "yaw")} <= set(found)
+    assert all(
+        "only a response to the motion" in one["evidence"] for (code, _), one in found.items() if code == "not_excited"
+    )
 
 
 def test_real_flights_raise_no_finding_of_severity_error_before_the_fit(real_flights: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from rotorfit.core.flight_data import Flight
 from rotorfit.core.frames import Array, Mask, heading_from_world, world_from_heading
 from rotorfit.core.laws import FIRST_ORDER_DELAY, Structure, start_levels
-from rotorfit.diagnosis.position_loop import restored
 from rotorfit.estimation.likelihood.blocks import Record, measured_by, record
 from rotorfit.estimation.likelihood.feedback import LoopEvidence, loop_evidence
 from rotorfit.estimation.likelihood.fisher_scoring import Optimum, climb, maximise
@@ -79,9 +78,7 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
     records = [rec for f in serving if (rec := record(f, (axis,)))]
     if not moves:
         point = start_point(records, 0.0, 1.0, start_levels(measured_by(records))[None])
-        return Estimate(
-            records, maximise(records, replace(point, gain=np.zeros(1)), free_of(records, [False])), 0, (), False
-        )
+        return Estimate(records, _idle(records, point), 0, (), False)
     parts = [excerpt(f, (axis,)) for f in serving]
     short = [rec for f in parts if (rec := record(f, (axis,)))]
     found = search(short, parts, free_of(short, [True]))
@@ -90,8 +87,12 @@ def estimate_axis(serving: Sequence[Flight], axis: str, moves: bool, prior: Gaus
         optimum = maximise_restricted(records, start, [True], prior)
         if _excited(serving, (axis,), records, optimum, start)[0]:
             return Estimate(records, optimum, 0, found, True)
-    idle = without_gain(start, np.array([True]))
-    return Estimate(records, climb(records, idle, free_of(records, [False])), 0, found, False)
+    return Estimate(records, _idle(records, start), 0, found, False)
+
+
+def _idle(records: Sequence[Record], point: Point) -> Optimum:
+    """The maximum of the likelihood of one axis without its commands."""
+    return climb(records, without_gain(point, np.array([True])), free_of(records, [False]))
 
 
 def maximise_restricted(
@@ -242,12 +243,11 @@ def _explains(
     """Whether the commands of an axis explain its motion.
 
     In an open loop the interval of the gain decides later, and predictions must only not contradict it. In a feedback
-    loop the likelihood can be confidently wrong, so the commands must improve predictions. Commands that only hold the
-    position do not excite the axis, even where the stamps of different clocks place them before the motion to which
-    they respond. Flights that are too short for predictions count as excited.
+    loop the likelihood can be confidently wrong, so the commands must improve predictions. Flights that are too short
+    for predictions count as excited.
     """
     error = found.prediction[k]
-    if is_inverse_loop(found.optimum, k) or restored(serving, group[k]):
+    if is_inverse_loop(found.optimum, k):
         return False
     if not np.isfinite(error) or error < PLAINLY * found.held[k]:
         return True
