@@ -40,7 +40,8 @@ commands their noise, too. That moves nothing, but on held axes of recorded flig
 the command; of its averages the law is 94 to 99.9 %."""
 
 LEAST = 50
-"""Least number of averages."""
+"""Least number of averages: in parts of 5.7, 7.7 and 10.7 s of clean flights 39 of 911, 7 of 660 and 0 of 472 excited
+axes looked held."""
 
 THINNED = 2000
 """Largest number of averages used, evenly spread."""

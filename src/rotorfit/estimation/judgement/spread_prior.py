@@ -12,20 +12,20 @@ default laws, in addition to the factors found by the tests of the law, averaged
 from collections.abc import Mapping
 
 SPREAD: Mapping[str, float] = {
-    "input": 0.4,
+    "input": 0.3,
     "damping": 0.3,
-    "delay": 1.2,
+    "delay": 0.7,
     "lag": 0.3,
     "zero": 0.3,
     "steady_gain": 0.3,
-    "total_lag": 0.4,
+    "total_lag": 0.3,
     "delay_plus_lag": 0.3,
     "natural_frequency": 0.3,
     "damping_ratio": 0.3,
 }
 """Scale of the half t of the spread, in standard errors of one flight, by coefficient or combination."""
 
-OTHERS = 0.4
+OTHERS = 0.3
 """Scale for the further parameters that too few flights identify: that of all of them together."""
 
 
