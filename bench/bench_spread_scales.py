@@ -32,8 +32,8 @@ from rotorfit.estimation.judgement.random_effects import GRID, mixed_half_width,
 from rotorfit.estimation.judgement.spread_prior import spread_scale
 
 SCALES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)
-"""Candidates. Below 0.3 a scale widens by less than 4 %, and a prior so narrow would keep several flights from telling
-that they differ by many errors."""
+"""Candidates. 0.3 widens an interval by 10 %; a narrower prior would keep several flights from telling that they differ
+by many errors."""
 
 LEAST_PAIRS = 20
 """Pairs below which a coefficient gets no scale of its own."""

@@ -9,26 +9,13 @@ default laws, in addition to the factors found by the tests of the law, averaged
 3. This is a rule: nothing is chosen by how many pairs agree (`bench/bench_spread_scales.py`).
 """
 
-from collections.abc import Mapping
-
-SPREAD: Mapping[str, float] = {
-    "input": 0.3,
-    "damping": 0.3,
-    "delay": 0.7,
-    "lag": 0.3,
-    "zero": 0.3,
-    "steady_gain": 0.3,
-    "total_lag": 0.3,
-    "delay_plus_lag": 0.3,
-    "natural_frequency": 0.3,
-    "damping_ratio": 0.3,
-}
-"""Scale of the half t of the spread, in standard errors of one flight, by coefficient or combination."""
+DELAY = 0.7
+"""Scale of the half t of the spread of the delay, in standard errors of one flight."""
 
 OTHERS = 0.3
-"""Scale for the further parameters that too few flights identify: that of all of them together."""
+"""The same of every other coefficient or combination: the smallest of the grid, which each of them takes by itself."""
 
 
 def spread_scale(name: str) -> float:
     """Scale of the half t of the spread of a coefficient or combination, in standard errors of one flight."""
-    return SPREAD.get(name, OTHERS)
+    return DELAY if name == "delay" else OTHERS
