@@ -37,7 +37,7 @@ from rotorfit.core.model import COEFFICIENTS, STRUCTURE, Axis
 from rotorfit.estimation.fitting import fit
 from rotorfit.files.cards import builtin_cards
 from rotorfit.planning.belief import Belief
-from rotorfit.planning.envelope import predicted_path
+from rotorfit.planning.envelope import fleet_of, predicted_path
 from rotorfit.planning.optimal import AxisLimits, Criterion, optimal_excitations
 from rotorfit.planning.plan_control import tracker_of
 from rotorfit.planning.plan_flight import fastest
@@ -83,7 +83,7 @@ def feedback_of(design: str) -> Feedback | None:
 def drift(feedback: Feedback | None) -> Array:
     """How far from its start the wind carries a hover of 60 s, on x, y, z, yaw: 39 of 40 to either side."""
     rest = AxisExcitation("x", "command", 0.0, DURATION, Sines((0.0,), (1.0,), (0.0,)))
-    extent = predicted_path(plan_of("hover", [rest], feedback), BELIEF).extent
+    extent = predicted_path(plan_of("hover", [rest], feedback), fleet_of(BELIEF, TRUTH.command_rate, DURATION)).extent
     return np.asarray(np.abs(extent - np.array(SPACE.start)).max(axis=0))
 
 

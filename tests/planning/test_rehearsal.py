@@ -15,11 +15,28 @@ from rotorfit.estimation.likelihood.likelihood import response
 from rotorfit.estimation.likelihood.parameters import Point
 from rotorfit.files.cards import load_card
 from rotorfit.planning.belief import Belief, belief_from_card, belief_mapping, levels_of
-from rotorfit.planning.envelope import LIMITS, largest_amplitudes, predicted_path, refuse_if_outside, with_amplitudes
+from rotorfit.planning.envelope import (
+    DRAWS,
+    LIMITS,
+    fleet_of,
+    largest_amplitudes,
+    predicted_path,
+    refuse_if_outside,
+    with_amplitudes,
+)
 from rotorfit.planning.plan_control import begin, observed, steered, tracker_of
-from rotorfit.planning.precision import fly_plan, information, inverse_of, path, predicted_errors, recorded_flight
+from rotorfit.planning.precision import (
+    draw_path,
+    fly_draws,
+    fly_plan,
+    information,
+    inverse_of,
+    path,
+    predicted_errors,
+    recorded_flight,
+)
 from rotorfit.planning.signals import designed
-from rotorfit.simulation.paper_vehicle import GAMMA_B, Truth, noise_free
+from rotorfit.simulation.paper_vehicle import GAMMA_B, Draw, Truth, noise_free
 
 pytestmark = pytest.mark.flights
 
@@ -198,11 +215,24 @@ def test_an_inverse_of_partial_information_is_infinite_elsewhere() -> None:
 # Envelope
 
 
+def fleet(plan: Plan, belief: Belief = BELIEF, draws: int = DRAWS, seed: int = 0) -> tuple[Draw, ...]:
+    return fleet_of(belief, plan.rate, plan.duration, draws, seed)
+
+
+def test_the_path_on_the_grid_of_the_commands_is_that_of_the_flight() -> None:
+    plan, truth = plan_of("x", "y", "yaw", size=0.4, duration=60.0), replace(TRUTH, trim=(0.05, -0.05, 0.0, 0.0))
+    tracker = tracker_of(plan)
+    fine, even = fly_plan(tracker, truth, 3), next(fly_draws(tracker, [draw_path(truth, plan.rate, plan.duration, 3)]))
+    same = [np.interp(even.pose_stamp, fine.pose_stamp, fine.true_pose[:, a]) for a in range(4)]
+    assert np.ptp(fine.true_pose[:, :2], axis=0).min() > 0.5
+    np.testing.assert_allclose(even.true_pose, np.stack(same, axis=1), atol=0.02)
+
+
 def test_in_still_air_the_path_is_the_closed_form() -> None:
     signal = AxisExcitation("z", "command", 0.0, 10.0, Sines((0.2,), (2.0,), (0.0,)))
     plan = replace(plan_of("z", duration=10.0, feedback=None), excitations=(signal,), ramp=0.0)
     g, b, tau = TRUTH.gamma[4], TRUTH.gamma[5], TRUTH.delay[2] + 0.5 / plan.rate
-    envelope = predicted_path(plan, BELIEF, draws=1)
+    envelope = predicted_path(plan, fleet(plan, draws=1))
     t = np.maximum(envelope.time - tau, 0.0)
     a, w = 0.2 * g, 2.0
     amount = a / (b**2 + w**2)
@@ -212,8 +242,9 @@ def test_in_still_air_the_path_is_the_closed_form() -> None:
 
 def test_the_band_holds_the_draws_and_grows_with_doubt() -> None:
     plan = plan_of("x", feedback=None)
-    wide = predicted_path(plan, BELIEF, draws=40)
-    narrow = predicted_path(plan, replace(BELIEF, covariance=np.zeros((12, 12)), trim_sigma=(0.0,) * 4), draws=40)
+    wide = predicted_path(plan, fleet(plan, draws=40))
+    sure = replace(BELIEF, covariance=np.zeros((12, 12)), trim_sigma=(0.0,) * 4)
+    narrow = predicted_path(plan, fleet(plan, sure, draws=40))
     assert np.all(wide.low <= wide.high)
     assert np.ptp(wide.extent[:, 0]) > 1.5 * np.ptp(narrow.extent[:, 0])
     assert np.all(wide.speed_high >= 0)
@@ -222,47 +253,52 @@ def test_the_band_holds_the_draws_and_grows_with_doubt() -> None:
 def test_a_plan_that_leaves_is_refused_with_the_amplitude_that_then_passes() -> None:
     tight = replace(ROOM, lower=(-0.6, -1.7, 0.5), upper=(0.6, 1.7, 2.7))
     plan = plan_of("x", size=0.8, duration=10.0, space=tight)
-    envelope = predicted_path(plan, BELIEF)
+    vehicles = fleet(plan)
+    envelope = predicted_path(plan, vehicles)
     assert not envelope.fits
     with pytest.raises(PlanError, match=r"leave the box along x, at most 5 % may; the largest amplitude") as refused:
-        refuse_if_outside(plan, BELIEF, envelope)
+        refuse_if_outside(plan, vehicles, envelope)
     factor = float(str(refused.value).split("--amplitude ")[1].split(",")[0])
     smaller = with_amplitudes(plan, {"x": factor})
-    assert predicted_path(smaller, BELIEF).fits
-    assert not predicted_path(with_amplitudes(plan, {"x": 1.3 * factor}), BELIEF).fits
+    assert predicted_path(smaller, vehicles).fits
+    assert not predicted_path(with_amplitudes(plan, {"x": 1.3 * factor}), vehicles).fits
 
 
 def test_a_hover_that_drifts_out_is_refused_whatever_the_amplitude() -> None:
     plan = plan_of("x", duration=40.0, feedback=None)
-    assert largest_amplitudes(plan, BELIEF, draws=10) == {"x": 0.0}
+    vehicles = fleet(plan, draws=10)
+    assert largest_amplitudes(plan, vehicles) == {"x": 0.0}
     with pytest.raises(PlanError, match="even the hover drifts out"):
-        refuse_if_outside(plan, BELIEF, predicted_path(plan, BELIEF, draws=10), draws=10)
+        refuse_if_outside(plan, vehicles, predicted_path(plan, vehicles))
 
 
 def test_each_axis_shrinks_only_for_its_own_side() -> None:
     narrow = replace(ROOM, lower=(-2.7, -0.3, 0.5), upper=(2.7, 0.3, 2.7), speed=10.0)
-    factors = largest_amplitudes(plan_of("x", "y", size=0.5, space=narrow), BELIEF, draws=30)
+    plan = plan_of("x", "y", size=0.5, space=narrow)
+    factors = largest_amplitudes(plan, fleet(plan, draws=30))
     assert factors["x"] == pytest.approx(1.0, abs=0.1)
     assert factors["y"] < 0.7
 
 
 def test_speed_limits_are_limits() -> None:
     slow = replace(ROOM, speed=0.2)
-    envelope = predicted_path(plan_of("x", size=0.5, space=slow), BELIEF, draws=20)
+    plan = plan_of("x", size=0.5, space=slow)
+    envelope = predicted_path(plan, fleet(plan, draws=20))
     assert dict(zip(LIMITS, envelope.outside, strict=True))["speed"] == 1.0
     assert envelope.leaving == 1.0
 
 
 def test_the_envelope_is_the_same_for_the_same_seed() -> None:
     plan = plan_of("x", duration=10.0)
-    one, two = (predicted_path(plan, BELIEF, draws=3, seed=5) for _ in range(2))
+    one, two = (predicted_path(plan, fleet(plan, draws=3, seed=5)) for _ in range(2))
     np.testing.assert_array_equal(one.low, two.low)
-    assert np.any(predicted_path(plan, BELIEF, draws=3, seed=6).low != one.low)
+    assert np.any(predicted_path(plan, fleet(plan, draws=3, seed=6)).low != one.low)
 
 
 def test_a_still_room_without_doubt_gives_the_likeliest_path() -> None:
     calm = replace(BELIEF, truth=noise_free(TRUTH), covariance=np.zeros((12, 12)), trim_sigma=(0.0,) * 4)
-    envelope = predicted_path(plan_of("x", duration=10.0), calm, draws=2)
+    plan = plan_of("x", duration=10.0)
+    envelope = predicted_path(plan, fleet(plan, calm, draws=2))
     np.testing.assert_allclose(envelope.low, envelope.nominal, atol=1e-3)
 
 

@@ -135,13 +135,17 @@ class AxisInformation:
         """M, shape (3, 3), for a command of shape (N,)."""
         return self.products(command) @ command
 
-    def behind(self, window: Array) -> "AxisInformation":
-        """The same for levels whose commands are these levels convolved with a window of W steps: N - W + 1 levels."""
+    def behind(self, window: Array, held: int = 1) -> "AxisInformation":
+        """The same for levels that are held for some steps each, and then convolved with a window of W steps.
+
+        There are (N - W + 1) // held levels, each of `held` steps.
+        """
         N, W = self.form.shape[-1], window.size
-        smear = np.zeros((N, N - W + 1))
-        for i, weight in enumerate(window):
-            smear[np.arange(N - W + 1) + i, np.arange(N - W + 1)] = weight
-        return replace(self, form=smear.T @ self.form @ smear)
+        pulse = np.convolve(window, np.ones(held))
+        smear = np.zeros((N, (N - W + 1) // held))
+        for k in range(smear.shape[1]):
+            smear[k * held : k * held + pulse.size, k] = pulse
+        return replace(self, step=held * self.step, form=smear.T @ self.form @ smear)
 
     def errors(self, command: Array) -> Array:
         """Predicted standard errors of input and damping (relative) and delay [s], shape (3,)."""

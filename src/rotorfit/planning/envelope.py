@@ -15,9 +15,9 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.progress import Progress
 from rotorfit.planning.belief import Belief, sample_vehicles
 from rotorfit.planning.plan_control import Tracker, tracker_of
-from rotorfit.planning.precision import draw_for, fly_draw, fly_plan, path
+from rotorfit.planning.precision import draw_path, fly_draws, path
 from rotorfit.planning.signals import scaled
-from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, Truth, noise_free
+from rotorfit.simulation.paper_vehicle import Draw, SimulatedFlight, noise_free
 
 DRAWS = 50
 """Number of vehicles drawn."""
@@ -72,25 +72,34 @@ class Envelope:
         return self.leaving <= ALLOWED
 
 
-def predicted_path(
-    plan: Plan, belief: Belief, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
-) -> Envelope:
+def fleet_of(belief: Belief, rate: float, duration: float, draws: int = DRAWS, seed: int = 0) -> tuple[Draw, ...]:
+    """The likeliest vehicle in still air, and drawn vehicles with their trims and winds, which fly any number of plans.
+
+    Args:
+        belief: Belief about the vehicle, its air and its room.
+        rate: Command rate of the plans [Hz].
+        duration: Their duration [s].
+        draws: Vehicles besides the likeliest, at least 1.
+        seed: Seed of the draws and their wind.
+    """
+    vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
+    return tuple(draw_path(truth, rate, duration, seed + number) for number, truth in enumerate(vehicles))
+
+
+def predicted_path(plan: Plan, fleet: Sequence[Draw], progress: Progress | None = None) -> Envelope:
     """Predicts the motion of a plan.
 
     Args:
         plan: The plan.
-        belief: Belief about the vehicle, its air and its room.
-        draws: Vehicles besides the likeliest, at least 1.
-        seed: Seed of the draws and their wind.
+        fleet: The vehicles that fly it, from `fleet_of`.
         progress: Called with a fraction and a text; raising in it cancels.
     """
-    vehicles = [noise_free(belief.truth), *sample_vehicles(belief, draws, seed)]
     time = np.arange(0.0, plan.duration, _GRID)
     paths, speeds, broken, saturated, tracker = [], [], [], [], tracker_of(plan)
-    for number, truth in enumerate(vehicles):
+    for number, flight in enumerate(fly_draws(tracker, fleet)):
         if progress:
-            progress(number / len(vehicles), "predicting the path")
-        where, fastest, violated, bounded = _one(tracker, truth, seed + number, time)
+            progress(number / len(fleet), "predicting the path")
+        where, fastest, violated, bounded = _one(tracker, flight, time)
         paths.append(where)
         speeds.append(fastest)
         broken.append(violated)
@@ -103,13 +112,12 @@ def predicted_path(
         extent=np.stack([np.quantile(ends[:, 0], 0.025, axis=0), np.quantile(ends[:, 1], 0.975, axis=0)]),
         speed=speeds[0], speed_high=np.quantile(np.array(speeds[1:]), 0.95, axis=0),
         outside=shares[:5], hasty=shares[5:], leaving=float(np.mean(np.any(np.array(broken[1:])[:, :5] > 0, axis=1))),
-        saturated=float(np.mean(saturated[1:])), draws=draws,
+        saturated=float(np.mean(saturated[1:])), draws=len(others),
     )  # fmt: skip
 
 
-def _one(tracker: Tracker, truth: Truth, seed: int, time: Array) -> tuple[Array, Array, Array, float]:
+def _one(tracker: Tracker, flight: SimulatedFlight, time: Array) -> tuple[Array, Array, Array, float]:
     """One flight: path (N, 4), largest speeds (3,), violated limits and haste (7,), share of clipped commands."""
-    flight = fly_plan(tracker, truth, seed)
     pose, stamp = path(tracker.plan, flight), flight.pose_stamp * 1e-9
     fastest, violated = _violated(tracker.plan, flight)
     bounded = float(np.mean(np.any(np.abs(flight.command) >= tracker.full_scale * (1 - 1e-12), axis=1)))
@@ -128,8 +136,8 @@ def _violated(plan: Plan, flight: SimulatedFlight) -> tuple[Array, Array]:
     return fastest, violated.astype(float)
 
 
-class _Fleet:
-    """The vehicles and winds of `predicted_path`, on which one plan after another is tried.
+class _Trial:
+    """The drawn vehicles of a fleet, on which one plan after another is tried.
 
     A vehicle that violated a limit flies first the next time, and as soon as the answer is certain no other one flies.
     """
@@ -137,9 +145,9 @@ class _Fleet:
     def __init__(self, vehicles: Sequence[Draw]) -> None:
         self._vehicles = list(vehicles)
 
-    def half(self) -> "_Fleet":
+    def half(self) -> "_Trial":
         """The first half of the vehicles, at least one."""
-        return _Fleet(self._vehicles[: max(len(self._vehicles) // 2, 1)])
+        return _Trial(self._vehicles[: max(len(self._vehicles) // 2, 1)])
 
     def fits(self, plan: Plan) -> bool:
         """Whether no more vehicles leave the space than are allowed: `Envelope.fits`."""
@@ -155,9 +163,9 @@ class _Fleet:
 
         Where the answer was certain before all had flown, the shares are lower bounds.
         """
-        tracker, count, shares = tracker_of(plan), np.zeros(8), np.zeros(8)
-        for place, drawn in enumerate(tuple(self._vehicles)):
-            _, violated = _violated(plan, fly_draw(tracker, drawn))
+        count, shares = np.zeros(8), np.zeros(8)
+        for place, flight in enumerate(fly_draws(tracker_of(plan), tuple(self._vehicles))):
+            _, violated = _violated(plan, flight)
             if violated.any():
                 self._vehicles.insert(0, self._vehicles.pop(place))
                 count += [*violated, violated[:5].any()]
@@ -174,7 +182,7 @@ def with_amplitudes(plan: Plan, factors: Mapping[str, float]) -> Plan:
 
 
 def largest_amplitudes(
-    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
+    plan: Plan, fleet: Sequence[Draw], upper: float = 1.0, progress: Progress | None = None
 ) -> dict[str, float]:
     """The largest factors on the signals with which the plan stays in its space, axis by axis, by bisection.
 
@@ -183,11 +191,8 @@ def largest_amplitudes(
 
     Args:
         plan: The plan at factor 1.
-        belief: Belief about the vehicle, its air and its room.
+        fleet: As for `predicted_path`; it is flown with every factor. The search first uses half of it.
         upper: Largest factor considered.
-        draws: As for `predicted_path`; the same vehicles and winds are flown with every factor. The search first uses
-            half of them.
-        seed: As for `predicted_path`.
         progress: Called with a fraction and a text; raising in it cancels.
 
     Returns:
@@ -195,12 +200,12 @@ def largest_amplitudes(
     """
     axes = [axis for axis in AXES if any(each.axis == axis for each in plan.excitations)]
     low, high = dict.fromkeys(axes, 0.0), dict.fromkeys(axes, upper)
-    fleet = _fleet(plan, belief, draws, seed)
-    half, factors = fleet.half(), dict(high)
+    trial = _Trial(fleet[1:])
+    half, factors = trial.half(), dict(high)
     for step in range(_STEPS):
         if progress:
             progress(0.5 * step / _STEPS, "looking for the largest amplitude")
-        if step == 1 and not fleet.fits(with_amplitudes(plan, low)):
+        if step == 1 and not trial.fits(with_amplitudes(plan, low)):
             return low
         guilty = half.guilty(with_amplitudes(plan, factors), axes)
         high |= {axis: factors[axis] for axis in guilty}
@@ -211,14 +216,14 @@ def largest_amplitudes(
     if min(low.values()) <= 0:
         return dict.fromkeys(axes, 0.0)
     plan, rest = with_amplitudes(plan, low), _second_half(progress)
-    if not fleet.fits(plan):
-        common = _largest_common(plan, fleet, 1.0, rest)
+    if not trial.fits(plan):
+        common = _largest_common(plan, trial, 1.0, rest)
         return {axis: common * factor for axis, factor in low.items()}
     plane = [axis for axis in axes if axis in ("x", "y")]
     if len(plane) < 2:
         return low
     spare = min(np.sqrt(2), upper / max(low[axis] for axis in plane))  # they need not be fastest at the same time
-    more = _largest_common(plan, fleet, spare, rest, plane) if spare > 1 else 1.0
+    more = _largest_common(plan, trial, spare, rest, plane) if spare > 1 else 1.0
     return {axis: (max(more, 1.0) if axis in plane else 1.0) * factor for axis, factor in low.items()}
 
 
@@ -243,29 +248,23 @@ def _second_half(progress: Progress | None) -> Progress | None:
     return lambda fraction, text: outer(0.5 + 0.5 * fraction, text)
 
 
-def largest_amplitude(
-    plan: Plan, belief: Belief, upper: float = 1.0, draws: int = DRAWS, seed: int = 0, progress: Progress | None = None
-) -> float:
+def largest_amplitude(plan: Plan, fleet: Sequence[Draw], upper: float = 1.0, progress: Progress | None = None) -> float:
     """The largest common factor on all signals with which the plan stays in its space; 0 if none does.
 
     The arguments and the search are as for `largest_amplitudes`.
     """
-    return _largest_common(plan, _fleet(plan, belief, draws, seed), upper, progress)
-
-
-def _fleet(plan: Plan, belief: Belief, draws: int, seed: int) -> _Fleet:
-    return _Fleet([draw_for(plan, truth, n) for n, truth in enumerate(sample_vehicles(belief, draws, seed), seed + 1)])
+    return _largest_common(plan, _Trial(fleet[1:]), upper, progress)
 
 
 def _largest_common(
-    plan: Plan, fleet: _Fleet, upper: float, progress: Progress | None, axes: Sequence[str] = AXES
+    plan: Plan, trial: _Trial, upper: float, progress: Progress | None, axes: Sequence[str] = AXES
 ) -> float:
     """As `largest_amplitude`, on the signals of some axes."""
 
     def stays(factor: float, step: int) -> bool:
         if progress:
             progress(step / _STEPS, f"looking for the largest amplitude: {factor:.2f}")
-        return fleet.fits(with_amplitudes(plan, {axis: factor if axis in axes else 1.0 for axis in AXES}))
+        return trial.fits(with_amplitudes(plan, {axis: factor if axis in axes else 1.0 for axis in AXES}))
 
     if stays(upper, 0):
         return upper
@@ -280,25 +279,21 @@ def _largest_common(
     return low
 
 
-def refuse_if_outside(
-    plan: Plan, belief: Belief, envelope: Envelope, amplitude: float = 1.0, draws: int = DRAWS, seed: int = 0
-) -> None:
+def refuse_if_outside(plan: Plan, fleet: Sequence[Draw], envelope: Envelope, amplitude: float = 1.0) -> None:
     """Refuses a plan that leaves its space under the uncertainty of the belief.
 
     Args:
         plan: The plan.
-        belief: Belief about the vehicle, its air and its room.
+        fleet: The vehicles that fly it, from `fleet_of`.
         envelope: Its prediction.
         amplitude: The plan's present amplitude.
-        draws: Draws in the search for the amplitude that fits.
-        seed: Seed of that search.
 
     Raises:
         PlanError: It leaves; the message gives the largest amplitude that fits.
     """
     if envelope.fits:
         return
-    fitting = amplitude * largest_amplitude(plan, belief, 1.0, draws, seed)
+    fitting = amplitude * largest_amplitude(plan, fleet)
     worst = LIMITS[int(np.argmax(envelope.outside))]
     share = f"{100 * envelope.leaving:.0f} % of {envelope.draws} vehicles that are believed possible"
     where = f"break the limit of {worst}" if worst in ("speed", "climb") else f"leave the box along {worst}"

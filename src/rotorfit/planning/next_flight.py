@@ -12,8 +12,8 @@ from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief
-from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_flight
-from rotorfit.planning.precision import inverse_of, predicted_errors
+from rotorfit.planning.plan_flight import SHORTEST, TOGETHER, plan_with_information
+from rotorfit.planning.precision import inverse_of, precision_of
 
 Table = Mapping[str, Mapping[str, float]]
 
@@ -84,32 +84,31 @@ def next_flight(
     group = tuple(axes) if axes else worst_group(before / wanted, tuple(card.command))
     designs = (design,) if design else TRIED
     plans, errors, left, refused = {}, {}, {}, []
+
+    def plan(name: str, length: float, part: Progress | None) -> tuple[Plan, Array]:
+        """The flight of a design, and the standard errors with it added to the belief."""
+        flight, information = plan_with_information(
+            card, space, name, group, length, belief,
+            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
+        )  # fmt: skip
+        return flight, errors_after(information, belief)
+
     for place, name in enumerate(designs):
-        part = part_of(progress, place, len(designs) + 1)
         try:
-            plans[name] = plan_flight(
-                card, space, name, group, duration, belief,
-                amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
-            )  # fmt: skip
+            plans[name], errors[name] = plan(name, duration, part_of(progress, place, len(designs) + 1))
         except PlanError as error:
             refused.append(error)
             continue
-        errors[name] = errors_after(plans[name], belief)
         left[name] = _left(errors[name], wanted, group)
     if not plans:
         raise refused[0]
     best = min(left, key=lambda name: left[name])
-    plan, after = plans[best], errors[best]
-    shorter = _enough(plan, after, wanted, group)
+    chosen, after = plans[best], errors[best]
+    shorter = _enough(chosen, after, wanted, group)
     if shorter < duration:
-        part = part_of(progress, len(designs), len(designs) + 1)
-        plan = plan_flight(
-            card, space, best, group, shorter, belief,
-            amplitude=amplitude, open_loop=open_loop, seed=seed, progress=part,
-        )  # fmt: skip
-        after = errors_after(plan, belief)
+        chosen, after = plan(best, shorter, part_of(progress, len(designs), len(designs) + 1))
     return NextFlight(
-        plan=plan,
+        plan=chosen,
         before=_table(before),
         after=_table(after),
         wanted=_table(wanted),
@@ -131,10 +130,9 @@ def worst_group(ratio: Array, commanded: Sequence[str]) -> tuple[str, ...]:
     return max(groups, key=lambda group: max(ratio[3 * AXES.index(axis) + i] for axis in group for i in range(3)))
 
 
-def errors_after(plan: Plan, belief: Belief) -> Array:
-    """Standard errors of the twelve coefficients with the flight added to the belief, shape (12,)."""
-    known = inverse_of(belief.covariance)
-    out = predicted_errors([plan], belief, seed=plan.seed, before=known)
+def errors_after(information: Array, belief: Belief) -> Array:
+    """Standard errors of the twelve coefficients with a flight's `informations` added to the belief, shape (12,)."""
+    out = precision_of(information, inverse_of(belief.covariance))
     return np.array([out.stderr[axis][name] for axis in AXES for name in COEFFICIENTS])
 
 

@@ -20,7 +20,7 @@ problem is bounded from above (`bench/bench_optimal.py`).
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -56,9 +56,13 @@ SHORTEST = 4.0
 """Shortest flight that is designed [s]."""
 
 STARTS, ROUNDS = 9, 27
-"""Number of signals that start the climb, and of perturbations of the best afterwards."""
+"""Number of signals that start the climb, and of perturbations of the best afterwards, on levels held for `HELD` steps."""
 
-SETTLED = 1e-6
+HELD, REFINED = 2, 18
+"""Steps for which these levels are held, which takes a quarter of the time; number of perturbations of the best
+afterwards, on levels of single steps."""
+
+SETTLED = 1e-4
 """A climb ends where the linear programme promises less than this share of the standard errors."""
 
 SHARES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 121)])
@@ -156,7 +160,11 @@ def optimal_signal(
     form, window = axis_information(belief, levels, duration / pieces, step, pose_rate), _window(smooth, step)
     prior = np.zeros((3, 3)) if known is None else np.asarray(known) / pieces
     problem = _Problem(form.behind(window), limits, criterion, prior, window)
-    best, scores = _search(problem, np.random.default_rng(seed), progress)
+    rough, rng = replace(problem, form=form.behind(window, HELD)), np.random.default_rng(seed)
+    best, scores = _search(rough, rng, ROUNDS, None, part_of(progress, 0, 2))
+    same = np.zeros(problem.n)
+    same[: HELD * rough.n] = np.repeat(best.command, HELD)
+    best, finer = _search(problem, rng, REFINED, same, part_of(progress, 1, 2))
     command = problem.inside(best.command)
     total = pieces * (problem.prior + form.information(command))
     errors = np.sqrt(np.diag(np.linalg.inv(total)))
@@ -166,7 +174,7 @@ def optimal_signal(
         score=float(problem.score(form.information(command))) + 0.5 * float(np.log(pieces)),
         gap=best.gap,
         history=best.history,
-        scores=scores,
+        scores=(*scores, *finer),
         errors=(float(errors[0]), float(errors[1]), float(errors[2])),
         pieces=pieces,
     )
@@ -374,20 +382,25 @@ def _window(width: float, step: float) -> Array:
     return np.asarray(window / window.sum())
 
 
-def _search(problem: _Problem, rng: np.random.Generator, progress: Progress | None) -> tuple[_Climb, tuple[float, ...]]:
-    """Climbs from several signals, then repeatedly from the best with a part of it perturbed."""
-    climbs = []
+def _search(
+    problem: _Problem, rng: np.random.Generator, rounds: int, first: Array | None, progress: Progress | None
+) -> tuple[_Climb, tuple[float, ...]]:
+    """Climbs from several signals, or from a first one, then repeatedly from the best with a part of it perturbed."""
+    starts, scores = STARTS if first is None else 1, []
     best: _Climb | None = None
-    for i in range(STARTS + ROUNDS):
+    for i in range(starts + rounds):
         if progress is not None:
-            progress(i / (STARTS + ROUNDS), f"optimal design: climb {i + 1} of {STARTS + ROUNDS}")
-        direction = _start(problem, rng, i) if best is None or i < STARTS else _disturbed(problem, best.command, rng)
-        climb = problem.climb(problem.corner(direction))
-        climbs.append(climb.history[-1])
-        if best is None or climbs[-1] > best.history[-1]:
+            progress(i / (starts + rounds), f"optimal design: climb {i + 1} of {starts + rounds}")
+        if best is not None and i >= starts:
+            begin = problem.corner(_disturbed(problem, best.command, rng))
+        else:
+            begin = problem.corner(_start(problem, rng, i)) if first is None else first
+        climb = problem.climb(begin)
+        scores.append(climb.history[-1])
+        if best is None or scores[-1] > best.history[-1]:
             best = climb
     assert best is not None
-    return best, tuple(climbs)
+    return best, tuple(scores)
 
 
 def _start(problem: _Problem, rng: np.random.Generator, i: int) -> Array:

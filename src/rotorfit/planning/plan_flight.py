@@ -1,5 +1,6 @@
 """Planning: card, space, design, axes, duration and belief -> Plan that stays in its space, with its predictions."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -9,12 +10,13 @@ import numpy as np
 from rotorfit.core.card import Card
 from rotorfit.core.errors import PlanError
 from rotorfit.core.flight_plan import AxisExcitation, Feedback, Plan, Signal, Space
-from rotorfit.core.frames import AXES
+from rotorfit.core.frames import AXES, Array
 from rotorfit.core.progress import Progress, part_of
 from rotorfit.planning.belief import Belief, belief_from_mapping, belief_mapping
 from rotorfit.planning.envelope import (
     ALLOWED,
     Envelope,
+    fleet_of,
     largest_amplitudes,
     predicted_path,
     refuse_if_outside,
@@ -22,8 +24,9 @@ from rotorfit.planning.envelope import (
 )
 from rotorfit.planning.optimal import AxisLimits, optimal_excitations
 from rotorfit.planning.plan_control import full_scale
-from rotorfit.planning.precision import Precision, excited_axes, predicted_errors
+from rotorfit.planning.precision import Precision, excited_axes, informations, precision_of
 from rotorfit.planning.signals import DESIGNS, crest_factor, designed, ident_reference, paper_sines, scaled
+from rotorfit.simulation.paper_vehicle import Draw
 
 RATE, RAMP, QUIET = 50.0, 2.0, 1.0
 """Command rate [Hz]; ramp of the signals [s]; hover before and after them [s]."""
@@ -120,6 +123,26 @@ def plan_flight(
         PlanError: A design, axis, duration or amplitude that cannot be flown; with a given amplitude, a plan that
             leaves the space; without, no amplitude that stays inside.
     """
+    return plan_with_information(
+        card, space, design, axes, duration, belief,
+        amplitude=amplitude, open_loop=open_loop, seed=seed, progress=progress,
+    )[0]  # fmt: skip
+
+
+def plan_with_information(
+    card: Card,
+    space: Space,
+    design: str,
+    axes: Sequence[str],
+    duration: float,
+    belief: Belief,
+    *,
+    amplitude: float | None = None,
+    open_loop: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Plan, Array]:
+    """As `plan_flight`, with the information from which its standard errors are predicted, as of `informations`."""
     _check_request(card, space, design, axes, duration, amplitude)
     if open_loop and design == "ident":
         raise PlanError("the ident manoeuvre is a position reference and needs its feedback: drop --open-loop")
@@ -144,6 +167,11 @@ class _Wanted:
     belief: Belief
     amplitude: float | None
     seed: int
+
+    @functools.cached_property
+    def fleet(self) -> tuple[Draw, ...]:
+        """The vehicles that fly every plan on the way, from its seed."""
+        return fleet_of(self.belief, RATE, self.duration, seed=self.seed)
 
 
 @dataclass(frozen=True)
@@ -184,7 +212,8 @@ def _drift(wanted: _Wanted, bare: Feedback | None) -> tuple[str, float, float]:
         "hover", wanted.design, wanted.card.raw, RATE, wanted.duration, RAMP, (), bare, wanted.space,
         belief_mapping(wanted.belief),
     )  # fmt: skip
-    extent, space, worst = predicted_path(hover, wanted.belief).extent, wanted.space, ("x", 0.0, 0.0)
+    usual = wanted if wanted.seed == 0 else replace(wanted, seed=0)
+    extent, space, worst = predicted_path(hover, usual.fleet).extent, wanted.space, ("x", 0.0, 0.0)
     for a, axis in enumerate(AXES[:3]):
         if bare is None or axis not in bare.axes:
             metres = float(max(space.start[a] - extent[0, a], extent[1, a] - space.start[a]))
@@ -201,7 +230,7 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
         0.0 if wanted.design in OPTIMAL else RAMP, (), loop, wanted.space, belief_mapping(belief), seed=wanted.seed,
     )  # fmt: skip
     if wanted.design in OPTIMAL:
-        hover = predicted_path(plan, belief, seed=wanted.seed)
+        hover = predicted_path(plan, wanted.fleet)
         if not hover.fits:
             return _Choice(plan, dict.fromkeys(wanted.axes, 0.0))
         limits, criterion = _limits(wanted, hover), OPTIMAL[wanted.design]
@@ -216,7 +245,7 @@ def _choice(wanted: _Wanted, loop: Feedback | None, progress: Progress | None) -
     if wanted.amplitude is not None:
         factors = dict.fromkeys(wanted.axes, wanted.amplitude)
     else:
-        factors = largest_amplitudes(plan, belief, seed=wanted.seed, progress=progress)
+        factors = largest_amplitudes(plan, wanted.fleet, progress=progress)
     return _Choice(with_amplitudes(plan, factors), factors)
 
 
@@ -322,11 +351,11 @@ def fastest(belief: Belief, axis: str) -> float:
     return float(np.clip(FAST / max(belief.truth.delay[AXES.index(axis)], 1e-3), SLOWEST, FASTEST))
 
 
-def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Progress | None) -> Plan:
-    """The plan with its prediction and notes.
+def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Progress | None) -> tuple[Plan, Array]:
+    """The plan with its prediction and notes, and the information behind its standard errors.
 
     Raises:
-        PlanError: No amplitude stays inside.
+        PlanError: It leaves its space, or no amplitude stays inside.
     """
     if min(chosen.factors.values()) <= 0:
         raise PlanError(
@@ -339,21 +368,11 @@ def _finished(chosen: _Choice, wanted: _Wanted, notes: list[str], progress: Prog
     if wanted.amplitude is None and not 0.995 <= min(factors) <= max(factors) <= 1.005:
         sizes = ", ".join(f"{axis} {factor:.2g}" for axis, factor in chosen.factors.items())
         notes = [*notes, f"scaled to fit the space, of full amplitude: {sizes}"]
-    return predicted(chosen.plan, wanted.belief, chosen.factors, notes, progress)
-
-
-def predicted(
-    plan: Plan, belief: Belief, factors: Mapping[str, float], notes: Sequence[str], progress: Progress | None = None
-) -> Plan:
-    """The plan with its expected standard errors and path.
-
-    Raises:
-        PlanError: It leaves its space.
-    """
-    envelope = predicted_path(plan, belief, seed=plan.seed, progress=part_of(progress, 0, 2))
-    refuse_if_outside(plan, belief, envelope, max(factors.values()), seed=plan.seed)
-    precision = predicted_errors([plan], belief, seed=plan.seed, progress=part_of(progress, 1, 2))
-    return replace(plan, predicted=prediction_mapping(plan, envelope, precision, factors, notes))
+    envelope = predicted_path(chosen.plan, wanted.fleet, part_of(progress, 0, 2))
+    refuse_if_outside(chosen.plan, wanted.fleet, envelope, max(factors))
+    information = informations([chosen.plan], wanted.belief, seed=wanted.seed, progress=part_of(progress, 1, 2))
+    prediction = prediction_mapping(chosen.plan, envelope, precision_of(information), chosen.factors, notes)
+    return replace(chosen.plan, predicted=prediction), information
 
 
 def prediction_mapping(

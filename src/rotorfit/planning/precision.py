@@ -9,13 +9,12 @@ Flights of one vehicle differ by more than that; the errors are widened to those
 Rehearsal: a plan flown by the paper's vehicle, in a room that agrees with the belief.
 """
 
-import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorfit.core.flight_data import Flight
+from rotorfit.core.flight_data import Flight, Segment
 from rotorfit.core.flight_plan import Four, Plan, command_at, reference_at
 from rotorfit.core.frames import AXES, Array
 from rotorfit.core.model import COEFFICIENTS
@@ -32,6 +31,7 @@ from rotorfit.simulation.paper_vehicle import (
     Truth,
     as_log,
     draw,
+    draw_evenly,
     flown,
 )
 
@@ -49,30 +49,51 @@ def fly_plan(tracker: Tracker, truth: Truth, seed: int) -> SimulatedFlight:
     Returns:
         The flight, from rest at `paper_vehicle.HOVER_HEIGHT` above the origin, with the heading of the plan's start.
     """
-    return fly_draw(tracker, draw_for(tracker.plan, truth, seed))
-
-
-def draw_for(plan: Plan, truth: Truth, seed: int) -> Draw:
-    """Stamps, air and noise for a vehicle that flies a plan, or one that differs from it in nothing but amplitudes."""
+    plan = tracker.plan
     truth = replace(truth, command_rate=plan.rate, command_jitter=min(truth.command_jitter, 0.2 / plan.rate))
-    return draw(truth, plan.duration, seed, max_step=COARSE)
+    return next(fly_draws(tracker, [draw(truth, plan.duration, seed, max_step=COARSE)]))
 
 
-def fly_draw(tracker: Tracker, drawn: Draw) -> SimulatedFlight:
-    """Flies a plan as `fly_plan`, from a draw made before."""
+def draw_path(truth: Truth, rate: float, duration: float, seed: int) -> Draw:
+    """Stamps, air and noise for the path of a vehicle, for any plan of a rate of commands [Hz] and a duration [s].
+
+    The grid is that of the commands, which moves a path of 60 s by some millimetres.
+    """
+    return draw_evenly(replace(truth, command_rate=rate, command_jitter=0.0), duration, seed, max_step=COARSE)
+
+
+def fly_draws(tracker: Tracker, draws: Sequence[Draw]) -> Iterator[SimulatedFlight]:
+    """Flies a plan as `fly_plan`, from draws made before that have the same stamps of commands."""
     plan, feedback, scale = tracker.plan, tracker.plan.feedback, _four(tracker.full_scale)
+    sent = draws[0].command_stamp.astype(np.float64) * 1e-9
+    command, reference = command_at(plan, sent), reference_at(plan, sent)
+    follows = any(each.target == "position" for each in plan.excitations)
     controller = Controller(axes=(), full_scale=scale)
     if feedback:
         controller = Controller(
             feedback.stiffness, feedback.damping, feedback.filter_time, feedback.axes,
-            tuple(map(float, tracker.gamma)), functools.partial(reference_at, plan), scale,
+            tuple(map(float, tracker.gamma)), (lambda _: reference) if follows else None, scale,
         )  # fmt: skip
-    return flown(drawn, functools.partial(command_at, plan), controller, plan.space.start[3])
+    for drawn in draws:
+        yield flown(drawn, lambda _: command, controller, plan.space.start[3])
 
 
 def recorded_flight(flight: SimulatedFlight) -> Flight:
     """The flight as the estimator receives it, from its log."""
     return flight_from_log(as_log(flight), load_card("rotorfit-demo"))
+
+
+def seen_flight(flight: SimulatedFlight) -> Flight:
+    """The flight as `recorded_flight`, without a log in between."""
+    origin, fresh = flight.command_stamp[0], ~flight.stale & (flight.pose_stamp >= flight.command_stamp[0])
+    command_time, pose_time = (flight.command_stamp - origin) / 1e9, (flight.pose_stamp[fresh] - origin) / 1e9
+    end, pose = float(pose_time[-1]), flight.pose[fresh]
+    acting = command_time < end
+    return Flight(
+        path="", sha256="", card=load_card("rotorfit-demo"), span=(0.0, end), axes=AXES,
+        command_time=command_time[acting], command=flight.command[acting], pose_time=pose_time,
+        position=pose[:, :3], yaw=pose[:, 3], segments=(Segment(0.0, end),),
+    )  # fmt: skip
 
 
 def path(plan: Plan, flight: SimulatedFlight) -> Array:
@@ -137,25 +158,43 @@ def predicted_errors(
         progress: Called with a fraction and a text; raising in it cancels.
         of_vehicle: Whether the errors hold for the vehicle on any flight; else for these flights alone.
     """
+    return precision_of(informations(plans, belief, draws, seed, progress, of_vehicle=of_vehicle), before)
+
+
+def informations(
+    plans: Sequence[Plan],
+    belief: Belief,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: Progress | None = None,
+    *,
+    of_vehicle: bool = True,
+) -> Array:
+    """Information of all these flights together, for the likeliest vehicle and each draw, shape (1 + draws, 12, 12).
+
+    Arguments as for `predicted_errors`.
+    """
     wider = vehicle_widening() if of_vehicle else np.ones(len(NAMES))
-    vehicles = [belief.truth, *sample_vehicles(belief, draws, seed)]
-    variances, covariance = [], np.zeros((12, 12))
-    for number, truth in enumerate(vehicles):
+    out = np.zeros((1 + draws, 12, 12))
+    for number, truth in enumerate([belief.truth, *sample_vehicles(belief, draws, seed)]):
         if progress:
-            progress(number / len(vehicles), "predicting the standard errors")
-        total = np.zeros((12, 12)) if before is None else before.copy()
+            progress(number / len(out), "predicting the standard errors")
         for place, plan in enumerate(plans):
-            total += information(plan, truth, belief, seed + 1000 * number + place) / np.outer(wider, wider)
-        inverse = inverse_of(total)
-        covariance = inverse if number == 0 else covariance
-        variances.append(np.diag(inverse))
-    known = tuple(axis for a, axis in enumerate(AXES) if np.all(np.isfinite(variances[0][3 * a : 3 * a + 3])))
+            out[number] += information(plan, truth, belief, seed + 1000 * number + place) / np.outer(wider, wider)
+    return out
+
+
+def precision_of(information: Array, before: Array | None = None) -> Precision:
+    """Precision from `informations`, and from what earlier flights add to each, shape (12, 12)."""
+    inverse = [inverse_of(each if before is None else before + each) for each in information]
+    variances = np.array([np.diag(each) for each in inverse])
+    known = tuple(axis for a, axis in enumerate(AXES) if np.all(np.isfinite(variances[0, 3 * a : 3 * a + 3])))
     return Precision(
         axes=known,
         stderr=_table(np.sqrt(np.mean(variances, axis=0)), known),
         nominal=_table(np.sqrt(variances[0]), known),
-        covariance=covariance,
-        draws=len(vehicles),
+        covariance=inverse[0],
+        draws=len(information),
     )
 
 
@@ -190,7 +229,7 @@ def information(plan: Plan, truth: Truth, belief: Belief, seed: int) -> Array:
 
     Rows of axes without a signal of their own are 0: the little that their feedback excites is ignored.
     """
-    return information_of(recorded_flight(fly_plan(tracker_of(plan), truth, seed)), truth, belief, excited_axes(plan))
+    return information_of(seen_flight(fly_plan(tracker_of(plan), truth, seed)), truth, belief, excited_axes(plan))
 
 
 def information_of(flight: Flight, truth: Truth, belief: Belief, axes: Sequence[str]) -> Array:
